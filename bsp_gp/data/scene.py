@@ -1,0 +1,335 @@
+"""The nouns of measured motion: Entity, Scene, Dataset. Frozen, validated, arrays read-only.
+
+Axes are always ``[time, entity, xy(z)]``; numbers are SI, or the data's own unit where the data
+set is not calibrated (`Dataset.units` says which).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from bsp_gp.errors import DataError
+from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
+
+__all__ = ["SHAPES", "Dataset", "Entity", "Evaluation", "LatentDeclaration", "Scene"]
+
+SHAPES = ("point", "disc", "rect_wall", "rect_mat")
+POINTLIKE = ("point", "disc")
+PROPERTY_UNITS = MappingProxyType(
+    {
+        "mass": Unit.of(kg=1),
+        "friction": DIMENSIONLESS,
+        "charge": Unit.of(A=1, s=1),
+        "radius": Unit.of(m=1),
+        "stiffness": Unit.of(kg=1, s=-2),
+        "rest_length": Unit.of(m=1),
+    }
+)
+"""Units of the properties that the grammars know by name; other columns declare theirs."""
+
+
+@dataclass(frozen=True)
+class Entity:
+    """One body, wall, mat or anchor.
+
+    Attributes
+    ----------
+    name : str
+        Unique within a scene.
+    shape : str
+        One of `SHAPES`; a point has no extent and never touches anything.
+    radius, width, height : float
+        Metres; nan where it does not apply.
+    is_static : bool
+        True for entities that forces do not move. They still act on others, and may move along
+        a prescribed track (their measured one).
+    properties : mapping of str to float or tuple of float
+        Named properties (``mass``, ``charge``, any further column); nan = unknown.
+    """
+
+    name: str
+    shape: str = "point"
+    radius: float = math.nan
+    width: float = math.nan
+    height: float = math.nan
+    is_static: bool = False
+    properties: Mapping = field(default_factory=dict)
+
+    def __post_init__(self):
+        if self.shape not in SHAPES:
+            raise DataError(
+                f"shape of entity {self.name!r} must be one of {', '.join(SHAPES)}, "
+                f"got {self.shape!r}",
+                column="shape",
+            )
+        object.__setattr__(self, "properties", MappingProxyType(dict(self.properties)))
+        mass = self.properties.get("mass", math.nan)
+        if not self.is_static and mass <= 0:
+            raise DataError(
+                f"mass of entity {self.name!r} must be positive, got {mass:g}",
+                column="mass",
+                remedy="leave the cell empty if the mass is unknown, or set dynamic to 0",
+            )
+
+    def __reduce__(self):  # mappingproxy does not travel to worker processes by itself
+        return (
+            Entity,
+            (self.name, self.shape, self.radius, self.width, self.height, self.is_static,
+             dict(self.properties)),
+        )
+
+    @property
+    def mass(self):
+        """Mass in kg, nan if unknown."""
+        return self.properties.get("mass", math.nan)
+
+
+def _readonly(array):
+    array = np.array(array, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One recording: the same entities over strictly increasing times.
+
+    Attributes
+    ----------
+    name : str
+    times : ndarray, shape (T,), seconds
+    positions : ndarray, shape (T, N, d), metres
+        d is 2 or 3; nan marks a gap in the track of an entity.
+    entities : tuple of Entity, length N
+    velocities : ndarray, shape (T, N, d) or None, metres/second
+        Only if they were *measured* (not differences of positions).
+    sigma : ndarray, shape (T, N, d) or None, metres
+        Quoted standard errors per point; nan where none is quoted.
+    """
+
+    name: str
+    times: np.ndarray
+    positions: np.ndarray
+    entities: tuple[Entity, ...]
+    velocities: np.ndarray | None = None
+    sigma: np.ndarray | None = None
+
+    def __post_init__(self):
+        for attribute in ("times", "positions", "velocities", "sigma"):
+            value = getattr(self, attribute)
+            if value is not None:
+                object.__setattr__(self, attribute, _readonly(value))
+        object.__setattr__(self, "entities", tuple(self.entities))
+        self._validate()
+
+    def _validate(self):
+        where = f"scene {self.name!r}"
+        n_times = len(self.times)
+        expected = (n_times, len(self.entities))
+        if self.positions.ndim != 3 or self.positions.shape[:2] != expected:
+            raise DataError(
+                f"{where}: positions must have the shape (times, entities, 2 or 3) = "
+                f"{expected} + (d,), got {self.positions.shape}"
+            )
+        if self.positions.shape[2] not in (2, 3):
+            raise DataError(f"{where}: positions must have 2 or 3 axes, got {self.positions.shape[2]}")
+        if n_times < 3:
+            raise DataError(
+                f"{where} has {n_times} frame(s); a force needs at least 3 to be seen",
+                remedy="record more frames or leave the scene out",
+            )
+        if not np.all(np.isfinite(self.times)):
+            raise DataError(f"{where}: times must be finite")
+        steps = np.diff(self.times)
+        if np.any(steps <= 0):
+            k = int(np.argmax(steps <= 0))
+            kind = "duplicate" if steps[k] == 0 else "unsorted"
+            raise DataError(
+                f"{where}: times must increase strictly, got {kind} times "
+                f"{self.times[k]:g} then {self.times[k + 1]:g}"
+            )
+        if np.any(np.isinf(self.positions)):
+            raise DataError(f"{where}: positions must be finite, got an infinite value")
+        names = [entity.name for entity in self.entities]
+        if len(set(names)) != len(names):
+            raise DataError(f"{where}: entity names must be unique, got {names}")
+        for attribute in ("velocities", "sigma"):
+            value = getattr(self, attribute)
+            if value is not None and value.shape != self.positions.shape:
+                raise DataError(
+                    f"{where}: {attribute} must have the shape of positions "
+                    f"{self.positions.shape}, got {value.shape}"
+                )
+        if self.sigma is not None and np.any(self.sigma < 0):
+            raise DataError(f"{where}: quoted errors must not be negative")
+        self._reject_coincident()
+
+    def _reject_coincident(self):
+        bodies = [k for k, e in enumerate(self.entities) if e.shape in POINTLIKE]
+        for a_index, a in enumerate(bodies):
+            for b in bodies[a_index + 1 :]:
+                same = np.all(self.positions[:, a] == self.positions[:, b], axis=-1)
+                if np.any(same):
+                    t = self.times[int(np.argmax(same))]
+                    raise DataError(
+                        f"scene {self.name!r}: entities {self.entities[a].name!r} and "
+                        f"{self.entities[b].name!r} are at one point at t = {t:g}",
+                        remedy="no force between them has a direction there; "
+                        "mend the track or leave one of them out",
+                    )
+
+    @property
+    def n_dims(self):
+        return self.positions.shape[2]
+
+    @property
+    def names(self):
+        return tuple(entity.name for entity in self.entities)
+
+    @property
+    def dynamic(self):
+        """Indices of the entities that forces move, shape (n,)."""
+        return np.array([k for k, e in enumerate(self.entities) if not e.is_static], dtype=int)
+
+    def rows(self, start, stop):
+        """The same scene cut to rows ``start:stop`` of time."""
+        cut = slice(start, stop)
+        return Scene(
+            self.name,
+            self.times[cut],
+            self.positions[cut],
+            self.entities,
+            None if self.velocities is None else self.velocities[cut],
+            None if self.sigma is None else self.sigma[cut],
+        )
+
+
+@dataclass(frozen=True)
+class LatentDeclaration:
+    """A property declared unknown, as read from ``[latent.NAME]``; priors are made elsewhere."""
+
+    name: str
+    prior: str = "uniform"
+    low: float = math.nan
+    high: float = math.nan
+    entities: tuple[str, ...] = ()
+    share: str = "entity"
+    values: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How held-out scenes are scored.
+
+    Attributes
+    ----------
+    initial_rows : int or None
+        The initial state of a held-out scene is fitted on this many first rows, which do not
+        count in its error. None: a third of the rows, at least 3 and at most 12.
+    endpoint_row : int or None
+        1-based row whose error is reported as the end-point error. None: the last row.
+    """
+
+    initial_rows: int | None = None
+    endpoint_row: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Scenes with their split, units, noise and provenance.
+
+    Attributes
+    ----------
+    name : str
+    scenes : tuple of Scene
+    train, test : tuple of str
+        Names of scenes. Both empty: `bsp_gp.data.split` chooses.
+    units : UnitSystem
+    property_units : mapping of str to Unit
+        Unit of every property column.
+    up : str or None
+        Axis that points up: "x", "y", "z", "-x", "-y" or "-z"; None if not declared.
+    noise : tuple of float or None
+        Declared standard deviation of a position, one value or one per axis, metres. 0 = exact.
+    velocity : str
+        "measured" if the velocity columns are data in their own right, else "ignore".
+    latents : tuple of LatentDeclaration
+    evaluation : Evaluation
+    provenance : mapping of str to str
+        Where the data come from: source, description, file and its SHA-256.
+    notes : tuple of str
+        What was noticed while reading (dropped axes, ignored columns); shown in the report.
+    """
+
+    name: str
+    scenes: tuple[Scene, ...]
+    train: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+    units: UnitSystem = field(default_factory=lambda: UnitSystem.from_declared({}))
+    property_units: Mapping = field(default_factory=dict)
+    up: str | None = None
+    noise: tuple[float, ...] | None = None
+    velocity: str = "ignore"
+    latents: tuple[LatentDeclaration, ...] = ()
+    evaluation: Evaluation = field(default_factory=Evaluation)
+    provenance: Mapping = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "scenes", tuple(self.scenes))
+        object.__setattr__(
+            self, "property_units", MappingProxyType({**PROPERTY_UNITS, **self.property_units})
+        )
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        if not self.scenes:
+            raise DataError(f"data set {self.name!r} has no scenes")
+        names = [scene.name for scene in self.scenes]
+        if len(set(names)) != len(names):
+            raise DataError(f"data set {self.name!r}: scene names must be unique")
+        if len({scene.n_dims for scene in self.scenes}) > 1:
+            raise DataError(f"data set {self.name!r} mixes 2-D and 3-D scenes")
+        for side in ("train", "test"):
+            unknown = sorted(set(getattr(self, side)) - set(names))
+            if unknown:
+                raise DataError(f"{side} names unknown scenes {unknown}; present are {names[:20]}")
+        overlap = sorted(set(self.train) & set(self.test))
+        if overlap:
+            raise DataError(
+                f"scenes {overlap[:5]} are both in train and in test",
+                remedy="a held-out scene must not be trained on",
+            )
+
+    @property
+    def n_dims(self):
+        return self.scenes[0].n_dims
+
+    @property
+    def property_names(self):
+        """Names of all properties that any entity has a known value of, sorted."""
+        return tuple(
+            sorted(
+                {
+                    name
+                    for scene in self.scenes
+                    for entity in scene.entities
+                    for name, value in entity.properties.items()
+                    if np.all(np.isfinite(value))
+                }
+            )
+        )
+
+    def scene(self, name):
+        """Look a scene up by name; DataError if there is none."""
+        for scene in self.scenes:
+            if scene.name == name:
+                return scene
+        raise DataError(f"unknown scene {name!r}; present are {[s.name for s in self.scenes][:20]}")
+
+    def select(self, names):
+        """Scenes by name, in the order given."""
+        return tuple(self.scene(name) for name in names)

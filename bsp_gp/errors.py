@@ -1,0 +1,85 @@
+"""The exceptions of bsp_gp: one small tree, so that callers can catch what they mean.
+
+Every message says what was found, where, what is allowed and, where one is known, the remedy.
+"""
+
+__all__ = [
+    "BspError",
+    "DataError",
+    "EvaluationError",
+    "FitError",
+    "GrammarError",
+    "LawError",
+    "MissingDependencyError",
+    "OutputError",
+    "SettingsError",
+    "UnitError",
+]
+
+
+class BspError(Exception):
+    """Base of every error that a user of bsp_gp can cause and mend."""
+
+
+class DataError(BspError):
+    """Measured data are unusable; names the file, row and column where they are known.
+
+    Parameters
+    ----------
+    problem : str
+        What was found and what is allowed.
+    file, row, column : optional
+        Where; `row` counts lines of the file from 1, the header included.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(self, problem, *, file=None, row=None, column=None, remedy=None):
+        self.problem = problem
+        self.file = file
+        self.row = row
+        self.column = column
+        self.remedy = remedy
+        where = ", ".join(
+            f"{label} {value}" if label else str(value)
+            for label, value in (("", file), ("line", row), ("column", column))
+            if value is not None
+        )
+        text = f"{where}: {problem}" if where else problem
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+
+
+class UnitError(BspError):
+    """A unit is unknown, missing, or does not fit."""
+
+
+class GrammarError(BspError):
+    """A grammar file contradicts itself; names the rule."""
+
+
+class LawError(BspError):
+    """A law that a user typed cannot be read; says where in the text."""
+
+
+class SettingsError(BspError):
+    """A setting or argument is outside of what is allowed."""
+
+
+class OutputError(BspError):
+    """A result cannot be written, or would overwrite an older one."""
+
+
+class MissingDependencyError(BspError):
+    """An optional package is not installed; the message gives the install command."""
+
+
+class EvaluationError(BspError):
+    """A law has no finite value on these data; searches count it, nothing else catches it."""
+
+
+class FitError(BspError):
+    """A fit did not converge; carries the best estimate so far as `.estimate`."""
+
+    def __init__(self, message, estimate=None):
+        super().__init__(message)
+        self.estimate = estimate

@@ -1,0 +1,194 @@
+"""Physical units as exponents of the SI base units; text is read and converted at the boundary.
+
+Inside the package every number is SI (or, where a data set is not calibrated, the data's own
+unit in the place of the SI one), and a `Unit` is only a tuple of exponents: these are the types
+of the grammar.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass, field
+from fractions import Fraction
+from types import MappingProxyType
+
+from bsp_gp.errors import UnitError
+
+__all__ = ["ACCELERATION", "BASE", "DIMENSIONLESS", "FORCE", "Unit", "UnitSystem", "parse_unit"]
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
+_DIMENSION = {
+    "[mass]": 0,
+    "[length]": 1,
+    "[time]": 2,
+    "[current]": 3,
+    "[temperature]": 4,
+    "[substance]": 5,
+    "[luminosity]": 6,
+}
+_ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ0-9_^*/().\-+ ]{1,60}")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Exponents of (kg, m, s, A, K, mol, cd).
+
+    Examples
+    --------
+    >>> speed = Unit.of(m=1, s=-1)
+    >>> (speed**2).text()
+    'm^2/s^2'
+    """
+
+    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(BASE)
+
+    @classmethod
+    def of(cls, **powers):
+        """Build a unit from base units by name, e.g. ``Unit.of(m=1, s=-2)``."""
+        unknown = set(powers) - set(BASE)
+        if unknown:
+            raise UnitError(f"base units must be among {', '.join(BASE)}, got {sorted(unknown)}")
+        return cls(tuple(_rational(powers.get(base, 0)) for base in BASE))
+
+    def __mul__(self, other):
+        return Unit(tuple(a + b for a, b in zip(self.exponents, other.exponents, strict=True)))
+
+    def __truediv__(self, other):
+        return Unit(tuple(a - b for a, b in zip(self.exponents, other.exponents, strict=True)))
+
+    def __pow__(self, power):
+        power = _rational(power)
+        return Unit(tuple(a * power for a in self.exponents))
+
+    @property
+    def is_dimensionless(self):
+        return not any(self.exponents)
+
+    def text(self, symbols=None):
+        """Write the unit, e.g. ``kg m/s^2``; `symbols` renames base units (``{'m': 'px'}``)."""
+        names = [(symbols or {}).get(base, base) for base in BASE]
+        above = [
+            _power_text(n, e) for n, e in zip(names, self.exponents, strict=True) if e > 0
+        ]
+        below = [
+            _power_text(n, -e) for n, e in zip(names, self.exponents, strict=True) if e < 0
+        ]
+        if not above and not below:
+            return "1"
+        head = " ".join(above) or "1"
+        if not below:
+            return head
+        return f"{head}/{below[0]}" if len(below) == 1 else f"{head}/({' '.join(below)})"
+
+    def __str__(self):
+        return self.text()
+
+
+def _rational(value):
+    return Fraction(value).limit_denominator(64)
+
+
+def _power_text(name, power):
+    return name if power == 1 else f"{name}^{power}" if power.denominator == 1 else f"{name}^({power})"
+
+
+DIMENSIONLESS = Unit()
+FORCE = Unit.of(kg=1, m=1, s=-2)
+ACCELERATION = Unit.of(m=1, s=-2)
+
+
+@functools.lru_cache(maxsize=1)
+def _registry():
+    import pint  # imported here: it costs 0.3 s that `--help` need not pay
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+@functools.lru_cache(maxsize=512)
+def parse_unit(text):
+    """Read a unit such as ``km/s`` or ``kg m/s^2``.
+
+    Parameters
+    ----------
+    text : str
+        A product of powers of units known to pint; ``1`` or an empty text is dimensionless.
+
+    Returns
+    -------
+    scale : float
+        The SI value of one such unit.
+    unit : Unit
+        Its exponents.
+
+    Raises
+    ------
+    UnitError
+        If the unit is unknown, not multiplicative (like °C), or of a non-SI dimension.
+    """
+    clean = text.strip()
+    if clean in ("", "1"):
+        return 1.0, DIMENSIONLESS
+    if not _ALLOWED.fullmatch(clean):
+        raise UnitError(f"unit must be a product of powers of units such as m/s^2, got {text!r:.80}")
+    import pint
+
+    try:
+        quantity = _registry().Quantity(1.0, _registry().parse_units(clean))
+        base = quantity.to_base_units()
+    except pint.OffsetUnitCalculusError as error:
+        raise UnitError(f"unit {clean!r} has an offset; use a unit such as kelvin") from error
+    except (pint.PintError, AttributeError, ValueError, TypeError, SyntaxError) as error:
+        raise UnitError(f"unknown unit {clean!r}; write SI units such as m, s, kg, m/s^2") from error
+    exponents = [Fraction(0)] * len(BASE)
+    for dimension, power in base.dimensionality.items():
+        if dimension not in _DIMENSION:
+            raise UnitError(
+                f"unit {clean!r} has the dimension {dimension}, which is not one of "
+                f"{', '.join(BASE)}"
+            )
+        exponents[_DIMENSION[dimension]] = _rational(power)
+    return float(base.magnitude), Unit(tuple(exponents))
+
+
+_KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """What the numbers of a data set stand for.
+
+    Attributes
+    ----------
+    declared : mapping of str to str
+        Kind or column -> unit text as the user declared it (``length = "cm"``).
+    symbols : mapping of str to str
+        Base unit -> what to print in its place where the data are not calibrated
+        (``{"m": "px"}``); numbers of such a kind are kept as they are.
+    """
+
+    declared: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
+    symbols: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
+
+    @classmethod
+    def from_declared(cls, declared):
+        """Build from ``{"length": "cm", "time": "s", "mass": "kg"}``; missing kinds stay open."""
+        symbols = {}
+        for kind, base in _KIND_BASE.items():
+            text = declared.get(kind)
+            if text is None and kind != "charge":
+                symbols[base] = kind
+            elif text is not None and text.strip().lower() in ("px", "pixel", "pixels"):
+                symbols[base] = "px"
+        return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))
+
+    def is_calibrated(self, unit):
+        """Whether every base unit that occurs in `unit` is known in SI."""
+        return all(
+            not exponent or base not in self.symbols
+            for base, exponent in zip(BASE, unit.exponents, strict=True)
+        )
+
+    def text(self, unit):
+        """Write `unit` in the words of these data: ``px/s^2`` where lengths are pixels."""
+        return unit.text(self.symbols)
