@@ -1,0 +1,1 @@
+"""What can be said: operators, grammars, derivations, formulas, typed laws."""

@@ -1,0 +1,130 @@
+"""Expressions: derivation trees of a grammar, stored as rule indices, hashable.
+
+An `Expression` says how a grammar derives a law; `to_formula` says what the law means, and
+`derive` finds the expression of a formula again.
+"""
+
+from __future__ import annotations
+
+from bsp_gp.errors import GrammarError
+from bsp_gp.language.formula import Call
+from bsp_gp.language.grammar import Slot, fill
+
+__all__ = ["Expression", "derive", "from_lists", "to_formula", "to_lists"]
+
+
+class Expression:
+    """A derivation tree: the index of the rule at its root and one subtree per nonterminal.
+
+    Attributes
+    ----------
+    rule : int
+    children : tuple of Expression
+    levels : int
+        A rule without nonterminals is one level.
+    size : int
+        Number of rules used.
+    """
+
+    __slots__ = ("_hash", "children", "levels", "rule", "size")
+
+    def __init__(self, rule, children=()):
+        self.rule = rule
+        self.children = tuple(children)
+        self.levels = 1 + max((c.levels for c in self.children), default=0)
+        self.size = 1 + sum(c.size for c in self.children)
+        self._hash = hash((rule, self.children))
+
+    def __hash__(self):
+        return self._hash
+
+    def __eq__(self, other):
+        return self is other or (
+            isinstance(other, Expression)
+            and self._hash == other._hash
+            and self.rule == other.rule
+            and self.children == other.children
+        )
+
+    def __reduce__(self):
+        return (Expression, (self.rule, self.children))
+
+    def __repr__(self):
+        return f"Expression({to_lists(self)})"
+
+    def rules(self):
+        """Yield the rule index of every node, parents before children, left to right."""
+        stack = [self]
+        while stack:
+            node = stack.pop()
+            yield node.rule
+            stack.extend(reversed(node.children))
+
+
+def to_formula(expression, grammar):
+    """What the derivation means: its rule bodies filled in."""
+    children = [to_formula(child, grammar) for child in expression.children]
+    return fill(grammar.rules[expression.rule].body, children)
+
+
+def to_lists(expression):
+    """Nested lists ``[rule, child, ...]`` for JSON."""
+    return [expression.rule, *(to_lists(child) for child in expression.children)]
+
+
+def from_lists(lists, grammar):
+    """Read an expression back; GrammarError if it is not a derivation of this grammar."""
+    rule = lists[0]
+    if not isinstance(rule, int) or not 0 <= rule < len(grammar.rules):
+        raise GrammarError(f"no rule {rule!r} in grammar {grammar.name}")
+    children = tuple(from_lists(child, grammar) for child in lists[1:])
+    found = tuple(grammar.rules[c.rule].nonterminal for c in children)
+    if found != grammar.rules[rule].children:
+        raise GrammarError(f"rule {rule} needs {grammar.rules[rule].children}, got {found}")
+    return Expression(rule, children)
+
+
+def derive(formula, grammar, nonterminal):
+    """Find a derivation of `formula` from `nonterminal`; None if the grammar cannot say it.
+
+    Where the grammar is ambiguous the derivation with the fewest levels is returned, and of
+    those the one whose rules come first in the file.
+    """
+    return _Deriver(grammar).derive(formula, nonterminal)
+
+
+class _Deriver:
+    def __init__(self, grammar):
+        self.grammar = grammar
+        self.memo = {}
+
+    def derive(self, formula, nonterminal):
+        key = (formula, nonterminal)
+        if key not in self.memo:
+            self.memo[key] = None  # guards against unit rules that lead back here
+            best = None
+            for rule in self.grammar.rules_of[nonterminal]:
+                slots = {}
+                if self.match(rule.body, formula, slots):
+                    children = [self.derive(slots[k], c) for k, c in enumerate(rule.children)]
+                    if all(child is not None for child in children):
+                        found = Expression(rule.index, children)
+                        if best is None or found.levels < best.levels:
+                            best = found
+            self.memo[key] = best
+        return self.memo[key]
+
+    def match(self, body, formula, slots):
+        if isinstance(body, Slot):
+            slots[body.position] = formula
+            return True
+        if isinstance(body, tuple):
+            return (
+                isinstance(formula, Call)
+                and formula.operator == body[0]
+                and all(
+                    self.match(part, arg, slots)
+                    for part, arg in zip(body[1:], formula.args, strict=True)
+                )
+            )
+        return body == formula

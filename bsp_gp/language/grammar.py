@@ -1,0 +1,457 @@
+"""Grammar files: TOML text -> a checked, immutable grammar. The single source of what may be said.
+
+A file has ``[grammar]`` (name, start, kind), ``[types]`` (nonterminal = "shape unit", ``*`` = open),
+``[inputs]``, ``[constants]`` and ``[rules]`` (alternatives separated by ``|``, written as calls);
+optionally ``[operators]`` (which version of an operator a name means) and ``[each_property]``
+(rules that are repeated for every property column of a data set). Rule bodies are read with
+`ast` from whitelisted nodes and never evaluated.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from bsp_gp.errors import GrammarError, UnitError
+from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import OPERATORS, SHAPES, Type
+from bsp_gp.units import parse_unit
+
+__all__ = ["Grammar", "Rule", "Slot", "grammar_directory", "load_grammar", "read_grammar"]
+
+KINDS = ("pair", "field")
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A place in a rule body that a nonterminal's derivation fills."""
+
+    nonterminal: str
+    position: int
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One production rule: ``nonterminal -> body``.
+
+    Attributes
+    ----------
+    index : int
+        Its number in the grammar; derivation trees store these.
+    nonterminal : str
+    text : str
+        The body as written.
+    body : nested tuple, Slot or Formula
+        ``(operator, *arguments)`` with slots at the nonterminals.
+    children : tuple of str
+        The nonterminals in the body, left to right.
+    inputs : frozenset of str
+        Inputs named in the body; a data set that lacks one masks the rule.
+    operators : frozenset of str
+        Operators in the body; `perp` exists in 2-D only, `cross` in 3-D only.
+    """
+
+    index: int
+    nonterminal: str
+    text: str
+    body: object
+    children: tuple[str, ...]
+    inputs: frozenset
+    operators: frozenset
+
+
+@dataclass(frozen=True, eq=False)
+class Grammar:
+    """A checked grammar.
+
+    Attributes
+    ----------
+    name : str
+    start : mapping of str to str
+        Kind of law ("pair", "field") -> start symbol.
+    types : mapping of str to Type
+        Of every nonterminal.
+    inputs : mapping of str to Type
+    constants : tuple of str
+    rules : tuple of Rule
+    operators : mapping of str to str
+        What the names in bodies mean (``div`` -> ``div_guarded``).
+    enabled : tuple of bool, one per rule
+        False for rules masked because the data lack an input.
+    fingerprint : str
+        SHA-256 of the meaning of the file; rule indices mean nothing without it.
+    """
+
+    name: str
+    start: Mapping
+    types: Mapping
+    inputs: Mapping
+    constants: tuple[str, ...]
+    rules: tuple[Rule, ...]
+    operators: Mapping
+    fingerprint: str
+    source: Mapping = field(repr=False)
+    enabled: tuple[bool, ...] = ()
+
+    def __post_init__(self):
+        if not self.enabled:
+            object.__setattr__(self, "enabled", (True,) * len(self.rules))
+
+    def __reduce__(self):
+        return (_rebuild, (dict(self.source), self.enabled))
+
+    @functools.cached_property
+    def rules_of(self):
+        """Nonterminal -> tuple of its enabled rules."""
+        table = {nonterminal: [] for nonterminal in self.types}
+        for rule in self.rules:
+            if self.enabled[rule.index]:
+                table[rule.nonterminal].append(rule)
+        return MappingProxyType({k: tuple(v) for k, v in table.items()})
+
+    @functools.cached_property
+    def min_levels(self):
+        """Nonterminal -> least number of levels of a finished derivation; inf if there is none.
+
+        A rule without nonterminals is one level.
+        """
+        least = dict.fromkeys(self.types, float("inf"))
+        changed = True
+        while changed:
+            changed = False
+            for rules in self.rules_of.values():
+                for rule in rules:
+                    levels = 1 + max((least[c] for c in rule.children), default=0)
+                    if levels < least[rule.nonterminal]:
+                        least[rule.nonterminal] = levels
+                        changed = True
+        return MappingProxyType(least)
+
+    def count(self, nonterminal, levels):
+        """Number of derivations of `nonterminal` with at most `levels` levels (an exact int)."""
+        counts = dict.fromkeys(self.types, 0)
+        for _ in range(levels):
+            nexts = {}
+            for name, rules in self.rules_of.items():
+                total = 0
+                for rule in rules:
+                    ways = 1
+                    for child in rule.children:
+                        ways *= counts[child]
+                    total += ways
+                nexts[name] = total
+            counts = nexts
+        return counts[nonterminal]
+
+    def masked(self, available, n_dims=None):
+        """The grammar without the rules that need an input outside of `available`.
+
+        Rules that can then no longer be finished are masked as well.
+
+        Parameters
+        ----------
+        available : collection of str
+        n_dims : int, optional
+            2 masks rules that use `cross`, 3 those that use `perp`.
+
+        Returns
+        -------
+        grammar : Grammar
+        missing : tuple of str
+            Inputs of the grammar that the data lack.
+        """
+        available = set(available)
+        absent = {2: {"cross"}, 3: {"perp"}, None: set()}[n_dims]
+        enabled = [
+            on and rule.inputs <= available and not rule.operators & absent
+            for rule, on in zip(self.rules, self.enabled, strict=True)
+        ]
+        grammar = self._with_enabled(enabled)
+        dead = {name for name, least in grammar.min_levels.items() if least == float("inf")}
+        enabled = [
+            on and not dead.intersection(rule.children)
+            for rule, on in zip(self.rules, enabled, strict=True)
+        ]
+        return self._with_enabled(enabled), tuple(sorted(set(self.inputs) - available))
+
+    def without_inputs(self, names):
+        """The grammar with every rule that names one of these inputs masked."""
+        return self.masked(set(self.inputs) - set(names))[0]
+
+    def _with_enabled(self, enabled):
+        return Grammar(self.name, self.start, self.types, self.inputs, self.constants, self.rules,
+                       self.operators, self.fingerprint, self.source, tuple(enabled))
+
+    def for_properties(self, property_units, vectors=()):
+        """Repeat the ``[each_property]`` rules for further property columns of a data set.
+
+        Parameters
+        ----------
+        property_units : mapping of str to Unit
+            Columns that no input of the grammar names are added as ``<column>_i``, ``_j``.
+        vectors : collection of str
+            Columns that are vectors; they are left out here.
+        """
+        known = {property_of(name)[0] for name in self.inputs if property_of(name)}
+        new = sorted(set(property_units) - known - set(vectors))
+        if not new or not self.source.get("each_property"):
+            return self
+        source = json.loads(json.dumps(dict(self.source)))
+        for column in new:
+            for role in ("i", "j"):
+                source["inputs"][f"{column}_{role}"] = f"scalar {property_units[column].text()}"
+            for nonterminal, bodies in self.source["each_property"].items():
+                source["rules"][nonterminal] += " | " + bodies.replace("{name}", column)
+        return read_grammar(source)
+
+
+def _rebuild(source, enabled):
+    return read_grammar(source)._with_enabled(enabled)
+
+
+def grammar_directory():
+    """Folder of the grammar files, wherever the package is installed."""
+    here = Path(__file__).resolve().parent.parent
+    for folder in (here / "grammars", here.parent / "grammars"):
+        if folder.is_dir():
+            return folder
+    raise GrammarError("the folder of grammar files is missing from this installation")
+
+
+def load_grammar(name):
+    """Load a grammar by name (``newtonian``, ``physics``) or by the path of a TOML file.
+
+    Raises
+    ------
+    GrammarError
+        If there is no such grammar, or it contradicts itself.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = grammar_directory() / f"{name}.toml"
+    if not path.is_file():
+        known = sorted(p.stem for p in grammar_directory().glob("*.toml"))
+        raise GrammarError(f"unknown grammar {str(name)!r}; known are {', '.join(known)}, or give a .toml file")
+    try:
+        source = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise GrammarError(f"{path.name}: not readable as TOML: {error}") from None
+    try:
+        return read_grammar(source)
+    except GrammarError as error:
+        raise GrammarError(f"{path.name}: {error}") from None
+
+
+def read_grammar(source):
+    """Build a grammar from the parsed TOML tables and check it.
+
+    Raises
+    ------
+    GrammarError
+        Unknown names, wrong arity, a body whose unit or shape differs from its nonterminal's,
+        nonterminals that cannot be reached or finished; the message names the rule.
+    """
+    return _Reader(source).read()
+
+
+class _Reader:
+    tables = {"grammar", "types", "inputs", "constants", "rules", "operators", "each_property"}
+
+    def __init__(self, source):
+        self.source = source
+        unknown = sorted(set(source) - self.tables)
+        if unknown:
+            raise GrammarError(f"unknown table(s) {unknown}; allowed are {sorted(self.tables)}")
+        for table in ("grammar", "types", "inputs", "rules"):
+            if table not in source:
+                raise GrammarError(f"the table [{table}] is missing")
+
+    def read(self):
+        head = self.source["grammar"]
+        self.types = {k: self.type(k, v) for k, v in self.source["types"].items()}
+        self.inputs = {k: self.type(k, v) for k, v in self.source["inputs"].items()}
+        self.constants = tuple(self.source.get("constants", {}))
+        self.operators = dict(self.source.get("operators", {}))
+        for name, meaning in self.operators.items():
+            if meaning not in OPERATORS:
+                raise GrammarError(f"[operators] {name} = {meaning!r}: no such operator")
+        rules = self.rules()
+        grammar = Grammar(
+            name=head.get("name", "unnamed"),
+            start=MappingProxyType(self.start(head)),
+            types=MappingProxyType(self.types),
+            inputs=MappingProxyType(self.inputs),
+            constants=self.constants,
+            rules=rules,
+            operators=MappingProxyType(self.operators),
+            fingerprint=_fingerprint(self.source),
+            source=MappingProxyType(self.source),
+        )
+        self.check(grammar)
+        return grammar
+
+    def start(self, head):
+        symbols, kinds = head.get("start"), head.get("kind", "pair")
+        symbols = [symbols] if isinstance(symbols, str) else symbols
+        kinds = [kinds] if isinstance(kinds, str) else kinds
+        if not symbols or len(symbols) != len(kinds):
+            raise GrammarError("[grammar] needs one kind (pair or field) for each start symbol")
+        for kind in kinds:
+            if kind not in KINDS:
+                raise GrammarError(f"[grammar] kind must be one of {KINDS}, got {kind!r}")
+        for symbol in symbols:
+            if symbol not in self.types:
+                raise GrammarError(f"[grammar] start symbol {symbol!r} has no type")
+        return dict(zip(kinds, symbols, strict=True))
+
+    def type(self, name, text):
+        shape, _, unit = str(text).strip().partition(" ")
+        if shape not in SHAPES:
+            raise GrammarError(f"type of {name}: shape must be one of {SHAPES}, got {shape!r}")
+        if unit.strip() == "*":
+            return Type(shape, None)
+        try:
+            scale, parsed = parse_unit(unit.strip() or "1")
+        except UnitError as error:
+            raise GrammarError(f"type of {name}: {error}") from None
+        if scale != 1.0:
+            raise GrammarError(f"type of {name}: unit must be SI, got {unit.strip()!r}")
+        return Type(shape, parsed)
+
+    def rules(self):
+        rules = []
+        for nonterminal, bodies in self.source["rules"].items():
+            if nonterminal not in self.types:
+                raise GrammarError(f"rule for {nonterminal!r}, which has no type")
+            for text in _alternatives(bodies):
+                body, children = self.body(nonterminal, text)
+                inputs = frozenset(_leaves(body, Input))
+                rules.append(Rule(len(rules), nonterminal, text, body, children, inputs,
+                                  frozenset(_operators_of(body))))
+        return tuple(rules)
+
+    def body(self, nonterminal, text):
+        where = f"rule {nonterminal} -> {text}"
+        try:
+            tree = ast.parse(text, mode="eval").body
+        except SyntaxError:
+            raise GrammarError(f"{where}: not a call, a name or a number") from None
+        children = []
+        body = self.node(tree, children, where)
+        inferred = _infer(body, self.types, where)
+        expected = self.types[nonterminal]
+        same_shape = inferred.shape == expected.shape
+        same_unit = expected.unit is None or inferred.unit == expected.unit
+        if not same_shape or not same_unit:
+            raise GrammarError(f"{where}: the body is a {inferred}, but {nonterminal} is a {expected}")
+        return body, tuple(children)
+
+    def node(self, tree, children, where):
+        if isinstance(tree, ast.Name):
+            return self.leaf(tree.id, children, where)
+        if isinstance(tree, ast.Constant) and isinstance(tree.value, int | float):
+            return Number(tree.value)
+        if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
+            if isinstance(tree.operand, ast.Constant):
+                return Number(-tree.operand.value)
+        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and not tree.keywords:
+            name = self.operators.get(tree.func.id, tree.func.id)
+            if name not in OPERATORS:
+                raise GrammarError(f"{where}: unknown operator {tree.func.id!r}")
+            if len(tree.args) != OPERATORS[name].arity:
+                raise GrammarError(
+                    f"{where}: {tree.func.id} takes {OPERATORS[name].arity} argument(s), "
+                    f"got {len(tree.args)}"
+                )
+            return (name, *(self.node(arg, children, where) for arg in tree.args))
+        raise GrammarError(f"{where}: only calls, names and numbers are allowed")
+
+    def leaf(self, name, children, where):
+        if name in self.types:
+            children.append(name)
+            return Slot(name, len(children) - 1)
+        if name in self.inputs:
+            return Input(name, self.inputs[name])
+        if name in self.constants:
+            return Constant(name)
+        raise GrammarError(f"{where}: unknown name {name!r}")
+
+    def check(self, grammar):
+        for nonterminal, least in grammar.min_levels.items():
+            if least == float("inf"):
+                raise GrammarError(f"nonterminal {nonterminal!r} has no finite derivation")
+        reached, stack = set(), list(grammar.start.values())
+        while stack:
+            nonterminal = stack.pop()
+            if nonterminal not in reached:
+                reached.add(nonterminal)
+                stack.extend(c for r in grammar.rules_of[nonterminal] for c in r.children)
+        lost = sorted(set(grammar.types) - reached)
+        if lost:
+            raise GrammarError(f"nonterminal(s) {lost} cannot be reached from the start symbol")
+
+
+def _alternatives(bodies):
+    lines = [line.partition("#")[0] for line in str(bodies).splitlines()]
+    return [" ".join(part.split()) for part in " ".join(lines).split("|") if part.strip()]
+
+
+def _leaves(body, kind):
+    if isinstance(body, kind):
+        yield body.name
+    elif isinstance(body, tuple):
+        for part in body[1:]:
+            yield from _leaves(part, kind)
+
+
+def _operators_of(body):
+    if isinstance(body, tuple):
+        yield body[0]
+        for part in body[1:]:
+            yield from _operators_of(part)
+
+
+def _infer(body, types, where):
+    """Type of a rule body whose slots have the types of their nonterminals."""
+    if isinstance(body, Slot):
+        return types[body.nonterminal]
+    if not isinstance(body, tuple):
+        return body.type
+    inferred = [_infer(part, types, where) for part in body[1:]]
+    try:
+        if body[0] == "pow" and isinstance(body[2], Number) and inferred[0].unit is not None:
+            OPERATORS["pow"].infer(*inferred)
+            return Type("scalar", inferred[0].unit ** body[2].value)
+        return OPERATORS[body[0]].infer(*inferred)
+    except UnitError as error:
+        raise GrammarError(f"{where}: {error}") from None
+
+
+def fill(body, children):
+    """Put formulas into the slots of a rule body."""
+    if isinstance(body, Slot):
+        return children[body.position]
+    if isinstance(body, tuple):
+        return Call(body[0], *(fill(part, children) for part in body[1:]))
+    return body
+
+
+def _fingerprint(source):
+    meaning = {
+        table: (
+            {k: _alternatives(v) for k, v in content.items()}
+            if table in ("rules", "each_property")
+            else content
+        )
+        for table, content in source.items()
+    }
+    text = json.dumps(meaning, sort_keys=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,451 @@
+"""The operators that a law may use: what they compute, how they type-check, how they differentiate.
+
+Values are float64 arrays of any leading shape ``S``: a scalar has the shape ``S``, a vector (or
+point) the shape ``S + (d,)``; leading shapes broadcast. A `Type` is a shape word with a unit;
+the unit None is the wildcard of fitted constants, which absorb whatever dimension is missing.
+
+Two operators exist in the paper's version and in a mended one (DESIGN §3): `div_guarded` is 0
+for every divisor <= 1e-9 and `project_abs` sums absolute products; grammars choose by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.errors import UnitError
+from bsp_gp.units import DIMENSIONLESS, Unit
+
+__all__ = ["OPERATORS", "SHAPES", "Operator", "Type"]
+
+SHAPES = ("scalar", "vector", "point", "bool", "shape")
+GUARD = 1e-9
+"""Divisors at or below this give 0 in the paper's guarded division."""
+
+
+@dataclass(frozen=True)
+class Type:
+    """Shape word and unit of a value; unit None = open (depends on a fitted constant)."""
+
+    shape: str
+    unit: Unit | None = DIMENSIONLESS
+
+    def __str__(self):
+        return f"{self.shape} {'*' if self.unit is None else self.unit.text()}"
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One operator.
+
+    Attributes
+    ----------
+    name : str
+    arity : int
+    infer : callable
+        ``infer(*types) -> Type``; raises UnitError with a fact ("adds kg to m").
+    evaluate : callable
+        ``evaluate(types, *values) -> array``.
+    derivative : callable or None
+        ``derivative(types, values, tangents) -> array``: directional derivative, where a tangent
+        of None is zero. None for operators without one (conditions).
+    latex : str
+        A template with ``{0}``, ``{1}``; infix operators are handled by the renderer.
+    """
+
+    name: str
+    arity: int
+    infer: Callable
+    evaluate: Callable
+    derivative: Callable | None
+    latex: str = ""
+
+
+# --- shapes and units -------------------------------------------------------------------------
+
+
+def _number(type_):
+    return type_.shape in ("scalar", "bool")
+
+
+def _scalar(name, *types):
+    for type_ in types:
+        if not _number(type_):
+            raise UnitError(f"{name} takes scalars, got a {type_.shape}")
+
+
+def _vector(name, *types):
+    for type_ in types:
+        if type_.shape != "vector":
+            raise UnitError(
+                f"{name} takes vectors, got a {type_.shape}"
+                + (" (use a difference of points)" if type_.shape == "point" else "")
+            )
+
+
+def _times(a, b):
+    return None if a is None or b is None else a * b
+
+
+def _over(a, b):
+    return None if a is None or b is None else a / b
+
+
+def _same_unit(verb, a, b):
+    if a is None:
+        return b
+    if b is None or a == b:
+        return a
+    raise UnitError(f"{verb} {b} and {a}, which are different units")
+
+
+def _infer_add(a, b):
+    unit = _same_unit("adds", a.unit, b.unit)
+    if _number(a) and _number(b):
+        return Type("scalar", unit)
+    shapes = {a.shape, b.shape}
+    if shapes == {"vector"}:
+        return Type("vector", unit)
+    if shapes == {"point", "vector"}:
+        return Type("point", unit)
+    raise UnitError(f"cannot add a {a.shape} and a {b.shape}")
+
+
+def _infer_sub(a, b):
+    unit = _same_unit("subtracts", a.unit, b.unit)
+    if _number(a) and _number(b):
+        return Type("scalar", unit)
+    if a.shape == b.shape and a.shape in ("vector", "point"):
+        return Type("vector", unit)
+    if (a.shape, b.shape) == ("point", "vector"):
+        return Type("point", unit)
+    raise UnitError(f"cannot subtract a {b.shape} from a {a.shape}")
+
+
+def _infer_mul(a, b):
+    unit = _times(a.unit, b.unit)
+    if _number(a) and _number(b):
+        return Type("scalar", unit)
+    if {a.shape, b.shape} in ({"scalar", "vector"}, {"bool", "vector"}):
+        return Type("vector", unit)
+    raise UnitError(
+        f"cannot multiply a {a.shape} by a {b.shape}"
+        + ("; write dot(a, b) or a norm" if a.shape == b.shape == "vector" else "")
+    )
+
+
+def _infer_div(a, b):
+    if not _number(b) or a.shape not in ("scalar", "bool", "vector"):
+        raise UnitError(f"cannot divide a {a.shape} by a {b.shape}")
+    return Type("vector" if a.shape == "vector" else "scalar", _over(a.unit, b.unit))
+
+
+def _infer_unary(name, unit_of):
+    def infer(a):
+        _scalar(name, a)
+        return Type("scalar", unit_of(a.unit))
+
+    return infer
+
+
+def _dimensionless(name):
+    def unit_of(unit):
+        if unit is not None and not unit.is_dimensionless:
+            raise UnitError(f"{name} takes a dimensionless number, got {unit}")
+        return DIMENSIONLESS
+
+    return unit_of
+
+
+def _infer_pow(a, b):
+    _scalar("a power", a, b)
+    if b.unit is not None and not b.unit.is_dimensionless:
+        raise UnitError(f"an exponent must be dimensionless, got {b.unit}")
+    # The unit of x**n for a number n is set by the formula, which knows n.
+    return Type("scalar", DIMENSIONLESS if a.unit is not None and a.unit.is_dimensionless else None)
+
+
+def _infer_neg(a):
+    if a.shape == "point":
+        raise UnitError("cannot negate a point; use a difference of points")
+    return Type("scalar" if _number(a) else a.shape, a.unit)
+
+
+def _infer_norm(a):
+    _vector("norm", a)
+    return Type("scalar", a.unit)
+
+
+def _infer_normalize(a):
+    _vector("normalize", a)
+    return Type("vector", DIMENSIONLESS)
+
+
+def _infer_product_of_vectors(name):
+    def infer(a, b):
+        _vector(name, a, b)
+        return Type("scalar", _times(a.unit, b.unit))
+
+    return infer
+
+
+def _infer_along(a, b):
+    _vector("along", a, b)
+    return Type("scalar", a.unit)
+
+
+def _infer_cross(a, b):
+    _vector("cross", a, b)
+    return Type("vector", _times(a.unit, b.unit))
+
+
+def _infer_perp(a):
+    _vector("perp", a)
+    return Type("vector", a.unit)
+
+
+def _infer_contact(name):
+    def infer(shape_i, point_i, shape_j, point_j):
+        if (shape_i.shape, point_i.shape, shape_j.shape, point_j.shape) != (
+            "shape", "point", "shape", "point",
+        ):
+            raise UnitError(f"{name} takes (s_i, p_i, s_j, p_j)")
+        return Type("bool", DIMENSIONLESS)
+
+    return infer
+
+
+# --- values -----------------------------------------------------------------------------------
+
+
+def _lift(value, is_vector, other_is_vector):
+    """Give a scalar a trailing axis where its partner is a vector."""
+    return value[..., None] if other_is_vector and not is_vector else value
+
+
+def _mul(types, a, b):
+    va, vb = types[0].shape == "vector", types[1].shape == "vector"
+    return _lift(np.asarray(a), va, vb) * _lift(np.asarray(b), vb, va)
+
+
+def _div(types, a, b):
+    return np.asarray(a) / _lift(np.asarray(b), False, types[0].shape == "vector")
+
+
+def _inverse_guarded(b):
+    b = np.asarray(b, dtype=float)
+    return np.where(b > GUARD, 1.0 / np.where(b > GUARD, b, 1.0), 0.0)
+
+
+def _div_guarded(types, a, b):
+    return np.asarray(a) * _lift(_inverse_guarded(b), False, types[0].shape == "vector")
+
+
+def _norm(types, a):
+    return np.sqrt(np.einsum("...k,...k->...", a, a))
+
+
+def _normalize(types, a):
+    size = _norm(types, a)[..., None]
+    return np.where(size > 0, a / np.where(size > 0, size, 1.0), 0.0)
+
+
+def _dot(types, a, b):
+    return np.einsum("...k,...k->...", *np.broadcast_arrays(a, b))
+
+
+def _along(types, a, b):
+    return _dot(types, a, _normalize(types, b))
+
+
+def _project_abs(types, a, b):
+    return np.abs(np.asarray(a) * b).sum(axis=-1)
+
+
+def _perp(types, a):
+    a = np.asarray(a)
+    if a.shape[-1] != 2:
+        raise UnitError("perp is a rotation by 90 degrees in the plane; in 3-D use cross(a, b)")
+    return np.stack([-a[..., 1], a[..., 0]], axis=-1)
+
+
+def _cross(types, a, b):
+    a, b = np.broadcast_arrays(a, b)
+    if a.shape[-1] != 3:
+        raise UnitError("cross needs three dimensions; in 2-D use perp(a)")
+    return np.cross(a, b)
+
+
+def _does_collide(types, shape_i, p_i, shape_j, p_j):
+    return shape_i.collides(p_i, shape_j, p_j)
+
+
+def _is_on(types, shape_i, p_i, shape_j, p_j):
+    return shape_i.is_on(p_i, shape_j, p_j)
+
+
+# --- directional derivatives (tangent None = zero) ----------------------------------------------
+
+
+def _linear(evaluate):
+    """Derivative of an operator that is linear in its only argument."""
+
+    def derivative(types, values, tangents):
+        return evaluate(types, tangents[0])
+
+    return derivative
+
+
+def _d_add(types, values, tangents):
+    a, b = tangents
+    return b if a is None else a if b is None else a + b
+
+
+def _d_sub(types, values, tangents):
+    a, b = tangents
+    return -b if a is None else a if b is None else a - b
+
+
+def _d_bilinear(evaluate):
+    def derivative(types, values, tangents):
+        total = None
+        if tangents[0] is not None:
+            total = evaluate(types, tangents[0], values[1])
+        if tangents[1] is not None:
+            part = evaluate(types, values[0], tangents[1])
+            total = part if total is None else total + part
+        return total
+
+    return derivative
+
+
+def _d_quotient(evaluate):
+    def derivative(types, values, tangents):
+        total = None
+        if tangents[0] is not None:
+            total = evaluate(types, tangents[0], values[1])
+        if tangents[1] is not None:
+            ratio = evaluate(types, values[0], values[1])
+            part = -evaluate((types[0], types[1]), _mul(types, ratio, tangents[1]), values[1])
+            total = part if total is None else total + part
+        return total
+
+    return derivative
+
+
+def _d_scalar(slope):
+    def derivative(types, values, tangents):
+        return slope(values[0]) * tangents[0]
+
+    return derivative
+
+
+def _d_pow(types, values, tangents):
+    base, power = (np.asarray(v, dtype=float) for v in values)
+    total = None
+    if tangents[0] is not None:
+        total = power * base ** (power - 1) * tangents[0]
+    if tangents[1] is not None:
+        log_base = np.log(np.where(base > 0, base, 1.0))
+        part = base**power * log_base * tangents[1]
+        total = part if total is None else total + part
+    return total
+
+
+def _d_norm(types, values, tangents):
+    return _dot(types, _normalize(types, values[0]), tangents[0])
+
+
+def _d_normalize(types, values, tangents):
+    size = _norm(types, values[0])[..., None]
+    unit = _normalize(types, values[0])
+    change = tangents[0] - unit * _dot(types, unit, tangents[0])[..., None]
+    return np.where(size > 0, change / np.where(size > 0, size, 1.0), 0.0)
+
+
+def _d_along(types, values, tangents):
+    total = None
+    if tangents[0] is not None:
+        total = _along(types, tangents[0], values[1])
+    if tangents[1] is not None:
+        part = _dot(types, values[0], _d_normalize(types, values[1:], tangents[1:]))
+        total = part if total is None else total + part
+    return total
+
+
+def _d_project_abs(types, values, tangents):
+    sign = np.sign(np.asarray(values[0]) * values[1])
+    total = 0.0
+    if tangents[0] is not None:
+        total = total + (sign * tangents[0] * values[1]).sum(axis=-1)
+    if tangents[1] is not None:
+        total = total + (sign * values[0] * tangents[1]).sum(axis=-1)
+    return total
+
+
+def _same(unit):
+    return unit
+
+
+def _power_of(n):
+    return lambda unit: None if unit is None else unit**n
+
+
+def _table():
+    plain = {
+        "sqrt": (np.sqrt, lambda a: 0.5 / np.sqrt(a), _power_of(0.5), r"\sqrt{{{0}}}"),
+        "abs": (np.abs, np.sign, _same, r"\left|{0}\right|"),
+        "square": (np.square, lambda a: 2 * np.asarray(a), _power_of(2), ""),
+        "inverse": (lambda a: 1.0 / np.asarray(a), lambda a: -1.0 / np.square(a),
+                    _power_of(-1), r"\frac{{1}}{{{0}}}"),
+    }
+    transcendental = {
+        "exp": (np.exp, np.exp),
+        "log": (np.log, lambda a: 1.0 / np.asarray(a)),
+        "sin": (np.sin, np.cos),
+        "cos": (np.cos, lambda a: -np.sin(a)),
+        "tanh": (np.tanh, lambda a: 1.0 / np.square(np.cosh(a))),
+        "sign": (np.sign, lambda a: np.zeros_like(a)),
+    }
+    operators = [
+        Operator("add", 2, _infer_add, lambda t, a, b: np.asarray(a) + b, _d_add),
+        Operator("sub", 2, _infer_sub, lambda t, a, b: np.asarray(a) - b, _d_sub),
+        Operator("mul", 2, _infer_mul, _mul, _d_bilinear(_mul)),
+        Operator("div", 2, _infer_div, _div, _d_quotient(_div)),
+        Operator("div_guarded", 2, _infer_div, _div_guarded, _d_quotient(_div_guarded)),
+        Operator("pow", 2, _infer_pow, lambda t, a, b: np.asarray(a, dtype=float) ** b, _d_pow),
+        Operator("neg", 1, _infer_neg, lambda t, a: -np.asarray(a), _linear(lambda t, a: -a)),
+        Operator("norm", 1, _infer_norm, _norm, _d_norm, r"\left\|{0}\right\|"),
+        Operator("normalize", 1, _infer_normalize, _normalize, _d_normalize,
+                 r"\widehat{{\left({0}\right)}}"),
+        Operator("dot", 2, _infer_product_of_vectors("dot"), _dot, _d_bilinear(_dot),
+                 r"\left({0}\right)\cdot\left({1}\right)"),
+        Operator("along", 2, _infer_along, _along, _d_along,
+                 r"\left({0}\right)\cdot\widehat{{\left({1}\right)}}"),
+        Operator("project_abs", 2, _infer_product_of_vectors("project_abs"), _project_abs,
+                 _d_project_abs, r"\operatorname{{project}}\left({0}, {1}\right)"),
+        Operator("perp", 1, _infer_perp, _perp, _linear(_perp), r"{{\left({0}\right)}}_{{\perp}}"),
+        Operator("cross", 2, _infer_cross, _cross, _d_bilinear(_cross),
+                 r"\left({0}\right)\times\left({1}\right)"),
+        Operator("does_collide", 4, _infer_contact("does_collide"), _does_collide, None,
+                 r"\left[{0}\,{2}\ \mathrm{{touch}}\right]"),
+        Operator("is_on", 4, _infer_contact("is_on"), _is_on, None,
+                 r"\left[{0}\ \mathrm{{on}}\ {2}\right]"),
+    ]
+    for name, (function, slope, unit_of, latex) in plain.items():
+        operators.append(
+            Operator(name, 1, _infer_unary(name, unit_of), lambda t, a, f=function: f(a),
+                     _d_scalar(slope), latex)
+        )
+    for name, (function, slope) in transcendental.items():
+        operators.append(
+            Operator(name, 1, _infer_unary(name, _dimensionless(name)),
+                     lambda t, a, f=function: f(a), _d_scalar(slope),
+                     rf"\operatorname{{{{{name}}}}}\left({{0}}\right)")
+        )
+    return {operator.name: operator for operator in operators}
+
+
+OPERATORS = _table()

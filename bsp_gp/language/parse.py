@@ -1,0 +1,209 @@
+"""Laws as people type them -> formulas. Nothing is ever evaluated as code.
+
+``c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)``; a number may carry its unit in
+brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Mapping
+
+from bsp_gp.errors import LawError, UnitError
+from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.inputs import ALIASES, property_of
+from bsp_gp.language.operators import OPERATORS
+from bsp_gp.units import parse_unit
+
+__all__ = ["parse_formula"]
+
+MAX_LENGTH = 2000
+MAX_NESTING = 60
+_TOKEN = re.compile(
+    r"""\s*(?:
+      (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s*\[(?P<unit>[^\[\]]*)\])?
+    | (?P<name>[A-Za-z][A-Za-z0-9_]*)
+    | (?P<op>\*\*|[-+*/^(),])
+    )""",
+    re.VERBOSE,
+)
+_BINARY = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
+_CONVENIENCE = {"unit": "normalize", "magnitude": "norm"}
+
+
+def parse_formula(text, types: Mapping, *, operators: Mapping | None = None, units=None):
+    """Read a typed law.
+
+    Parameters
+    ----------
+    text : str
+    types : mapping of str to Type
+        The inputs that exist (`bsp_gp.language.inputs.input_types`).
+    operators : mapping of str to str, optional
+        What `div` and `project` mean in the grammar at hand; by default plain division, and no
+        `project`.
+    units : UnitSystem, optional
+        Of the data: a number with a unit that the data are not calibrated in is an error.
+
+    Returns
+    -------
+    Formula
+
+    Raises
+    ------
+    LawError
+        With the place in the text, for anything that is not a law.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise LawError("a law must be a text such as 'c1 * m_i * down', got nothing")
+    if len(text) > MAX_LENGTH:
+        raise LawError(f"a law must be at most {MAX_LENGTH} characters long, got {len(text)}")
+    source, numbers = _tokenise(text, units)
+    try:
+        tree = ast.parse(source, mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        place = getattr(error, "offset", None)
+        where = f" near position {place}" if place else ""
+        raise LawError(f"law {_short(text)} cannot be read{where}: {_reason(error)}") from None
+    return _Builder(text, types, dict(operators or {}), numbers).build(tree)
+
+
+def _short(text):
+    return repr(text if len(text) <= 80 else text[:77] + "...")
+
+
+def _reason(error):
+    return "too deeply nested" if not isinstance(error, SyntaxError) else (error.msg or "bad syntax")
+
+
+def _tokenise(text, units):
+    """Rewrite to Python's syntax: units taken out, ``^`` is a power; returns (source, numbers)."""
+    pieces, numbers, position, depth = [], {}, 0, 0
+    stripped = text.rstrip()
+    while position < len(stripped):
+        match = _TOKEN.match(stripped, position)
+        if not match:
+            rest = stripped[position:].lstrip()
+            raise LawError(
+                f"law {_short(text)}: unexpected {rest[:1]!r} at position "
+                f"{len(stripped) - len(rest) + 1}; allowed are names, numbers with a [unit], "
+                "calls and + - * / ^ ( )"
+            )
+        position = match.end()
+        if match["number"]:
+            placeholder = f"number__{len(numbers)}"
+            numbers[placeholder] = _number(match["number"], match["unit"], text, units)
+            pieces.append(placeholder)
+        elif match["name"]:
+            if "__" in match["name"]:
+                raise LawError(f"law {_short(text)}: a name must not contain '__'")
+            pieces.append(match["name"])
+        else:
+            operator = match["op"]
+            depth += (operator == "(") - (operator == ")")
+            if depth > MAX_NESTING:
+                raise LawError(f"law {_short(text)} is nested more than {MAX_NESTING} deep")
+            pieces.append("**" if operator == "^" else operator)
+    return " ".join(pieces), numbers
+
+
+def _number(digits, unit_text, text, units):
+    value = float(digits)
+    if value in (float("inf"),):
+        raise LawError(f"law {_short(text)}: the number {digits} is too large")
+    if unit_text is None:
+        return Number(value, text=digits)
+    try:
+        scale, unit = parse_unit(unit_text)
+    except UnitError as error:
+        raise LawError(f"law {_short(text)}: {error}") from None
+    if units is not None and not units.is_calibrated(unit):
+        raise LawError(
+            f"law {_short(text)}: [{unit_text}] cannot be compared with the data, which do not say "
+            f"what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; declare "
+            "them under [units] in dataset.toml, or with --units length=m time=s mass=kg"
+        )
+    return Number(value * scale, unit, f"{digits} [{unit_text.strip()}]")
+
+
+class _Builder:
+    """Turns the whitelisted part of Python's syntax tree into a Formula."""
+
+    def __init__(self, text, types, operators, numbers):
+        self.text = text
+        self.types = types
+        self.operators = operators
+        self.numbers = numbers
+
+    def fail(self, problem):
+        raise LawError(f"law {_short(self.text)}: {problem}")
+
+    def call(self, operator, *args):
+        try:
+            return Call(operator, *args)
+        except UnitError as error:
+            self.fail(str(error))
+
+    def build(self, node):
+        if isinstance(node, ast.Name):
+            return self.name(node.id)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            argument = self.build(node.operand)
+            if isinstance(argument, Number):
+                return Number(-argument.value, argument.type.unit, f"-{argument.text}")
+            return self.call("neg", argument)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd):
+            return self.build(node.operand)
+        if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+            return self.binary(_BINARY[type(node.op)], node)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            return self.function(node.func.id, [self.build(arg) for arg in node.args])
+        self.fail("only names, numbers, calls and arithmetic are allowed")
+
+    def binary(self, operator, node):
+        left, right = self.build(node.left), self.build(node.right)
+        if operator == "pow":
+            if isinstance(right, Number) and right.value == 2:
+                return self.call("square", left)
+            return self.call("pow", left, right)
+        return self.call(self.operators.get(operator, operator), left, right)
+
+    def function(self, name, args):
+        operator = self.operators.get(name, _CONVENIENCE.get(name, name))
+        if operator not in OPERATORS:
+            self.fail(f"unknown function {name!r}; known are {', '.join(sorted(OPERATORS))}")
+        if len(args) != OPERATORS[operator].arity:
+            self.fail(f"{name} takes {OPERATORS[operator].arity} argument(s), got {len(args)}")
+        return self.call(operator, *args)
+
+    def name(self, name):
+        if name in self.numbers:
+            return self.numbers[name]
+        if name in self.types:
+            return Input(name, self.types[name])
+        if name in ("up", "down"):
+            self.fail(f"{name!r} needs a declared vertical: [axes] up = \"y\" in dataset.toml, or --up y")
+        if name == "e_z":
+            self.fail("e_z does not exist in two dimensions")
+        if name == "p_c":
+            self.fail("p_c needs entities with an extent (disc, rect_wall, rect_mat)")
+        if name in OPERATORS:
+            self.fail(f"{name!r} is a function and needs arguments")
+        self._reject_near_property(name)
+        return Constant(name)
+
+    def _reject_near_property(self, name):
+        """A misspelt property must not silently become a constant to fit."""
+        known = property_of(name)
+        present = sorted(n for n in self.types if property_of(n))
+        if known is not None:
+            self.fail(
+                f"the data have no property {known[0]!r} (wanted by {name!r}); "
+                f"present are {', '.join(present) or 'none'}; a constant to fit must not end in _i or _j"
+            )
+        columns = {property_of(n)[0] for n in present}
+        if name in columns or (name in ALIASES and ALIASES[name] in columns and len(name) > 1):
+            self.fail(f"{name!r} is a property; write {name}_i for the receiver or {name}_j for the source")
+        if name in ("p", "v", "r", "x", "y", "z"):
+            self.fail(f"{name!r} is not defined; write p_i, p_j, v_i, v_j or norm(p_i - p_j)")

@@ -1,0 +1,243 @@
+"""Formulas for people and programs: text that parses back, LaTeX, SymPy."""
+
+from __future__ import annotations
+
+from bsp_gp.errors import EvaluationError
+from bsp_gp.language.formula import Call, Constant, Input, Number, factors
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import OPERATORS
+
+__all__ = ["to_latex", "to_sympy", "to_text"]
+
+_INFIX = {"add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "div_guarded": ("/", 2)}
+_ATOM, _POWER, _NEGATIVE = 9, 4, 3
+_GREEK = {"mu": r"\mu", "friction": r"\mu"}
+_LATEX_INPUTS = {
+    "p_i": r"\mathbf{p}_i", "p_j": r"\mathbf{p}_j", "p_c": r"\mathbf{c}",
+    "v_i": r"\mathbf{v}_i", "v_j": r"\mathbf{v}_j", "s_i": "i", "s_j": "j", "t": "t",
+    "e_x": r"\hat{\mathbf{x}}", "e_y": r"\hat{\mathbf{y}}", "e_z": r"\hat{\mathbf{z}}",
+    "up": r"\hat{\mathbf{u}}", "down": r"-\hat{\mathbf{u}}",
+}
+_NAMED_VECTORS = {
+    ("p_i", "p_j"): r"\mathbf{r}_{ji}",
+    ("p_j", "p_i"): r"\mathbf{r}_{ij}",
+    ("v_i", "v_j"): r"\mathbf{v}_{ij}",
+    ("v_j", "v_i"): r"\mathbf{v}_{ji}",
+}
+
+
+def to_text(formula, values=None, units=None):
+    """Write a formula so that `parse_formula` reads the same one back.
+
+    Parameters
+    ----------
+    formula : Formula
+    values : mapping of str to float, optional
+        Constants to write as numbers.
+    units : mapping of str to str, optional
+        Their units.
+    """
+    return _text(formula, values or {}, units or {})[0]
+
+
+def _text(node, values, units):
+    if isinstance(node, Number):
+        text = node.text
+        return text, _NEGATIVE if text.startswith("-") else _ATOM
+    if isinstance(node, Input):
+        return node.name, _ATOM
+    if isinstance(node, Constant):
+        if node.name not in values:
+            return node.name, _ATOM
+        text = f"{values[node.name]:.6g}"
+        if units.get(node.name) not in (None, "1"):
+            text += f" [{units[node.name]}]"
+        return text, _NEGATIVE if text.startswith("-") else _ATOM
+    parts = [_text(arg, values, units) for arg in node.args]
+    if node.operator in _INFIX:
+        sign, level = _INFIX[node.operator]
+        left = _wrap(parts[0], level)
+        # The right side of an infix operator keeps its brackets, so that the tree survives.
+        right = _wrap(parts[1], level + 1)
+        return f"{left} {sign} {right}", level
+    if node.operator == "neg":
+        return f"-{_wrap(parts[0], 3)}", _NEGATIVE
+    if node.operator == "square":
+        return f"{_wrap(parts[0], _ATOM)}^2", _POWER
+    if node.operator == "pow":
+        return f"{_wrap(parts[0], _ATOM)}^{_wrap(parts[1], _NEGATIVE)}", _POWER
+    name = "project" if node.operator == "project_abs" else node.operator
+    return f"{name}({', '.join(text for text, _ in parts)})", _ATOM
+
+
+def _wrap(part, level):
+    text, own = part
+    return text if own >= level else f"({text})"
+
+
+def to_latex(formula, values=None, units=None):
+    """Typeset a formula: vectors bold, fractions and powers drawn, constants with their values."""
+    return _latex(formula, values or {}, units or {}, 0)
+
+
+def _latex(node, values, units, level):
+    if isinstance(node, Number):
+        return _latex_number(node.text)
+    if isinstance(node, Input):
+        return _latex_input(node)
+    if isinstance(node, Constant):
+        if node.name not in values:
+            return _latex_name(node.name)
+        unit = units.get(node.name)
+        tail = rf"\,[\mathrm{{{unit.replace(' ', '~')}}}]" if unit not in (None, "1") else ""
+        return _latex_number(f"{values[node.name]:.4g}") + tail
+    if node.operator in ("mul", "div", "div_guarded"):
+        return _latex_product(node, values, units)
+    parts = [_latex(arg, values, units, 1) for arg in node.args]
+    if node.operator in ("add", "sub"):
+        named = _named_difference(node)
+        if named:
+            return named
+        right = parts[1]
+        if node.operator == "sub" and isinstance(node.args[1], Call) and node.args[1].operator in ("add", "sub"):
+            right = rf"\left({right}\right)"
+        text = f"{parts[0]} {'+' if node.operator == 'add' else '-'} {right}"
+        return rf"\left({text}\right)" if level > 1 else text
+    if node.operator == "neg":
+        return f"-{_latex(node.args[0], values, units, 2)}"
+    if node.operator in ("square", "pow"):
+        power = "2" if node.operator == "square" else parts[1]
+        base = _latex(node.args[0], values, units, 2)
+        if isinstance(node.args[0], Call) and node.args[0].operator not in ("norm", "add", "sub", "abs"):
+            base = rf"\left({base}\right)"
+        return f"{base}^{{{power}}}"
+    if node.operator == "normalize" and _named_difference(node.args[0]):
+        return rf"\hat{{{_named_difference(node.args[0])}}}"
+    if node.operator == "normalize" and isinstance(node.args[0], Input):
+        return rf"\hat{{{_latex_input(node.args[0])}}}"
+    if node.operator == "norm" and _named_difference(node.args[0]):
+        return _named_difference(node.args[0]).replace(r"\mathbf", "")
+    return OPERATORS[node.operator].latex.format(*parts)
+
+
+def _latex_product(node, values, units):
+    if node.operator == "div_guarded":
+        above, below = [node.args[0]], [node.args[1]]
+    else:
+        above, below = factors(node)
+    sign = ""
+    kept = []
+    for factor in above:
+        if isinstance(factor, Number) and factor.value == -1.0 and len(above) > 1:
+            sign = "-" if not sign else ""
+        else:
+            kept.append(factor)
+
+    def joined(parts):
+        return r"\,".join(_latex(part, values, units, 2) for part in parts) or "1"
+
+    if not below:
+        return sign + joined(kept)
+    scalars = [f for f in kept if f.type.shape != "vector"]
+    vectors = [f for f in kept if f.type.shape == "vector"]
+    text = rf"\frac{{{joined(scalars)}}}{{{joined(below)}}}"
+    return sign + (text + r"\," + joined(vectors) if vectors else text)
+
+
+def _named_difference(node):
+    if isinstance(node, Call) and node.operator == "sub":
+        names = tuple(arg.name if isinstance(arg, Input) else None for arg in node.args)
+        return _NAMED_VECTORS.get(names)
+    return None
+
+
+def _latex_input(node):
+    if node.name in _LATEX_INPUTS:
+        return _LATEX_INPUTS[node.name]
+    stem, _, role = node.name.rpartition("_")
+    column = property_of(node.name)
+    stem = _GREEK.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem.replace('_', ' ')}}}")
+    return rf"{stem}_{role}" if column else node.name
+
+
+def _latex_name(name):
+    head = name.rstrip("0123456789")
+    digits = name[len(head):]
+    head = head.strip("_").replace("_", " ")
+    head = head if len(head) == 1 else rf"\mathrm{{{head}}}"
+    return f"{head}_{{{digits}}}" if digits else head
+
+
+def _latex_number(text):
+    number, _, unit = text.partition(" [")
+    mantissa, e, exponent = number.lower().partition("e")
+    out = rf"{mantissa}\times 10^{{{int(exponent)}}}" if e else mantissa
+    if unit:
+        unit = unit.rstrip("]").replace(" ", "~")
+        out += rf"\,[\mathrm{{{unit}}}]"
+    return out
+
+
+def to_sympy(formula, n_dims=2):
+    """The formula as a SymPy expression; vectors become column matrices of components.
+
+    Conditions become indicator symbols. Components are named ``p_i_x`` and so on.
+
+    Raises
+    ------
+    EvaluationError
+        If the formula has an operator that needs another dimension (cross in 2-D).
+    """
+    import sympy
+
+    return _Sympy(sympy, n_dims).convert(formula)
+
+
+class _Sympy:
+    def __init__(self, sympy, n_dims):
+        self.sympy = sympy
+        self.axes = "xyz"[:n_dims]
+
+    def convert(self, node):
+        sp = self.sympy
+        if isinstance(node, Number):
+            return sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value)
+        if isinstance(node, Constant):
+            return sp.Symbol(node.name, real=True)
+        if isinstance(node, Input):
+            return self.input(node)
+        if node.operator in ("does_collide", "is_on"):
+            return sp.Symbol(node.operator, nonnegative=True)
+        return self.call(node.operator, [self.convert(arg) for arg in node.args])
+
+    def input(self, node):
+        sp = self.sympy
+        if node.type.shape in ("vector", "point"):
+            if node.name.startswith("e_"):
+                return sp.Matrix([int(axis == node.name[2]) for axis in self.axes])
+            return sp.Matrix([sp.Symbol(f"{node.name}_{axis}", real=True) for axis in self.axes])
+        positive = node.name.startswith(("m_", "R_", "mass_", "radius_"))
+        return sp.Symbol(node.name, real=True, positive=positive or None)
+
+    def call(self, name, args):
+        sp = self.sympy
+        a, b = args[0], args[1] if len(args) > 1 else None
+        if name in ("div", "div_guarded"):
+            return a / b
+        if name == "cross" and len(self.axes) != 3:
+            raise EvaluationError("cross needs three dimensions")
+        table = {
+            "add": lambda: a + b, "sub": lambda: a - b, "mul": lambda: a * b,
+            "neg": lambda: -a, "pow": lambda: a**b, "square": lambda: a**2, "inverse": lambda: 1 / a,
+            "sqrt": lambda: sp.sqrt(a), "abs": lambda: sp.Abs(a), "exp": lambda: sp.exp(a),
+            "log": lambda: sp.log(a), "sin": lambda: sp.sin(a), "cos": lambda: sp.cos(a),
+            "tanh": lambda: sp.tanh(a), "sign": lambda: sp.sign(a),
+            "norm": lambda: self.norm(a), "normalize": lambda: a / self.norm(a),
+            "dot": lambda: a.dot(b), "along": lambda: a.dot(b) / self.norm(b),
+            "project_abs": lambda: sum(sp.Abs(x * y) for x, y in zip(a, b, strict=True)),
+            "perp": lambda: sp.Matrix([-a[1], a[0]]), "cross": lambda: a.cross(b),
+        }
+        return table[name]()
+
+    def norm(self, vector):
+        return self.sympy.sqrt(sum(x**2 for x in vector))

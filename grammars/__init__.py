@@ -1,0 +1,1 @@
+"""Grammar files of bsp_gp, one TOML each: data, not code."""
