@@ -79,8 +79,15 @@ class Entity:
     def __reduce__(self):  # mappingproxy does not travel to worker processes by itself
         return (
             Entity,
-            (self.name, self.shape, self.radius, self.width, self.height, self.is_static,
-             dict(self.properties)),
+            (
+                self.name,
+                self.shape,
+                self.radius,
+                self.width,
+                self.height,
+                self.is_static,
+                dict(self.properties),
+            ),
         )
 
     @property
@@ -137,7 +144,8 @@ class Scene:
                 f"{expected} + (d,), got {self.positions.shape}"
             )
         if self.positions.shape[2] not in (2, 3):
-            raise DataError(f"{where}: positions must have 2 or 3 axes, got {self.positions.shape[2]}")
+            n_axes = self.positions.shape[2]
+            raise DataError(f"{where}: positions must have 2 or 3 axes, got {n_axes}")
         if n_times < 3:
             raise DataError(
                 f"{where} has {n_times} frame(s); a force needs at least 3 to be seen",
@@ -171,17 +179,22 @@ class Scene:
 
     def _reject_coincident(self):
         bodies = [k for k, e in enumerate(self.entities) if e.shape in POINTLIKE]
-        for a_index, a in enumerate(bodies):
-            for b in bodies[a_index + 1 :]:
-                same = np.all(self.positions[:, a] == self.positions[:, b], axis=-1)
-                if np.any(same):
-                    t = self.times[int(np.argmax(same))]
-                    raise DataError(
-                        f"scene {self.name!r}: entities {self.entities[a].name!r} and "
-                        f"{self.entities[b].name!r} are at one point at t = {t:g}",
-                        remedy="no force between them has a direction there; "
-                        "mend the track or leave one of them out",
-                    )
+        points = self.positions[:, bodies]
+        if len(bodies) < 2:
+            return
+        order = np.lexsort(points.transpose(2, 0, 1), axis=-1)
+        ordered = np.take_along_axis(points, order[:, :, None], axis=1)
+        same = np.all(ordered[:, 1:] == ordered[:, :-1], axis=2)
+        if np.any(same):
+            row, column = (int(k[0]) for k in np.nonzero(same))
+            pair = sorted(order[row, column : column + 2])
+            a, b = (self.entities[bodies[k]].name for k in pair)
+            raise DataError(
+                f"scene {self.name!r}: entities {a!r} and {b!r} are at one point "
+                f"at t = {self.times[row]:g}",
+                remedy="no force between them has a direction there; "
+                "mend the track or leave one of them out",
+            )
 
     @property
     def n_dims(self):
@@ -332,4 +345,22 @@ class Dataset:
 
     def select(self, names):
         """Scenes by name, in the order given."""
-        return tuple(self.scene(name) for name in names)
+        by_name = {scene.name: scene for scene in self.scenes}
+        return tuple(by_name[name] if name in by_name else self.scene(name) for name in names)
+
+    @classmethod
+    def from_frames(cls, frames, entities=None, **settings):
+        """Make a data set of DataFrames; see `bsp_gp.data.tables.dataset_from_frames`.
+
+        Parameters
+        ----------
+        frames : DataFrame or mapping of str to DataFrame
+            Long tables with the columns of ``trajectories.csv``, or those of trackpy; a mapping
+            gives the names of the scenes.
+        entities : DataFrame or sequence of Entity, optional
+        **settings
+            name, units, columns, fps, dt, train, test, up, noise, provenance.
+        """
+        from bsp_gp.data.tables import dataset_from_frames  # tables import the nouns
+
+        return dataset_from_frames(frames, entities, **settings)

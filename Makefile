@@ -1,0 +1,76 @@
+# make demo, make test: nothing need be prepared but Python >= 3.11 with its venv module.
+# Override: make test PYTHON=python3.12 WORKERS=2 ARGS="-k units"
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?=
+CORES := $(shell getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)
+WORKERS ?= $(shell [ $(CORES) -gt 4 ] && echo 4 || echo $(CORES))
+ARGS ?=
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input
+
+# One thread per process: faster at our array sizes, and the same digits on every run.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export MPLBACKEND := Agg
+export PIP_USER := 0
+export PIP_USE_PEP517 := 1
+unexport PYTHONHOME PYTHONPATH
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test slow lint bench clean
+
+help:  ## show the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
+
+setup: $(VENV)/.ok  ## make .venv and install into it (once)
+
+demo: $(VENV)/.ok  ## run the main job; its last line says where the report is
+	@$(BIN)/bsp-gp demo $(ARGS)
+
+test: $(VENV)/.ok  ## run the default tests
+	@$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+slow: $(VENV)/.ok  ## run the slower tests
+	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
+
+lint: $(VENV)/.dev  ## check the code with ruff
+	@$(BIN)/ruff check $(ARGS) .
+
+bench: $(VENV)/.dev  ## time the hot paths (experiments/bench/bench_*.py)
+	@$(BIN)/python -m pytest -o python_files='bench_*.py' --benchmark-only experiments/bench $(ARGS)
+
+clean:  ## remove .venv, build products and caches
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamp is written last, so that an interrupted install is taken up again, and a finished one
+# is repeated only when the metadata change.
+$(VENV)/.ok: setup.cfg pyproject.toml
+	@set -e; \
+	new='import sys; sys.exit(sys.version_info < (3, 11))'; \
+	python=; \
+	for p in $(or $(PYTHON),python3 python3.14 python3.13 python3.12 python3.11); do \
+	    if "$$p" -c "$$new" >/dev/null 2>&1; then python=$$p; break; fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	    echo "bsp_gp needs Python 3.11 or newer; found: $$($(or $(PYTHON),python3) --version 2>&1 || true). Name another with: make PYTHON=/path/to/python3" >&2; \
+	    exit 1; \
+	fi; \
+	if ! "$$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then \
+	    echo "The venv module of $$python is missing; install it, on Debian or Ubuntu with: sudo apt-get install python3-venv" >&2; \
+	    exit 1; \
+	fi; \
+	if ! $(BIN)/python -c "import pip; $$new" >/dev/null 2>&1; then \
+	    echo "Making $(VENV) with $$("$$python" --version) ..."; \
+	    "$$python" -m venv --clear $(VENV); \
+	fi; \
+	echo "Installing bsp_gp and what it needs into $(VENV) (once; 180 MB to download, 730 MB on disk) ..."; \
+	$(PIP) -e '.[test,astro]'; \
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.ok
+	@echo "Installing the developers' tools into $(VENV) (once) ..."
+	@$(PIP) -e '.[dev]'
+	@touch $@

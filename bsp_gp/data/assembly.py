@@ -1,0 +1,301 @@
+"""From rows of a table to scenes: validation, gaps, and the merging of times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bsp_gp.data.roster import ABSURD, require_columns
+from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.errors import DataError
+
+__all__ = ["Rows", "build_rows", "build_scenes"]
+
+MAX_CELLS = 100_000_000
+_GAP = "leave the whole row out to mark a gap in the track"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a trajectory table as arrays in file order, SI.
+
+    Attributes
+    ----------
+    scene, entity : ndarray of int, shape (n,)
+        Codes into `scene_names` and `entity_names`.
+    times : ndarray, shape (n,), seconds
+    positions : ndarray, shape (n, d), metres
+    velocities, sigma : ndarray, shape (n, d), or None
+    lines : ndarray of int, shape (n,)
+        Line numbers in `file`.
+    """
+
+    scene: np.ndarray
+    scene_names: tuple[str, ...]
+    entity: np.ndarray
+    entity_names: tuple[str, ...]
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray | None
+    sigma: np.ndarray | None
+    lines: np.ndarray
+    file: str | None
+
+    def fail(self, problem, row, column=None, remedy=None):
+        """Raise a DataError about one row."""
+        line = int(self.lines[row])
+        raise DataError(problem, file=self.file, row=line, column=column, remedy=remedy)
+
+    def label(self, row):
+        """Words for the scene and entity of one row."""
+        scene, entity = self.scene_names[self.scene[row]], self.entity_names[self.entity[row]]
+        return f"entity {entity!r} of scene {scene!r}"
+
+
+def build_rows(table, declaration, conversion, *, scene_name):
+    """Check the columns of a trajectory table and convert them.
+
+    Parameters
+    ----------
+    table : Table
+    declaration : Declaration
+    conversion : Conversion
+    scene_name : str
+        Name of the scene where the table has no such column.
+    """
+    require_columns(table, ["x", "y"])
+    axes = [axis for axis in "xyz" if axis in table.frame.columns]
+    positions = [_numbers(table, axis) * conversion.length(axis) for axis in axes]
+    velocities = None
+    if declaration.velocity == "measured":
+        require_columns(table, [f"v{axis}" for axis in axes])
+        velocities = [
+            _numbers(table, f"v{a}", can_be_blank=True) * conversion.velocity(f"v{a}") for a in axes
+        ]
+    scene, scene_names = _codes(table, "scene", scene_name)
+    entity, entity_names = _codes(table, "entity", table.title or "object")
+    return Rows(
+        scene,
+        scene_names,
+        entity,
+        entity_names,
+        _times(table, declaration, conversion),
+        np.stack(positions, axis=1),
+        None if velocities is None else np.stack(velocities, axis=1),
+        _sigma(table, axes, conversion),
+        table.frame.index.to_numpy(),
+        table.file,
+    )
+
+
+def _numbers(table, column, can_be_blank=False):
+    cells = table.frame[column]
+    try:
+        values = cells.to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
+    bad = np.isinf(values) | (np.abs(values) > ABSURD)
+    if not can_be_blank:
+        bad |= np.isnan(values)
+    if not bad.any():
+        return values
+    k = int(bad.argmax())
+    line = int(table.frame.index[k])
+    if np.isnan(values[k]):
+        problem, remedy = "empty cell or NaN where a number is needed", _GAP
+    else:
+        problem = f"{values[k]:g} is not a usable number (finite, at most {ABSURD:g} in size)"
+        remedy = _GAP
+    raise DataError(problem, file=table.file, row=line, column=column, remedy=remedy)
+
+
+def _times(table, declaration, conversion):
+    if "t" in table.frame.columns:
+        return _numbers(table, "t") * conversion.time()
+    if "frame" not in table.frame.columns:
+        require_columns(table, ["t"])
+    frames = _numbers(table, "frame")
+    if declaration.fps is not None:
+        return frames / declaration.fps
+    if declaration.dt is not None:
+        return frames * (declaration.dt * conversion.time())
+    raise DataError(
+        "the file counts frames, but nothing says how long a frame is",
+        file=table.file,
+        column="frame",
+        remedy="give fps = 30 (or dt = 0.02) in dataset.toml or as an argument",
+    )
+
+
+def _sigma(table, axes, conversion):
+    if not any(f"s{axis}" in table.frame.columns for axis in axes):
+        return None
+    columns = []
+    for axis in axes:
+        column = f"s{axis}"
+        if column not in table.frame.columns:
+            columns.append(np.full(len(table.frame), np.nan))
+            continue
+        values = _numbers(table, column, can_be_blank=True) * conversion.length(column)
+        if (values < 0).any():
+            k = int((values < 0).argmax())
+            raise DataError(
+                f"a standard error must not be negative, got {values[k]:g}",
+                file=table.file,
+                row=int(table.frame.index[k]),
+                column=column,
+            )
+        columns.append(values)
+    return np.stack(columns, axis=1)
+
+
+def _codes(table, column, default):
+    """Integer codes in order of first appearance, and the names."""
+    if column not in table.frame.columns:
+        return np.zeros(len(table.frame), dtype=np.int64), (default,)
+    codes, labels = pd.factorize(table.frame[column])
+    names = ["" if pd.isna(label) else str(label).strip() for label in labels]
+    blank = codes < 0
+    if "" in names:
+        blank |= codes == names.index("")
+    if blank.any():
+        raise DataError(
+            "empty cell where a name is needed",
+            file=table.file,
+            row=int(table.frame.index[int(blank.argmax())]),
+            column=column,
+        )
+    unique = tuple(dict.fromkeys(names))
+    if len(unique) < len(names):
+        place = {name: k for k, name in enumerate(unique)}
+        codes = np.array([place[name] for name in names])[codes]
+    return codes.astype(np.int64), unique
+
+
+def _check_order(rows):
+    """Times of one entity must increase; returns the smallest step of every scene."""
+    key = rows.scene * len(rows.entity_names) + rows.entity
+    order = np.argsort(key, kind="stable")
+    steps = np.diff(rows.times[order])
+    same = np.diff(key[order]) == 0
+    bad = same & (steps <= 0)
+    if bad.any():
+        k = order[1:][bad].min()
+        place = int(np.flatnonzero(order == k)[0])
+        before = rows.times[order[place - 1]]
+        if rows.times[k] == before:
+            rows.fail(
+                f"{rows.label(k)} has two rows at t = {before:.9g} (duplicate)", k, "t",
+                "keep one row per scene, time and entity",
+            )  # fmt: skip
+        rows.fail(
+            f"times of {rows.label(k)} must increase, got {before:.9g} then {rows.times[k]:.9g}",
+            k, "t", "sort the rows by time, or give another name to each track",
+        )  # fmt: skip
+    smallest = np.full(len(rows.scene_names), np.inf)
+    np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])
+    return smallest
+
+
+def _time_index(rows, smallest):
+    """Rows sorted by scene and time, the flag of each new time, and the first row of a scene."""
+    order = np.lexsort((rows.times, rows.scene))
+    scene, times = rows.scene[order], rows.times[order]
+    step = smallest[scene]
+    rounding = 2 * np.finfo(float).eps * np.abs(times)
+    tolerance = np.minimum(np.maximum(1e-9 * step, rounding), 1e-3 * step)
+    tolerance[np.isinf(step)] = 0.0
+    is_new = np.ones(len(order), dtype=bool)
+    is_first = np.ones(len(order), dtype=bool)
+    is_first[1:] = np.diff(scene) != 0
+    is_new[1:] = is_first[1:] | (np.diff(times) > tolerance[1:])
+    return order, is_new, np.flatnonzero(is_first)
+
+
+def build_scenes(rows, roster):
+    """Scenes in order of first appearance, and notes.
+
+    Parameters
+    ----------
+    rows : Rows
+    roster : Roster or None
+        None: every entity is a point of unknown mass.
+    """
+    smallest = _check_order(rows)
+    order, is_new, starts = _time_index(rows, smallest)
+    stops = [*starts[1:], len(order)]
+    time_index = np.cumsum(is_new) - 1
+    points = {} if roster is None else None
+    scenes, used, n_cells = [], set(), 0
+    for start, stop in zip(starts, stops, strict=True):
+        part = order[start:stop]
+        entities, local = _entities(rows, part, roster, points, used)
+        row = time_index[start:stop] - time_index[start]
+        shape = (int(row[-1]) + 1, len(entities), rows.positions.shape[1])
+        n_cells += shape[0] * shape[1] * shape[2]
+        if n_cells > MAX_CELLS:
+            raise DataError(
+                f"{shape[1]} entities at {shape[0]} times make more than {MAX_CELLS:,} numbers",
+                file=rows.file,
+                remedy="drop short tracks (trackpy.filter_stubs) or split the data set",
+            )
+        scenes.append(_scene(rows, part, entities, row, local, is_new[start:stop], shape))
+    return tuple(scenes), _unused(roster, used)
+
+
+def _entities(rows, part, roster, points, used):
+    """Entities of one scene in roster order, and the column of every row."""
+    codes, local = np.unique(rows.entity[part], return_inverse=True)
+    names = [rows.entity_names[code] for code in codes]
+    if roster is None:
+        for name in names:
+            if name not in points:
+                points[name] = Entity(name)
+        return tuple(points[name] for name in names), local
+    scene = rows.scene_names[rows.scene[part[0]]]
+    places = [roster.row(scene, name) for name in names]
+    if None in places:
+        k = part[local == places.index(None)].min()
+        known = list(dict.fromkeys(entity.name for entity in roster.entities))
+        rows.fail(
+            f"{rows.label(k)} is not in {roster.file}; present are {', '.join(known[:20])}", k,
+            "entity", "add a row for it (scene blank = every scene) or correct the name",
+        )  # fmt: skip
+    used.update(places)
+    ranks = np.argsort(places)
+    column = np.empty(len(ranks), dtype=np.int64)
+    column[ranks] = np.arange(len(ranks))
+    return tuple(roster.entities[places[k]] for k in ranks), column[local]
+
+
+def _scene(rows, part, entities, row, local, is_new, shape):
+    def spread(values):
+        if values is None or (values is not rows.positions and np.isnan(values[part]).all()):
+            return None
+        full = np.full(shape, np.nan)
+        full[row, local] = values[part]
+        return full
+
+    name = rows.scene_names[rows.scene[part[0]]]
+    try:
+        return Scene(
+            name,
+            rows.times[part][is_new],
+            spread(rows.positions),
+            entities,
+            spread(rows.velocities),
+            spread(rows.sigma),
+        )
+    except DataError as error:
+        raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error
+
+
+def _unused(roster, used):
+    if roster is None:
+        return ()
+    idle = sorted({e.name for k, e in enumerate(roster.entities) if k not in used})
+    if not idle:
+        return ()
+    return (f"{len(idle)} row(s) of {roster.file} have no trajectory: {', '.join(idle[:10])}",)

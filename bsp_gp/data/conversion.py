@@ -1,0 +1,160 @@
+"""From the units of a file to SI, column by column."""
+
+from __future__ import annotations
+
+import re
+
+from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.errors import DataError, UnitError
+from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
+
+__all__ = ["KINDS", "Conversion", "is_unit"]
+
+KINDS = ("length", "time", "mass", "charge", "velocity")
+_PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
+_NUMBERED = re.compile(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s+(.+)")
+_LENGTH = Unit.of(m=1)
+_TIME = Unit.of(s=1)
+_COLUMN_KIND = {"t": "time", "x": "length", "y": "length", "z": "length"}
+
+
+def is_unit(text):
+    """Whether `text` reads as a unit (``px`` included)."""
+    try:
+        _scale(text)
+    except UnitError:
+        return False
+    return True
+
+
+def _scale(text):
+    """Value of one `text` in SI with pixels in the place of metres; ``0.17 um`` is one unit."""
+    number = _NUMBERED.fullmatch(text)
+    factor, rest = (float(number.group(1)), number.group(2)) if number else (1.0, text)
+    scale, unit = parse_unit(_PIXEL.sub("m", rest))
+    return factor * scale, unit
+
+
+class Conversion:
+    """Scales and units of the columns of one data set.
+
+    Parameters
+    ----------
+    declared : mapping of str to str
+        ``[units]``: kind (`KINDS`) or column -> unit. One unit may carry a number: with
+        ``length = "0.17 um"`` one count of the file is 0.17 µm.
+    columns : iterable of str
+        Every column there is, for the check of the keys.
+    file : str
+        What to name in complaints.
+    has_fps : bool
+        Times come from a frame rate, so they are seconds.
+
+    Attributes
+    ----------
+    system : UnitSystem
+    """
+
+    def __init__(self, declared, columns, file=None, has_fps=False):
+        self.declared = dict(declared)
+        self.file = file
+        unknown = sorted(set(self.declared) - set(KINDS) - set(columns))
+        if unknown:
+            self._fail(
+                f"[units] has {unknown[0]!r}, which is neither a kind ({', '.join(KINDS)}) "
+                f"nor a column ({', '.join(sorted(columns))})"
+            )
+        kinds = dict(self.declared)
+        for kind, column in (("length", "x"), ("time", "t")):
+            if kind not in kinds and column in kinds:
+                kinds[kind] = kinds[column]
+        if has_fps and "length" in kinds:
+            kinds.setdefault("time", "s")
+        missing = [kind for kind in ("time", "length") if kind not in kinds]
+        if len(missing) == 1:
+            example = {"time": "s", "length": "m"}[missing[0]]
+            self._fail(
+                f"[units] gives no unit of {missing[0]}",
+                remedy=f'add {missing[0]} = "{example}"'
+                + (' (or "px" if the picture is not calibrated)' if missing == ["length"] else ""),
+            )
+        self._kinds = kinds
+        self.system = UnitSystem.from_declared(kinds)
+        self.is_pixels = self.system.symbols.get("m") == "px"
+        for kind in ("time", "mass", "charge"):
+            if _PIXEL.search(kinds.get(kind, "")):
+                self._fail(f"the unit of {kind} must not be px, got {kinds[kind]!r}", kind)
+
+    def _fail(self, problem, column=None, remedy=None):
+        raise DataError(problem, file=self.file, column=column, remedy=remedy)
+
+    def _read(self, key, text, expected=None):
+        try:
+            scale, unit = _scale(text)
+        except UnitError as error:
+            raise DataError(f"[units]: {error}", file=self.file, column=key) from error
+        if _PIXEL.search(text) and not self.is_pixels:
+            self._fail(
+                f"unit {text!r} is in pixels but lengths are not",
+                key,
+                remedy='give every length in one system; length = "px" means not calibrated',
+            )
+        if expected is not None and unit != expected:
+            self._fail(f"the unit must be one of {expected}, got {text!r} ({unit})", key)
+        return scale, unit
+
+    def time(self):
+        """Scale of the column t (and of `dt`)."""
+        text = self.declared.get("t", self._kinds.get("time"))
+        return 1.0 if text is None else self._read("t", text, _TIME)[0]
+
+    def length(self, column):
+        """Scale of a column that holds lengths."""
+        text = self.declared.get(column, self._kinds.get("length"))
+        if column in ("y", "z") and column not in self.declared and "length" not in self.declared:
+            if text is not None:
+                self._fail(
+                    f"column {column!r} has no unit while x has", column, 'add length = "..."'
+                )
+        return 1.0 if text is None else self._read(column, text, _LENGTH)[0]
+
+    def velocity(self, column):
+        """Scale of a column of velocities: its own unit, else length/time."""
+        text = self.declared.get(column, self.declared.get("velocity"))
+        if text is not None:
+            return self._read(column, text, _LENGTH / _TIME)[0]
+        return self.length(column[1:]) / self.time()
+
+    def property(self, name, columns=()):
+        """Scale, unit and (where the unit was not declared) a note for one property.
+
+        Parameters
+        ----------
+        name : str
+            The property; for a vector its stem.
+        columns : tuple of str
+            Columns of a vector's components.
+        """
+        texts = {self.declared[key] for key in (name, *columns) if key in self.declared}
+        if len(texts) > 1:
+            self._fail(f"components of {name!r} have different units {sorted(texts)}", name)
+        expected = PROPERTY_UNITS.get(name)
+        if texts:
+            return *self._read(name, texts.pop(), expected), None
+        if expected is None:
+            note = f"column {name!r} has no declared unit: read as a pure number"
+            return 1.0, DIMENSIONLESS, note
+        if expected == _LENGTH:
+            return self.length(name), expected, None
+        scales = {
+            kind: self._read(kind, self._kinds[kind])[0] if kind in self._kinds else 1.0
+            for kind in ("time", "mass", "charge")
+        }
+        if name in scales:
+            return scales[name], expected, None
+        is_plain = scales["time"] == 1.0 and scales["mass"] == 1.0
+        if not expected.is_dimensionless and not is_plain:
+            self._fail(
+                f"column {name!r} has no unit of its own", name, f'add {name} = "{expected}"'
+            )
+        return 1.0, expected, None

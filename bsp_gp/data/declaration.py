@@ -1,0 +1,311 @@
+"""What a data set says about itself: ``dataset.toml`` in and out, checked key by key."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import json
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bsp_gp.data.scene import Evaluation, LatentDeclaration
+from bsp_gp.errors import DataError
+
+__all__ = ["Declaration", "read_declaration", "select_scenes", "toml_text"]
+
+PROVENANCE_KEYS = (
+    "description", "source", "license", "licence", "authors", "url", "doi", "citation", "date",
+    "version", "contact",
+)  # fmt: skip
+TOP_KEYS = (
+    "name", *PROVENANCE_KEYS, "dt", "fps", "noise",
+    "units", "axes", "columns", "latent", "split", "evaluation", "provenance",
+)  # fmt: skip
+UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """The content of a ``dataset.toml``, or of the arguments that stand in for one.
+
+    Attributes
+    ----------
+    name : str or None
+    units : mapping of str to str
+        Kind or column -> unit.
+    up, dt, fps, noise, velocity
+        As in `bsp_gp.data.scene.Dataset`; `dt` and `noise` in the data's own units.
+    columns : mapping of str to str
+        Our name of a column -> its name in the file.
+    latents : tuple of LatentDeclaration
+    train, test : tuple of str
+        Patterns as declared, see `select_scenes`.
+    evaluation : Evaluation
+    provenance : mapping of str to str
+    file : str or None
+        Where all this was read from.
+    """
+
+    name: str | None = None
+    units: Mapping = field(default_factory=dict)
+    up: str | None = None
+    dt: float | None = None
+    fps: float | None = None
+    noise: tuple[float, ...] | None = None
+    velocity: str = "ignore"
+    columns: Mapping = field(default_factory=dict)
+    latents: tuple[LatentDeclaration, ...] = ()
+    train: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+    evaluation: Evaluation = field(default_factory=Evaluation)
+    provenance: Mapping = field(default_factory=dict)
+    file: str | None = None
+
+    def __post_init__(self):
+        if self.dt is not None and self.fps is not None:
+            raise DataError(
+                "dt and fps are both given", file=self.file, remedy="keep the one you measured"
+            )
+
+    def override(self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None):
+        """Let the caller's arguments win over the file."""
+        reader = _Reader({}, "arguments")
+        changes = {}
+        if units is not None:
+            changes["units"] = {**self.units, **reader.texts(units, "units")}
+        if columns is not None:
+            renames = reader.texts(columns, "columns")
+            changes["velocity"] = reader.choice(
+                renames, "velocity", ("measured", "ignore"), self.velocity
+            )
+            renames.pop("velocity", None)
+            changes["columns"] = {**self.columns, **renames}
+        if fps is not None or dt is not None:
+            changes["fps"] = reader.positive({"fps": fps}, "fps")
+            changes["dt"] = reader.positive({"dt": dt}, "dt")
+        if train is not None or test is not None:
+            changes["train"] = reader.patterns({"train": train}, "train")
+            changes["test"] = reader.patterns({"test": test}, "test")
+        return dataclasses.replace(self, **changes)
+
+
+def read_declaration(path):
+    """Read and check a ``dataset.toml``.
+
+    Raises
+    ------
+    DataError
+        If the file is no TOML, or holds an unknown key or a value that is not allowed.
+    """
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise DataError("the file is not UTF-8", file=path, remedy="save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"line (\d+)", str(error))
+        raise DataError(
+            f"this is not valid TOML: {error}",
+            file=path,
+            row=int(line.group(1)) if line else None,
+            remedy='texts stand in quotes and tables in brackets: [units], length = "m"',
+        ) from error
+    return _Reader(content, str(path)).declaration()
+
+
+class _Reader:
+    """Checks the tables of one file; every complaint names the file and the key."""
+
+    def __init__(self, content, file):
+        self.content = content
+        self.file = file
+
+    def fail(self, problem, key=None, remedy=None):
+        raise DataError(problem, file=self.file, column=key, remedy=remedy)
+
+    def known(self, table, allowed, where):
+        unknown = sorted(set(table) - set(allowed))
+        if unknown:
+            self.fail(f"unknown key {unknown[0]!r} {where}; allowed are {', '.join(allowed)}")
+
+    def table(self, key, allowed=None):
+        table = self.content.get(key, {})
+        if not isinstance(table, Mapping):
+            self.fail(f"{key!r} must be a table, got {table!r:.60}", remedy=f"write [{key}]")
+        if allowed is not None:
+            self.known(table, allowed, f"in [{key}]")
+        return table
+
+    def texts(self, table, where):
+        for key, value in table.items():
+            if not isinstance(value, str):
+                self.fail(f"{key!r} in [{where}] must be a text in quotes, got {value!r:.60}")
+        return dict(table)
+
+    def choice(self, table, key, allowed, default=None):
+        value = table.get(key, default)
+        if value is not None and value not in allowed:
+            self.fail(f"{key} must be one of {', '.join(allowed)}, got {value!r:.60}")
+        return value
+
+    def number(self, value, key):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value):
+            self.fail(f"{key} must be a finite number, got {value!r:.60}")
+        return float(value)
+
+    def positive(self, table, key):
+        if table.get(key) is None:
+            return None
+        value = self.number(table[key], key)
+        if value <= 0:
+            self.fail(f"{key} must be positive, got {value:g}")
+        return value
+
+    def patterns(self, table, key):
+        value = table.get(key)
+        items = () if value is None else value if isinstance(value, list | tuple) else (value,)
+        for item in items:
+            if isinstance(item, bool) or not isinstance(item, str | int):
+                self.fail(f"{key} must hold names, globs or ranges a..b, got {item!r:.60}")
+        return tuple(str(item) for item in items)
+
+    def declaration(self):
+        self.known(self.content, TOP_KEYS, "at the top level")
+        axes = self.table("axes", ("up",))
+        split = self.table("split", ("train", "test"))
+        columns = self.texts(self.table("columns"), "columns")
+        velocity = self.choice(columns, "velocity", ("measured", "ignore"), "ignore")
+        columns.pop("velocity", None)
+        top = {k: self.content[k] for k in ("name", *PROVENANCE_KEYS) if k in self.content}
+        top = self.texts({k: _flat(v) for k, v in top.items()}, "top level")
+        name = top.pop("name", None)
+        return Declaration(
+            name=name,
+            units=self.texts(self.table("units"), "units"),
+            up=self.choice(axes, "up", UP_AXES),
+            dt=self.positive(self.content, "dt"),
+            fps=self.positive(self.content, "fps"),
+            noise=self.noise(),
+            velocity=velocity,
+            columns=columns,
+            latents=self.latents(),
+            train=self.patterns(split, "train"),
+            test=self.patterns(split, "test"),
+            evaluation=self.evaluation(),
+            provenance={**self.texts(self.table("provenance"), "provenance"), **top},
+            file=self.file,
+        )
+
+    def noise(self):
+        value = self.content.get("noise")
+        if value is None:
+            return None
+        items = value if isinstance(value, list) else [value]
+        values = tuple(self.number(item, "noise") for item in items)
+        if len(values) not in (1, 2, 3):
+            self.fail(f"noise must be a number or one per axis, got {value!r:.60}")
+        if min(values) < 0:
+            self.fail(f"noise must not be negative, got {min(values):g}", remedy="0 means exact")
+        return values
+
+    def latents(self):
+        allowed = ("prior", "low", "high", "entities", "share", "values")
+        found = []
+        for name, table in self.table("latent").items():
+            if not isinstance(table, Mapping):
+                self.fail(f"latent {name!r} must be a table", remedy=f"write [latent.{name}]")
+            self.known(table, allowed, f"in [latent.{name}]")
+            bounds = {k: self.number(table[k], k) for k in ("low", "high") if k in table}
+            if len(bounds) == 2 and bounds["low"] >= bounds["high"]:
+                self.fail(f"low must be below high in [latent.{name}], got {bounds}")
+            values = table.get("values", [])
+            if not isinstance(values, list):
+                self.fail(f"values in [latent.{name}] must be a list, got {values!r:.60}")
+            texts = self.texts({k: table[k] for k in ("prior", "share") if k in table}, name)
+            found.append(
+                LatentDeclaration(
+                    name,
+                    **bounds,
+                    **texts,
+                    entities=self.patterns(table, "entities"),
+                    values=tuple(self.number(v, "values") for v in values),
+                )
+            )
+        return tuple(found)
+
+    def evaluation(self):
+        table = self.table("evaluation", ("initial_rows", "endpoint_row"))
+        for key, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                self.fail(f"{key} in [evaluation] must be a whole number from 1, got {value!r:.60}")
+        return Evaluation(**table)
+
+
+def _flat(value):
+    is_texts = isinstance(value, list) and all(isinstance(item, str) for item in value)
+    return ", ".join(value) if is_texts else value if isinstance(value, str | list) else str(value)
+
+
+def select_scenes(patterns, names, *, what="split", file=None):
+    """Expand names, globs and inclusive ranges ``a..b`` to names, in the order of `names`.
+
+    Raises
+    ------
+    DataError
+        If a pattern matches nothing.
+    """
+    chosen = set()
+    for pattern in patterns:
+        span = re.fullmatch(r"\s*(-?\d+)\s*\.\.\s*(-?\d+)\s*", pattern)
+        if pattern in names:
+            matches = {pattern}
+        elif span:
+            low, high = int(span.group(1)), int(span.group(2))
+            matches = {n for n in names if re.fullmatch(r"-?\d+", n) and low <= int(n) <= high}
+        else:
+            matches = set(fnmatch.filter(names, pattern))
+        if not matches:
+            raise DataError(
+                f"{what} {pattern!r} matches nothing; present are {', '.join(list(names)[:20])}",
+                file=file,
+                remedy="give a name, a glob such as 'drop_*', a range such as '1..80', or a list",
+            )
+        chosen |= matches
+    return tuple(name for name in names if name in chosen)
+
+
+def toml_text(tables):
+    """Write nested mappings of texts, numbers and lists as TOML; None and {} are left out."""
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in tables.items() if not _is_table(v)]
+    for name, table in tables.items():
+        if not _is_table(table) or not table:
+            continue
+        if all(_is_table(value) for value in table.values()):
+            for inner, values in table.items():
+                lines += ["", f"[{_key(name)}.{_key(inner)}]"]
+                lines += [f"{_key(k)} = {_value(v)}" for k, v in values.items()]
+        else:
+            lines += ["", f"[{_key(name)}]"]
+            lines += [f"{_key(k)} = {_value(v)}" for k, v in table.items()]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _is_table(value):
+    return isinstance(value, Mapping)
+
+
+def _key(name):
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
+
+
+def _value(value):
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return repr(value)

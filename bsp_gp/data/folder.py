@@ -1,0 +1,220 @@
+"""Write a data set as a folder, whole or not at all, so that it reads back bit for bit."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bsp_gp.data.declaration import toml_text
+from bsp_gp.data.roster import OWN_COLUMNS
+from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.errors import OutputError
+
+__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "save_dataset"]
+
+TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
+
+
+def save_dataset(dataset, folder, overwrite=False):
+    """Write `dataset` as a folder that `load_dataset` reads back to the same numbers.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    folder : path-like
+        Created; its parent must exist.
+    overwrite : bool
+        Replace an older data set there. A folder that holds anything else is never touched.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, cannot be written, or the data cannot be said in the format.
+    """
+    folder = Path(folder)
+    _require_free(folder, overwrite)
+    try:
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
+    try:
+        _trajectories(dataset).to_csv(partial / TRAJECTORIES, index=False, lineterminator="\n")
+        _entities(dataset).to_csv(partial / ENTITIES, index=False, lineterminator="\n")
+        (partial / TOML).write_text(toml_text(_declaration(dataset)), encoding="utf-8")
+        partial.chmod(0o755)
+        if folder.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+            os.replace(folder, old)
+            os.replace(partial, folder)
+            shutil.rmtree(old)
+        else:
+            os.replace(partial, folder)
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {error.strerror}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def _require_free(folder, overwrite):
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise OutputError(f"{folder} exists already; choose another name or pass overwrite=True")
+    known = {TRAJECTORIES, ENTITIES, TOML}
+    strangers = [] if not folder.is_dir() else sorted(p.name for p in folder.iterdir())
+    strangers = [name for name in strangers if name not in known]
+    if not folder.is_dir() or strangers:
+        what = f"holds {', '.join(strangers[:5])}" if strangers else "is no folder"
+        raise OutputError(f"{folder} {what}, so it is not overwritten; choose another name")
+
+
+def _trajectories(dataset):
+    has = {
+        prefix: any(getattr(scene, attribute) is not None for scene in dataset.scenes)
+        for prefix, attribute in (("v", "velocities"), ("s", "sigma"))
+    }
+    axes = "xyz"[: dataset.n_dims]
+    pieces = []
+    for scene in dataset.scenes:
+        present = _present(scene)
+        row, column = np.nonzero(present)
+        names = np.array([_text(name) for name in scene.names], dtype=object)
+        piece = {"scene": _text(scene.name), "t": scene.times[row], "entity": names[column]}
+        blocks = [("", scene.positions), ("v", scene.velocities), ("s", scene.sigma)]
+        for prefix, block in blocks:
+            if prefix and not has[prefix]:
+                continue
+            for k, axis in enumerate(axes):
+                piece[prefix + axis] = math.nan if block is None else block[row, column, k]
+        pieces.append(pd.DataFrame(piece))
+    return pd.concat(pieces, ignore_index=True)
+
+
+def _present(scene):
+    """Which rows there are; complains about what the format has no words for."""
+    known = np.isfinite(scene.positions)
+    present = known.all(axis=2)
+    where = f"scene {scene.name!r} cannot be saved"
+    if (known.any(axis=2) != present).any():
+        raise OutputError(f"{where}: a position is known on some axes only")
+    if not present.any(axis=1).all():
+        raise OutputError(f"{where}: at one of its times no entity has a position")
+    if not present.any(axis=0).all():
+        idle = scene.names[int(np.argmin(present.any(axis=0)))]
+        raise OutputError(f"{where}: entity {idle!r} has no position at all")
+    for block in (scene.velocities, scene.sigma):
+        if block is not None and np.isfinite(block[~present]).any():
+            raise OutputError(f"{where}: a velocity or sigma stands in a gap of the positions")
+    return present
+
+
+def _text(name):
+    if not name or name != name.strip() or any(mark in name for mark in "\r\n\0"):
+        raise OutputError(f"the name {name!r} cannot be saved: it is blank or has blanks around it")
+    return name
+
+
+def _entities(dataset):
+    """One row per entity where every scene has the same, else one per scene and entity."""
+    keys = [tuple(map(_key, scene.entities)) for scene in dataset.scenes]
+    is_shared = all(key == keys[0] for key in keys)
+    rows = []
+    for scene in dataset.scenes[:1] if is_shared else dataset.scenes:
+        for entity in scene.entities:
+            row = {"entity": _text(entity.name)}
+            if not is_shared:
+                row["scene"] = scene.name
+            row |= {"shape": entity.shape, "radius": entity.radius, "width": entity.width}
+            row |= {"height": entity.height, "dynamic": int(not entity.is_static)}
+            rows.append(row | _property_cells(entity))
+    return pd.DataFrame(rows)
+
+
+def _key(entity):
+    sizes = (entity.radius, entity.width, entity.height)
+    properties = sorted(entity.properties.items())
+    return repr((entity.name, entity.shape, sizes, entity.is_static, properties))
+
+
+def _property_cells(entity):
+    cells = {}
+    for name, value in entity.properties.items():
+        if name in OWN_COLUMNS:
+            raise OutputError(f"property {name!r} of {entity.name!r} clashes with a column")
+        if np.ndim(value) == 0:
+            cells[name] = float(value)
+        elif len(value) in (2, 3):
+            cells |= {f"{name}_{a}": float(v) for a, v in zip("xyz", value, strict=False)}
+        else:
+            raise OutputError(f"property {name!r} of {entity.name!r} has {len(value)} components")
+    return cells
+
+
+def _declaration(dataset):
+    evaluation = dataset.evaluation
+    noise = dataset.noise
+    split = {side: list(getattr(dataset, side)) for side in ("train", "test")}
+    tables = {
+        "name": dataset.name,
+        "noise": None if noise is None else noise[0] if len(noise) == 1 else list(noise),
+        "units": _units(dataset),
+        "axes": {"up": dataset.up},
+        "columns": {"velocity": dataset.velocity},
+        "split": split if dataset.train or dataset.test else {},
+        "evaluation": {
+            "initial_rows": evaluation.initial_rows,
+            "endpoint_row": evaluation.endpoint_row,
+        },
+        "latent": {latent.name: _latent(latent) for latent in dataset.latents},
+        "provenance": {
+            key: str(value)
+            for key, value in dataset.provenance.items()
+            if not key.startswith("sha256 of ")
+        },
+    }
+    return _without_none(tables)
+
+
+def _without_none(table):
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if value is not None
+    }
+
+
+def _units(dataset):
+    """Numbers in memory are SI, so these are SI units, or px, or nothing."""
+    symbols = dataset.units.symbols
+    units = {}
+    if symbols.get("m") == "px" or "m" not in symbols:
+        units["length"] = "px" if "m" in symbols else "m"
+    for kind, base in (("time", "s"), ("mass", "kg")):
+        if base not in symbols:
+            units[kind] = base
+    if "charge" in dataset.units.declared:
+        units["charge"] = "C"
+    stored = {p for scene in dataset.scenes for e in scene.entities for p in e.properties}
+    stored |= {latent.name for latent in dataset.latents}
+    for name in sorted(stored - set(PROPERTY_UNITS)):
+        units[name] = dataset.property_units[name].text() if name in dataset.property_units else "1"
+    return units
+
+
+def _latent(latent):
+    table = {"prior": latent.prior, "share": latent.share}
+    table |= {k: getattr(latent, k) for k in ("low", "high") if math.isfinite(getattr(latent, k))}
+    table |= {k: list(getattr(latent, k)) for k in ("entities", "values") if getattr(latent, k)}
+    return table

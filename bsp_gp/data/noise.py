@@ -1,0 +1,180 @@
+"""How accurate the positions are: quoted, declared, or estimated from the data themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.data.scene import Dataset
+from bsp_gp.errors import DataError
+
+__all__ = ["NoiseEstimate", "estimate_noise"]
+
+ORDERS = range(2, 9)
+FLOOR = 1e-12
+_MAD_TO_SIGMA = 1.482602218505602
+_CLIP = 3.0
+_CLIPPED_RMS = 0.98658  # rms of a standard normal within ±3
+_N_PASSES = 6
+_MIN_WINDOWS = 8
+_TOLERANCE = 1.0
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Standard deviation of the measured positions.
+
+    Attributes
+    ----------
+    sigma : tuple of float, length d, metres
+        Per axis; nan on an inactive axis, never below 1e-12 of the range of the positions.
+    source : str
+        "quoted" (columns sx, sy, sz), "declared" (``noise``) or "estimated".
+    n_effective : tuple of float, length d
+        Independent differences behind each estimate; inf where sigma was not estimated.
+    inactive_axes : tuple of str
+        Axes along which no dynamic entity ever moves: they carry no information and are left out.
+    method : str
+        One line for the report.
+    """
+
+    sigma: tuple[float, ...]
+    source: str
+    n_effective: tuple[float, ...]
+    inactive_axes: tuple[str, ...] = ()
+    method: str = ""
+
+
+def estimate_noise(data):
+    """Find the standard deviation of the position noise, per axis.
+
+    Quoted errors come before a declared value, and that before an estimate. The estimate is for
+    white noise on a smooth motion: a k-th difference annihilates what is locally a polynomial
+    of degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other
+    times the weights of the divided difference are used). The scale is robust, so contacts do
+    not matter; k runs from 2 to 8 and the first order after which the estimate no longer falls
+    significantly is taken.
+
+    Parameters
+    ----------
+    data : Dataset or sequence of Scene
+        Only dynamic entities count; scenes and entities are pooled.
+
+    Returns
+    -------
+    NoiseEstimate
+    """
+    is_dataset = isinstance(data, Dataset)
+    scenes = data.scenes if is_dataset else tuple(data)
+    declared = data.noise if is_dataset else None
+    if not any(len(scene.dynamic) for scene in scenes):
+        raise DataError("no entity is dynamic, so there is no motion to explain")
+    n_dims = scenes[0].n_dims
+    tracks = [_tracks(scenes, axis) for axis in range(n_dims)]
+    is_active = [any(np.ptp(x) > 0 for _, x in tracks[axis]) for axis in range(n_dims)]
+    span = [_span(tracks[axis]) for axis in range(n_dims)]
+    quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
+    sigma, sources, degrees, methods = [], [], [], []
+    for axis in range(n_dims):
+        if not is_active[axis]:
+            sigma.append(math.nan)
+            degrees.append(math.nan)
+            continue
+        label, n_effective = "xyz"[axis], math.inf
+        if quoted[axis] is not None:
+            value, source, how = quoted[axis], "quoted", f"rms of column s{label}"
+        elif declared is not None:
+            value, source, how = declared[axis % len(declared)], "declared", "as declared"
+        else:
+            value, order, n_effective = _from_differences(tracks[axis])
+            source, how = "estimated", f"differences of order {order}"
+        sigma.append(max(float(value), FLOOR * span[axis]))
+        sources.append(source)
+        degrees.append(n_effective)
+        methods.append(f"{label}: {how}")
+    inactive = tuple("xyz"[axis] for axis in range(n_dims) if not is_active[axis])
+    best = next((s for s in ("quoted", "declared") if s in sources), "estimated")
+    return NoiseEstimate(tuple(sigma), best, tuple(degrees), inactive, "; ".join(methods))
+
+
+def _tracks(scenes, axis):
+    """Times and positions of every dynamic entity, gaps left out; at least two points each."""
+    found = []
+    for scene in scenes:
+        for entity in scene.dynamic:
+            x = scene.positions[:, entity, axis]
+            known = np.isfinite(x)
+            if np.count_nonzero(known) > 1:
+                found.append((scene.times[known], x[known]))
+    return found
+
+
+def _span(tracks):
+    if not tracks:
+        return 0.0
+    return max(float(x.max()) for _, x in tracks) - min(float(x.min()) for _, x in tracks)
+
+
+def _quoted(scenes, axis):
+    """Root mean square of the quoted errors of the dynamic entities, None without any."""
+    values = [s.sigma[:, s.dynamic, axis].ravel() for s in scenes if s.sigma is not None]
+    values = np.concatenate(values) if values else np.empty(0)
+    values = values[np.isfinite(values)]
+    return math.sqrt(float(np.mean(values**2))) if len(values) else None
+
+
+def _from_differences(tracks):
+    """Sigma, the order of differences behind it, and the effective number of differences."""
+    candidates = []
+    for order in ORDERS:
+        z = [_differences(t, x, order) for t, x in tracks if len(x) > order]
+        z = np.concatenate(z) if z else np.empty(0)
+        if len(z) < _MIN_WINDOWS and candidates:
+            break
+        if len(z):
+            correlation = math.comb(4 * order, 2 * order) / math.comb(2 * order, order) ** 2
+            candidates.append((order, _robust_scale(z), len(z) / correlation))
+    if not candidates:
+        raise DataError(
+            "the noise cannot be estimated: no track has three positions",
+            remedy="declare noise in dataset.toml",
+        )
+    for k, (order, scale, n_effective) in enumerate(candidates):
+        later = min((s for _, s, _ in candidates[k:]), default=scale)
+        if scale <= later * (1 + _TOLERANCE / math.sqrt(2 * n_effective)):
+            break
+    return scale, order, n_effective
+
+
+def _differences(times, x, order):
+    """Differences of `order`, scaled so that white noise keeps its variance, shape (n - order,)."""
+    steps = np.diff(times)
+    x = x - x.mean()
+    if np.ptp(steps) <= 1e-6 * steps.mean():
+        weights = [(-1.0) ** k * math.comb(order, k) for k in range(order + 1)]
+        return np.convolve(x, weights, mode="valid") / math.sqrt(math.comb(2 * order, order))
+    windows = np.lib.stride_tricks.sliding_window_view(times, order + 1)
+    spans = windows[:, -1:] - windows[:, :1]
+    scaled = (windows - windows[:, :1]) / spans
+    gaps = scaled[:, :, None] - scaled[:, None, :]
+    gaps[:, np.arange(order + 1), np.arange(order + 1)] = 1.0
+    weights = 1.0 / gaps.prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return (np.lib.stride_tricks.sliding_window_view(x, order + 1) * weights).sum(axis=1)
+
+
+def _robust_scale(z):
+    """Scale of a centred normal sample with outliers: from the MAD to the clipped rms."""
+    z = np.abs(z)
+    scale = _MAD_TO_SIGMA * float(np.median(z))
+    if scale == 0:  # mostly at rest: what is left is in the moving part
+        moving = z[z > 0]
+        if len(moving) == 0:
+            return 0.0
+        scale = _MAD_TO_SIGMA * float(np.median(moving))
+    for _ in range(_N_PASSES):
+        kept = z[z <= _CLIP * scale]
+        scale = math.sqrt(float(np.mean(kept**2))) / _CLIPPED_RMS
+    return scale

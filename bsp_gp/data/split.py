@@ -1,0 +1,134 @@
+"""What is trained on and what is held out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bsp_gp.data.scene import Scene
+from bsp_gp.errors import DataError
+
+__all__ = ["Split", "choose_split"]
+
+MIN_SCENES = 4
+TEST_SHARE = 0.25
+HELD_OUT_TIME = 0.3
+MAX_GAP = 0.1
+MIN_ROWS = 3
+
+
+class Split(NamedTuple):
+    """Scenes to train on, scenes held out, and a line for the report."""
+
+    train: tuple[Scene, ...]
+    test: tuple[Scene, ...]
+    note: str
+
+
+def choose_split(dataset, rng):
+    """Divide a data set into scenes to train on and scenes held out.
+
+    A declared split wins. Without one, from four scenes on a random quarter is held out; with
+    fewer, the last 30 % of the time of every scene, after a gap of one correlation time.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    rng : numpy.random.Generator
+        Used only for the random quarter.
+
+    Returns
+    -------
+    Split
+    """
+    if dataset.train or dataset.test:
+        return _declared(dataset)
+    if len(dataset.scenes) >= MIN_SCENES:
+        return _random(dataset, rng)
+    return _in_time(dataset)
+
+
+def _declared(dataset):
+    chosen = set(dataset.train) | set(dataset.test)
+    rest = tuple(scene.name for scene in dataset.scenes if scene.name not in chosen)
+    train, test = dataset.train or rest, dataset.test or rest
+    if not train:
+        raise DataError(
+            "every scene is declared as test, so nothing is left to train on",
+            remedy="name fewer scenes in test",
+        )
+    note = f"declared split: {len(train)} scenes to train on, {len(test)} held out"
+    return Split(dataset.select(train), dataset.select(test), note)
+
+
+def _random(dataset, rng):
+    n_scenes = len(dataset.scenes)
+    n_test = max(1, round(TEST_SHARE * n_scenes))
+    held_out = set(rng.permutation(n_scenes)[:n_test].tolist())
+    test = tuple(scene for k, scene in enumerate(dataset.scenes) if k in held_out)
+    train = tuple(scene for k, scene in enumerate(dataset.scenes) if k not in held_out)
+    note = f"no split declared: {n_test} of {n_scenes} scenes held out at random"
+    return Split(train, test, note)
+
+
+def _in_time(dataset):
+    train, test, gaps = [], [], []
+    for scene in dataset.scenes:
+        gap = _correlation_rows(scene)
+        begin = scene.times[0] + (1 - HELD_OUT_TIME) * (scene.times[-1] - scene.times[0])
+        start = int(np.searchsorted(scene.times, begin))
+        start = min(start, len(scene.times) - MIN_ROWS)
+        stop = start - gap
+        if stop < MIN_ROWS or start < MIN_ROWS:
+            train.append(scene)
+            continue
+        train.append(_renamed(scene.rows(0, stop), "train"))
+        test.append(_renamed(scene.rows(start, None), "held out"))
+        gaps.append(gap)
+    if not test:
+        return Split(tuple(train), (), "no split declared, and the scenes are too short for one")
+    note = (
+        f"no split declared and fewer than {MIN_SCENES} scenes: the last {HELD_OUT_TIME:.0%} of "
+        f"the time held out after a gap of {max(gaps)} row(s)"
+    )
+    return Split(tuple(train), tuple(test), note)
+
+
+def _renamed(scene, suffix):
+    return Scene(
+        f"{scene.name} ({suffix})",
+        scene.times,
+        scene.positions,
+        scene.entities,
+        scene.velocities,
+        scene.sigma,
+    )
+
+
+def _correlation_rows(scene):
+    """Correlation time of the velocity fluctuations in rows, at least 1, at most a tenth."""
+    most = max(1, int(MAX_GAP * len(scene.times)))
+    longest = 1
+    for entity in scene.dynamic:
+        for axis in range(scene.n_dims):
+            x = scene.positions[:, entity, axis]
+            known = np.isfinite(x)
+            if np.count_nonzero(known) < 2 * MIN_ROWS or np.ptp(x[known]) == 0:
+                continue
+            v = np.diff(x[known]) / np.diff(scene.times[known])
+            longest = max(longest, _decay_lag(v, most))
+    return min(longest, most)
+
+
+def _decay_lag(v, most):
+    """First lag at which the autocorrelation of `v`, less its linear trend, is below 1/e."""
+    rows = np.linspace(-1.0, 1.0, len(v))
+    fluctuation = v - v.mean() - rows * (v @ rows) / (rows @ rows)
+    power = fluctuation @ fluctuation
+    if power <= 1e-20 * (v @ v):
+        return 1
+    for lag in range(1, min(most, len(v) - 1) + 1):
+        if fluctuation[lag:] @ fluctuation[:-lag] < power / np.e:
+            return lag
+    return most

@@ -1,0 +1,282 @@
+"""Data sets as folders and lone tables: in (`load_dataset`), and out again (`save_dataset`).
+
+A folder holds ``trajectories.csv``, and if there is more to say ``entities.csv`` and
+``dataset.toml``. Whatever cannot be used is an error that names file, line, column and remedy,
+or a note in `Dataset.notes`; nothing is dropped silently.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from bsp_gp.data.assembly import build_rows, build_scenes
+from bsp_gp.data.conversion import Conversion
+from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
+from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
+from bsp_gp.data.formats import Table, read_table
+from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
+from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.sniffing import NUMBER_COLUMNS, TEXT_COLUMNS, normalise_columns
+from bsp_gp.errors import DataError
+
+__all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
+
+
+def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=None, test=None):
+    """Read a data set folder, or a lone delimited file.
+
+    Parameters
+    ----------
+    path : path-like
+        A folder with ``trajectories.csv``, or a text file (CSV, a Tracker export, a trackpy
+        table).
+    units : mapping of str to str, optional
+        Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
+        ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
+    columns : mapping of str to str, optional
+        Our name of a column -> its name in the file, e.g. ``{"x": "X_cm"}``; and
+        ``velocity="measured"`` if the velocity columns are data in their own right.
+    fps, dt : float, optional
+        Frames per second, or time per frame in the unit of time, where the file counts frames.
+    train, test : str or list of str, optional
+        Names, globs or ranges ``a..b`` of scenes, in place of ``[split]``.
+
+    Returns
+    -------
+    Dataset
+        Numbers are SI where units were declared, else as in the file.
+
+    Raises
+    ------
+    DataError
+        Whatever is wrong with the data, with file, line, column and remedy.
+    """
+    path = Path(path)
+    if path.is_dir():
+        trajectories = path / TRAJECTORIES
+        if not trajectories.is_file():
+            present = ", ".join(sorted(p.name for p in path.iterdir())[:10]) or "nothing"
+            raise DataError(
+                f"the folder has no {TRAJECTORIES}; it holds {present}", file=path,
+                remedy=f"name the table of positions {TRAJECTORIES}, or give the file itself",
+            )  # fmt: skip
+        toml = path / TOML
+        declaration = read_declaration(toml) if toml.is_file() else Declaration()
+        entities = path / ENTITIES
+    elif path.is_file():
+        trajectories, entities, declaration = path, None, Declaration()
+    else:
+        raise DataError("there is no such file or folder", file=path, remedy="check the path")
+    declaration = declaration.override(
+        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test
+    )
+    table = read_table(trajectories, rename=declaration.columns)
+    roster = None
+    if entities is not None and entities.is_file():
+        roster = read_table(entities, rename=declaration.columns, as_text=True)
+    name = path.resolve().name if path.is_dir() else path.stem
+    return _assemble(table, roster, declaration, name)
+
+
+def dataset_from_frames(
+    frames, entities=None, *, name="frames", units=None, columns=None, fps=None, dt=None,
+    train=None, test=None, up=None, noise=None, provenance=None,
+):  # fmt: skip
+    """Make a data set of DataFrames with the columns of ``trajectories.csv``.
+
+    Parameters
+    ----------
+    frames : DataFrame or mapping of str to DataFrame
+        Long tables (those of trackpy too); a mapping gives the names of the scenes.
+    entities : DataFrame or sequence of Entity, optional
+        The content of ``entities.csv``.
+    name, up, noise, provenance
+        As in ``dataset.toml``.
+    units, columns, fps, dt, train, test
+        As for `load_dataset`.
+
+    Returns
+    -------
+    Dataset
+    """
+    noise = None if noise is None else tuple(noise) if hasattr(noise, "__len__") else (noise,)
+    declaration = Declaration(
+        name=name, up=up, noise=noise, provenance=dict(provenance or {}), file="arguments"
+    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test)
+    if isinstance(frames, Mapping):
+        if not frames:
+            raise DataError("frames is an empty mapping; at least one scene is needed")
+        pieces = [_checked_frame(f, "frames").assign(scene=str(k)) for k, f in frames.items()]
+        frames = pd.concat(pieces, ignore_index=True)
+    table = _frame_table(_checked_frame(frames, "frames"), declaration.columns, "frames")
+    if entities is None or isinstance(entities, pd.DataFrame):
+        roster = entities
+        if entities is not None:
+            roster = _frame_table(entities, declaration.columns, "entities")
+    else:
+        roster = _roster_of(tuple(entities))
+    return _assemble(table, roster, declaration, name)
+
+
+def _checked_frame(frame, what):
+    if not isinstance(frame, pd.DataFrame):
+        raise DataError(f"{what} must be a DataFrame or a mapping of them, got {type(frame)}")
+    return frame
+
+
+def _frame_table(frame, rename, what):
+    if frame.empty:
+        raise DataError("the table has no rows", file=what)
+    names, units, renamed = normalise_columns(frame.columns, rename)
+    duplicated = sorted({n for n in names if names.count(n) > 1})
+    if duplicated:
+        raise DataError(f"two columns are named {duplicated[0]!r}", file=what)
+    frame = frame.set_axis(list(names), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
+    notes = ()
+    if what == "frames":
+        unused = [n for n in names if n not in NUMBER_COLUMNS + TEXT_COLUMNS]
+        notes = tuple(f"{what}: column {n!r} is not used" for n in unused)
+        frame = frame.drop(columns=unused)
+    return Table(frame=frame, units=units, renamed=renamed, file=what, notes=notes)
+
+
+def _roster_of(entities):
+    if not all(isinstance(entity, Entity) for entity in entities):
+        raise DataError("entities must be a DataFrame or a sequence of Entity")
+    rows = {(None, entity.name): k for k, entity in enumerate(entities)}
+    if len(rows) < len(entities):
+        raise DataError("two entities have one name", file="entities")
+    return Roster(entities, rows, {}, "entities", ())
+
+
+def _assemble(table, roster, declaration, default_name):
+    """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
+    tables = [t for t in (table, roster) if isinstance(t, Table)]
+    _require_renames(declaration, tables)
+    units = {k: v for t in tables for k, v in t.units.items()} | dict(declaration.units)
+    known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
+    for each in tables:
+        known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
+    known |= {unit for t in tables for unit in t.units}
+    conversion = Conversion(
+        units, known, declaration.file or table.file, has_fps=declaration.fps is not None
+    )
+    if isinstance(roster, Table):
+        shares = [latent.share for latent in declaration.latents]
+        roster = read_roster(roster, conversion, coded=shares)
+    rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    scenes, idle = build_scenes(rows, roster)
+    train, test, split_note = _split(declaration, rows.scene_names)
+    latents, latent_units = _latents(declaration, conversion, rows, roster)
+    notes = [*table.notes, *(roster.notes if roster else ()), *idle, *split_note]
+    has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
+    if has_velocity and declaration.velocity == "ignore":
+        notes.append(
+            'velocity columns are not used; write [columns] velocity = "measured" if they were '
+            "measured and are not differences of positions"
+        )
+    provenance = dict(declaration.provenance)
+    for each in tables:
+        if each.digest:
+            provenance[f"sha256 of {Path(each.file).name}"] = each.digest
+    return Dataset(
+        name=declaration.name or default_name,
+        scenes=scenes,
+        train=train,
+        test=test,
+        units=conversion.system,
+        property_units={**latent_units, **(roster.units if roster else {})},
+        up=_up(declaration, scenes[0].n_dims),
+        noise=_noise(declaration, conversion, scenes[0].n_dims),
+        velocity=declaration.velocity,
+        latents=latents,
+        evaluation=declaration.evaluation,
+        provenance=provenance,
+        notes=tuple(notes),
+    )
+
+
+def _require_renames(declaration, tables):
+    found = frozenset().union(*(table.renamed for table in tables))
+    for ours, theirs in declaration.columns.items():
+        if ours not in found:
+            present = [str(column) for table in tables for column in table.frame.columns]
+            raise DataError(
+                f"[columns] {ours} = {theirs!r}: there is no column of that name; "
+                f"present are {', '.join(present)}",
+                file=declaration.file or tables[0].file,
+                column=ours,
+                remedy="the only other key of [columns] is velocity (measured or ignore)",
+            )
+
+
+def _split(declaration, names):
+    sides = {
+        side: select_scenes(getattr(declaration, side), names, what=side, file=declaration.file)
+        for side in ("train", "test")
+    }
+    overlap = [name for name in sides["train"] if name in set(sides["test"])]
+    if overlap:
+        raise DataError(
+            f"scenes {', '.join(overlap[:5])} are both in train and in test",
+            file=declaration.file, remedy="a held-out scene must not be trained on",
+        )  # fmt: skip
+    note = ()
+    for side, other in (("train", "test"), ("test", "train")):
+        if sides[side] and not sides[other]:
+            chosen = set(sides[side])
+            sides[other] = tuple(name for name in names if name not in chosen)
+            if sides[other]:
+                note = (f"only {side} was declared; the other scenes are {other}",)
+            break
+    return sides["train"], sides["test"], note
+
+
+def _latents(declaration, conversion, rows, roster):
+    latents, units = [], {}
+    columns = {name for e in (roster.entities if roster else ()) for name in e.properties}
+    for latent in declaration.latents:
+        if latent.share not in ("entity", "all", *columns):
+            raise DataError(
+                f"share in [latent.{latent.name}] must be entity, all or a column of entities.csv "
+                f"({', '.join(sorted(columns)) or 'there is none'}), got {latent.share!r}",
+                file=declaration.file,
+            )
+        scale, unit, _ = conversion.property(latent.name)
+        units[latent.name] = unit
+        entities = select_scenes(
+            latent.entities, rows.entity_names, what=f"entities of latent {latent.name}",
+            file=declaration.file,
+        )  # fmt: skip
+        changes = {
+            "low": latent.low * scale,
+            "high": latent.high * scale,
+            "values": tuple(value * scale for value in latent.values),
+            "entities": entities,
+        }
+        latents.append(dataclasses.replace(latent, **changes))
+    return tuple(latents), {k: v for k, v in units.items() if k not in PROPERTY_UNITS}
+
+
+def _up(declaration, n_dims):
+    if declaration.up is not None and declaration.up.strip("-") not in "xyz"[:n_dims]:
+        raise DataError(
+            f"up is {declaration.up!r}, but the data have the axes {', '.join('xyz'[:n_dims])}",
+            file=declaration.file, column="up",
+        )  # fmt: skip
+    return declaration.up
+
+
+def _noise(declaration, conversion, n_dims):
+    if declaration.noise is None:
+        return None
+    if len(declaration.noise) not in (1, n_dims):
+        raise DataError(
+            f"noise must be one number or one per axis ({n_dims}), got {len(declaration.noise)}",
+            file=declaration.file, column="noise",
+        )  # fmt: skip
+    return tuple(value * conversion.length("x") for value in declaration.noise)

@@ -1,0 +1,1 @@
+"""Which masses: posteriors of the latents, and EM over laws and latents."""

@@ -1,0 +1,1 @@
+"""Closing the loop: residuals, the effects behind them, and when to stop."""

@@ -1,0 +1,338 @@
+"""What the loop returns: every round's before and after, the final law, and why it stopped.
+
+`LoopReport.to_dict` is ``report.json``: its top level and ``before``/``after``/``total`` are a
+stable contract, the inside of a round may grow. All ``low``/``high`` are 90 % intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+__all__ = [
+    "SCHEMA", "VERDICTS", "ConstantEstimate", "Effect", "Errors", "LoopReport", "Missing",
+    "Overlay", "Ratio", "ResidualTable", "Rival", "Round",
+]
+
+SCHEMA = "bsp_gp/report/1"
+VERDICTS = ("effect adopted", "nothing missing", "seen, not adopted", "cannot tell")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Error of one model on held-out data.
+
+    Attributes
+    ----------
+    residual_acceleration : float
+        Root mean square, unit `acceleration_unit`.
+    one_step_nrmse : float
+        The paper's metric, in `unit`.
+    rollout_rmse : float
+        Root mean square position error of rollouts from fitted initial states, in `unit`.
+    endpoint : float
+        Median position error at the end-point row, in `unit`.
+    endpoint_mean : float
+    unit, acceleration_unit : str
+    """
+
+    residual_acceleration: float
+    one_step_nrmse: float
+    rollout_rmse: float
+    endpoint: float
+    unit: str
+    endpoint_mean: float = math.nan
+    acceleration_unit: str = ""
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """After divided by before, with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+    method: str = ""
+
+
+@dataclass(frozen=True)
+class ConstantEstimate:
+    """A fitted constant.
+
+    Attributes
+    ----------
+    name : str
+    entity : str
+        The receiver that it belongs to; "" where it is one for all.
+    value, low, high : float
+    unit : str
+        "" if it cannot be said.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str = ""
+    entity: str = ""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Question 1: is anything left above the noise?
+
+    Attributes
+    ----------
+    statistic : float
+        Whitened residual sum of squares per degree of freedom (1 = noise alone).
+    p_value : float
+        Chance of as much, or as strongly autocorrelated a residual, from noise alone.
+    detectable : float
+        Smallest constant acceleration that would have been seen with 95 % power,
+        `detectable_unit`.
+    tests : dict of str to float
+        p-values of the single tests.
+    is_missing : bool
+    """
+
+    statistic: float
+    p_value: float
+    detectable: float
+    detectable_unit: str = ""
+    tests: dict = field(default_factory=dict)
+    is_missing: bool = True
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another explanation that was weighed.
+
+    Attributes
+    ----------
+    name, kind : str
+        Kind as in `Effect`.
+    law, latex : str
+    delta_bic : float
+        BIC minus the adopted (or best) one's; positive = worse.
+    training_share, held_out_ratio : float
+        Part of the training residual explained; held-out error after / before.
+    complexity : float
+    reason : str
+        Why it lost, or that it ties.
+    """
+
+    name: str
+    kind: str
+    law: str
+    latex: str
+    delta_bic: float
+    training_share: float
+    held_out_ratio: float
+    complexity: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A traced effect.
+
+    Attributes
+    ----------
+    name : str
+        In plain words: "drag, linear in speed".
+    kind : str
+        pair | field | hidden_body | measurement | declared_term_change.
+    law, latex : str
+    entities : tuple of str
+    constants : tuple of ConstantEstimate
+    p_value : float
+        Selection included.
+    equivalents : tuple of str
+        Laws that these data cannot tell from it, simplest first.
+    separated_by : str
+        Which measurement would tell them apart.
+    """
+
+    name: str
+    kind: str
+    law: str
+    latex: str
+    entities: tuple[str, ...]
+    constants: tuple[ConstantEstimate, ...]
+    p_value: float
+    equivalents: tuple[str, ...] = ()
+    separated_by: str = ""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One turn of the loop."""
+
+    number: int
+    missing: Missing
+    effect: Effect | None
+    rivals: tuple[Rival, ...]
+    adopted: bool
+    reason: str
+    before: Errors
+    after: Errors | None
+    floor: Errors
+    ratio: Ratio | None
+    held_out: tuple[dict, ...]
+    certificate: str
+    seconds: float = 0.0
+    verdict: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """One held-out entity: what was observed and what the two models predict.
+
+    Attributes
+    ----------
+    scene, entity : str
+    times : ndarray, shape (T,), s
+    observed, declared, adopted : ndarray, shape (T, d), metres
+        nan where there is none. `declared` and `adopted` start from the states fitted on the
+        first `n_initial` rows.
+    n_initial : int
+    """
+
+    scene: str
+    entity: str
+    times: object
+    observed: object
+    declared: object
+    adopted: object
+    n_initial: int
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable:
+    """Residual accelerations row by row; equal-length 1-D arrays.
+
+    Attributes
+    ----------
+    scene, entity, split : list of str
+        Split is "train" or "test".
+    t, speed, distance : ndarray
+        Distance to the nearest other body, nan if there is none.
+    before, after : ndarray
+        Size of the residual acceleration under the declared and the final law.
+    before_along, after_along : ndarray
+        Its signed component along the velocity.
+    """
+
+    scene: list
+    entity: list
+    split: list
+    t: object
+    speed: object
+    distance: object
+    before: object
+    after: object
+    before_along: object
+    after_along: object
+
+
+@dataclass(frozen=True, eq=False)
+class LoopReport:
+    """Everything that a run of the loop found out.
+
+    Attributes
+    ----------
+    dataset : dict
+        name, n_scenes, n_rows, n_entities, train, test, provenance, fingerprint, units.
+    declared : tuple of dict
+        ``{"law", "latex"}`` of every declared term.
+    grammar : dict
+        name, fingerprint.
+    law : ForceLaw
+        The final law with its constants.
+    law_text, law_latex : str
+    constants : tuple of ConstantEstimate
+        Of the final law.
+    noise : dict
+        sigma (list per axis or float), unit, source.
+    total : dict
+        before, after, floor (Errors), ratio (Ratio).
+    verdict, stop_reason : str
+    overlays : tuple of Overlay
+    residuals : ResidualTable or None
+    notes : tuple of str
+        What a reader must know: dropped rows, unknown masses, missing calibration, caveats.
+    extras : tuple of dict
+        Further sections for the page: ``{"title", "paragraphs": [str], "table": [[...]] or None}``.
+    """
+
+    dataset: dict
+    declared: tuple
+    grammar: dict
+    seed: int
+    alpha: float
+    noise: dict
+    rounds: tuple[Round, ...]
+    law: object
+    law_text: str
+    law_latex: str
+    constants: tuple[ConstantEstimate, ...]
+    total: dict
+    verdict: str
+    stop_reason: str
+    versions: dict
+    wall_s: float
+    overlays: tuple[Overlay, ...] = ()
+    residuals: ResidualTable | None = None
+    notes: tuple[str, ...] = ()
+    extras: tuple = ()
+
+    def to_dict(self):
+        """The contents of report.json: plain dicts, lists, numbers and None for nan."""
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "dataset": self.dataset,
+                "declared": list(self.declared),
+                "grammar": self.grammar,
+                "seed": self.seed,
+                "alpha": self.alpha,
+                "noise": self.noise,
+                "rounds": list(self.rounds),
+                "law": {"text": self.law_text, "latex": self.law_latex,
+                        "constants": list(self.constants)},
+                "total": self.total,
+                "verdict": self.verdict,
+                "stop_reason": self.stop_reason,
+                "notes": list(self.notes),
+                "extras": list(self.extras),
+                "versions": self.versions,
+                "wall_s": self.wall_s,
+            }
+        )
+
+    def table(self):
+        """Before and after of every round as a DataFrame, one row per round and model."""
+        import pandas as pd
+
+        rows = []
+        for r in self.rounds:
+            for label, errors in (("before", r.before), ("after", r.after), ("floor", r.floor)):
+                if errors is not None:
+                    rows.append({"round": r.number, "model": label, "adopted": r.adopted,
+                                 **_plain(errors)})
+        return pd.DataFrame(rows)
+
+
+def _plain(value):
+    """Turn dataclasses, tuples and numpy numbers into what JSON can hold; nan and inf -> None."""
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

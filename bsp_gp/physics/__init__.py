@@ -1,0 +1,1 @@
+"""What a law predicts: geometry, forces, dynamics, likelihoods, error metrics."""

@@ -1,0 +1,281 @@
+"""Scenes of one build as stacked arrays, and what they supply to a law.
+
+Scenes with the same number of entities, the same receivers and the same dimensions are stacked
+into a `Batch`; leading axes of arrays are ``[time, scene, entity, xy(z)]``, shorter scenes are
+padded with nan. `PairInputs` and `FieldInputs` look up what a formula names, computed on demand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bsp_gp.errors import LawError
+from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
+from bsp_gp.physics.geometry import Shapes, contact_point
+
+__all__ = ["Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "law_inputs", "stack"]
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """What the entities of S like-built scenes are.
+
+    Attributes
+    ----------
+    names : tuple of tuple of str, S x N
+    receivers : ndarray of int, shape (R,)
+        Indices of the dynamic entities.
+    properties : dict of str to ndarray
+        Column -> shape (S, N), or (S, N, d) for vectors; nan = unknown.
+    shapes : Shapes of arrays (S, N)
+    n_dims : int
+    up : str or None
+    """
+
+    names: tuple
+    receivers: np.ndarray
+    properties: dict
+    shapes: Shapes
+    n_dims: int
+    up: str | None = None
+    others: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        n = len(self.names[0])
+        others = [[j for j in range(n) if j != i] for i in self.receivers]
+        object.__setattr__(self, "others", np.array(others, dtype=int).reshape(len(others), n - 1))
+
+    @property
+    def n_scenes(self):
+        return len(self.names)
+
+    @property
+    def receiver_names(self):
+        """Names of the receivers, S tuples of R."""
+        return tuple(tuple(names[i] for i in self.receivers) for names in self.names)
+
+    def column(self, name):
+        """A property as an array (S, N) or (S, N, d); nan where no entity knows it."""
+        if name in self.properties:
+            return self.properties[name]
+        return np.full((self.n_scenes, len(self.names[0])), np.nan)
+
+    def direction(self, name):
+        """Unit vector of a lab axis, shape (d,)."""
+        vector = np.zeros(self.n_dims)
+        if name.startswith("e_"):
+            vector["xyz".index(name[2])] = 1.0
+            return vector
+        if self.up is None:
+            raise LawError(f"{name!r} needs a declared vertical axis ([axes] up)")
+        sign = (-1.0 if self.up.startswith("-") else 1.0) * (-1.0 if name == "down" else 1.0)
+        vector["xyz".index(self.up[-1])] = sign
+        return vector
+
+
+class _Inputs(Mapping):
+    """Base of the two lookups; values are computed when first asked for."""
+
+    def __init__(self, bodies, positions, velocities, times):
+        self.bodies = bodies
+        self.positions = positions
+        self.velocities = velocities
+        self.times = times
+        self._values = {}
+
+    def __getitem__(self, name):
+        if name not in self._values:
+            self._values[name] = self._compute(name)
+        return self._values[name]
+
+    def __iter__(self):
+        return iter(self._values)
+
+    def __len__(self):
+        return len(self._values)
+
+    def _compute(self, name):
+        if name in DIRECTIONS:
+            return self.bodies.direction(name)
+        if name in ("p_i", "p_j", "v_i", "v_j"):
+            return self._state(self.positions if name[0] == "p" else self.velocities, name[-1])
+        if name in ("s_i", "s_j"):
+            shapes = self.bodies.shapes
+            fields = (shapes.code, shapes.radius, shapes.width, shapes.height)
+            return Shapes(*(self._property(values, name[-1]) for values in fields))
+        if name == "t":
+            return np.asarray(self.times)[(...,) + (None,) * self.tail]
+        if name == "p_c":
+            return contact_point(self["p_i"], self["s_j"], self["p_j"])
+        known = property_of(name)
+        if known is None:
+            raise LawError(f"unknown input {name!r}")
+        return self._property(self.bodies.column(known[0]), known[1])
+
+
+class PairInputs(_Inputs):
+    """Inputs of every receiver and source, shape (..., S, R, N - 1) and a trailing d for vectors.
+
+    Parameters
+    ----------
+    bodies : Bodies
+    positions, velocities : ndarray, shape (..., S, N, d)
+    times : ndarray, shape (..., S)
+    """
+
+    tail = 2
+
+    def _state(self, values, role):
+        if role == "i":
+            return values[..., self.bodies.receivers, None, :]
+        return values[..., self.bodies.others, :]
+
+    def _property(self, values, role):
+        if role == "i":
+            return values[:, self.bodies.receivers, None]
+        return values[:, self.bodies.others]
+
+
+class FieldInputs(_Inputs):
+    """Inputs of every receiver alone, shape (..., S, R) and a trailing d for vectors."""
+
+    tail = 1
+
+    def _state(self, values, role):
+        self._no_source(role)
+        return values[..., self.bodies.receivers, :]
+
+    def _property(self, values, role):
+        self._no_source(role)
+        return values[:, self.bodies.receivers]
+
+    def _no_source(self, role):
+        if role == "j":
+            raise LawError("a field law acts on i alone and cannot name a source j")
+
+
+def law_inputs(kind, bodies, positions, velocities, times):
+    """The lookup for a law of this kind ("pair" or "field")."""
+    lookup = PairInputs if kind == "pair" else FieldInputs
+    return lookup(bodies, positions, velocities, times)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Like-built scenes stacked.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+    bodies : Bodies
+    times : ndarray, shape (T, S), padded with nan
+    positions : ndarray, shape (T, S, N, d)
+    velocities : ndarray, shape (T, S, N, d) or None
+        Measured ones only.
+    """
+
+    scenes: tuple
+    bodies: Bodies
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray | None
+
+
+def stack(scenes, up=None, velocity="ignore"):
+    """Group scenes by build and stack each group; the order of scenes is kept within a group.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    up : str or None
+        Declared vertical axis of the data set.
+    velocity : str
+        "measured" keeps the scenes' velocities.
+
+    Returns
+    -------
+    list of Batch
+    """
+    groups = {}
+    for scene in scenes:
+        measured = velocity == "measured" and scene.velocities is not None
+        key = (len(scene.entities), tuple(scene.dynamic), scene.n_dims, measured)
+        groups.setdefault(key, []).append(scene)
+    return [_batch(tuple(group), key, up) for key, group in groups.items()]
+
+
+def _batch(scenes, key, up):
+    n_entities, receivers, n_dims, measured = key
+    n_times = max(len(scene.times) for scene in scenes)
+    times = np.full((n_times, len(scenes)), np.nan)
+    positions = np.full((n_times, len(scenes), n_entities, n_dims), np.nan)
+    velocities = np.full_like(positions, np.nan) if measured else None
+    for s, scene in enumerate(scenes):
+        times[: len(scene.times), s] = scene.times
+        positions[: len(scene.times), s] = scene.positions
+        if measured:
+            velocities[: len(scene.times), s] = scene.velocities
+    shapes = [Shapes.of(scene.entities) for scene in scenes]
+    stacked = Shapes(
+        *(np.stack([getattr(s, name) for s in shapes]) for name in ("code", "radius", "width", "height"))
+    )
+    bodies = Bodies(
+        names=tuple(scene.names for scene in scenes),
+        receivers=np.array(receivers, dtype=int),
+        properties=_columns(scenes, stacked, n_dims),
+        shapes=stacked,
+        n_dims=n_dims,
+        up=up,
+    )
+    return Batch(scenes, bodies, times, positions, velocities)
+
+
+def _columns(scenes, shapes, n_dims):
+    columns = {}
+    names = {name for scene in scenes for e in scene.entities for name in e.properties}
+    for name in sorted(names):
+        is_vector = any(
+            np.ndim(e.properties.get(name, 0.0)) for scene in scenes for e in scene.entities
+        )
+        blank = (np.nan,) * n_dims if is_vector else np.nan
+        columns[name] = np.array(
+            [[e.properties.get(name, blank) for e in scene.entities] for scene in scenes], dtype=float
+        )
+    columns.setdefault("radius", shapes.radius)
+    return columns
+
+
+def dataset_types(dataset):
+    """Types of the inputs that a data set supplies, for parsing laws and masking grammars.
+
+    Returns
+    -------
+    dict of str to Type
+    """
+    present = set(dataset.property_names)
+    entities = [entity for scene in dataset.scenes for entity in scene.entities]
+    if any(np.isfinite(entity.radius) for entity in entities):
+        present.add("radius")
+    dynamic = {name for e in entities if not e.is_static for name in e.properties}
+    vectors = {
+        name for e in entities for name, value in e.properties.items() if np.ndim(value)
+    }
+    types = input_types(
+        {name: dataset.property_units.get(name) for name in sorted(present | (dynamic & {"mass"}))},
+        vectors=vectors,
+        n_dims=dataset.n_dims,
+        up=dataset.up,
+        has_contact=any(entity.shape != "point" for entity in entities),
+    )
+    if all(len(scene.entities) == 1 for scene in dataset.scenes):
+        for name in [n for n in types if n.endswith("_j") or n in ("p_c", "s_i")]:
+            del types[name]
+    # A bare mass is always speakable: accelerations are what is fitted, and m_i may cancel.
+    from bsp_gp.units import Unit
+
+    for name in ("m_i", "mass_i"):
+        types.setdefault(name, input_types({"mass": Unit.of(kg=1)})[name])
+    return types

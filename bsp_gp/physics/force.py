@@ -1,0 +1,291 @@
+"""Force laws: sums of terms, some declared and some found, and the accelerations they give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from bsp_gp.errors import LawError
+from bsp_gp.language.formula import (
+    Call,
+    Constant,
+    Input,
+    evaluate,
+    evaluate_with_gradient,
+    factors,
+    product,
+)
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.physics.bodies import law_inputs
+from bsp_gp.units import FORCE, Unit
+
+__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear"]
+
+_MASS = ("m_i", "mass_i")
+
+
+def kind_of(formula):
+    """ "pair" if the law mentions the source j (or a contact with it), else "field"."""
+    mentions = any(name.endswith("_j") or name == "p_c" for name in formula.inputs)
+    return "pair" if mentions else "field"
+
+
+def _drop_mass(formula):
+    """The formula without a plain factor m_i, and whether there was exactly one to drop."""
+    above, below = factors(formula)
+    plain = [k for k, f in enumerate(above) if isinstance(f, Input) and f.name in _MASS]
+    if len(plain) != 1:
+        return formula, False
+    rest = [f for k, f in enumerate(above) if k != plain[0]]
+    if any(f.inputs & set(_MASS) for f in rest + below):
+        return formula, False
+    above_product = product(rest)
+    return (Call("div", above_product, product(below)) if below else above_product), True
+
+
+@dataclass(frozen=True)
+class Term:
+    """One force of a law.
+
+    Attributes
+    ----------
+    formula : Formula
+        A vector; its constants are looked up in the law.
+    kind : str
+        "pair": summed over all sources; "field": acts on i alone.
+    is_declared : bool
+        True for terms that the user declared.
+    """
+
+    formula: object
+    kind: str = ""
+    is_declared: bool = False
+    _accelerating: object = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        if self.formula.type.shape != "vector":
+            raise LawError(
+                f"a force must be a vector, got a {self.formula.type.shape}: "
+                f"{to_text(self.formula)}; multiply by a direction such as normalize(p_j - p_i)"
+            )
+        if not self.kind:
+            object.__setattr__(self, "kind", kind_of(self.formula))
+        object.__setattr__(self, "_accelerating", _drop_mass(self.formula))
+
+    @property
+    def needs_mass(self):
+        """Whether the acceleration depends on the receiver's mass."""
+        return not self._accelerating[1]
+
+    @property
+    def acceleration_formula(self):
+        """Formula to evaluate; to be divided by the mass where `needs_mass`."""
+        return self._accelerating[0]
+
+
+@dataclass(frozen=True)
+class ForceLaw:
+    """A sum of terms with the values of their constants.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+    constants : mapping of str to float, or to a mapping of entity name to float
+        Every constant that the terms name. A mapping means one value per receiver.
+    """
+
+    terms: tuple[Term, ...] = ()
+    constants: Mapping = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "terms", tuple(self.terms))
+        constants = {
+            name: MappingProxyType(dict(value)) if isinstance(value, Mapping) else float(value)
+            for name, value in self.constants.items()
+        }
+        object.__setattr__(self, "constants", MappingProxyType(constants))
+
+    def __reduce__(self):
+        plain = {
+            name: dict(value) if isinstance(value, Mapping) else value
+            for name, value in self.constants.items()
+        }
+        return (ForceLaw, (self.terms, plain))
+
+    @property
+    def names(self):
+        """Names of the free constants, in order of appearance."""
+        return tuple(dict.fromkeys(n for term in self.terms for n in term.formula.constants))
+
+    def with_constants(self, constants):
+        """The same law with (some) constants changed."""
+        return replace(self, constants={**self.constants, **constants})
+
+    def plus(self, term, constants=None):
+        """The law with one more term."""
+        return ForceLaw((*self.terms, term), {**self.constants, **(constants or {})})
+
+    def without(self, index):
+        """The law without its term number `index`; constants that nothing names are dropped."""
+        terms = self.terms[:index] + self.terms[index + 1 :]
+        law = ForceLaw(terms, {})
+        return law.with_constants({n: self.constants[n] for n in law.names if n in self.constants})
+
+    def values(self, bodies):
+        """Constants ready for evaluation in these scenes, by kind of term.
+
+        Returns
+        -------
+        dict of str to dict
+            ``{"field": {...}, "pair": {...}}``; per-entity constants become arrays (S, R) for
+            field laws and (S, R, 1) for pair laws.
+        """
+        out = {"field": {}, "pair": {}}
+        for name, value in self.constants.items():
+            if isinstance(value, Mapping):
+                array = np.array(
+                    [[value.get(n, np.nan) for n in names] for names in bodies.receiver_names]
+                )
+                out["field"][name], out["pair"][name] = array, array[..., None]
+            else:
+                out["field"][name] = out["pair"][name] = value
+        return out
+
+    def acceleration(self, bodies, positions, velocities, times):
+        """Acceleration of every receiver.
+
+        Parameters
+        ----------
+        bodies : Bodies
+        positions, velocities : ndarray, shape (..., S, N, d), m and m/s
+        times : ndarray, shape (..., S), s
+
+        Returns
+        -------
+        ndarray, shape (..., S, R, d), m/s^2
+            nan where a law needs a mass that is unknown.
+        """
+        values = self.values(bodies)
+        lookups = {}
+        shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
+        total = np.zeros(shape)
+        for term in self.terms:
+            if term.kind not in lookups:
+                lookups[term.kind] = law_inputs(term.kind, bodies, positions, velocities, times)
+            force = evaluate(term.acceleration_formula, lookups[term.kind], values[term.kind])
+            total = total + settle(force, term, bodies, shape, self.is_per_entity(term))
+        return total
+
+    def is_per_entity(self, term):
+        """Whether a constant of the term has one value per receiver."""
+        return any(isinstance(self.constants.get(n), Mapping) for n in term.formula.constants)
+
+    def text(self, digits=True, units=None):
+        """The law as text; with `digits`, constants are written as numbers."""
+        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+        parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
+        return " + ".join(parts) if parts else "0"
+
+    def latex(self, digits=True, units=None):
+        """The law typeset as LaTeX."""
+        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+        parts = []
+        for term in self.terms:
+            body = to_latex(term.formula, values if digits else {}, units or {})
+            parts.append(rf"\sum_{{j\ne i}} {body}" if term.kind == "pair" else body)
+        return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
+
+
+def settle(force, term, bodies, shape, per_entity=False):
+    """Sum a term's values over sources and turn the force into an acceleration.
+
+    A receiver of which a property that the term needs is unknown cannot feel the term: its
+    acceleration is 0. With constants of its own (`per_entity`) only its mass is not needed:
+    the constant is then per unit mass.
+    """
+    if term.kind == "pair":
+        force = np.broadcast_to(force, (*shape[:-1], bodies.others.shape[1], shape[-1])).sum(axis=-2)
+    if term.needs_mass:
+        mass = bodies.column("mass")[:, bodies.receivers]
+        force = force / np.where(np.isnan(mass), 1.0 if per_entity else np.inf, mass)[..., None]
+    unknown = unknown_receivers(term, bodies)
+    if unknown.any():
+        force = np.where(unknown[..., None], 0.0, force)
+    return np.broadcast_to(force, shape)
+
+
+def unknown_receivers(term, bodies):
+    """Receivers of which the term names a property (beside a cancelling mass) that is unknown.
+
+    Returns
+    -------
+    ndarray of bool, shape (S, R)
+    """
+    unknown = np.zeros((bodies.n_scenes, len(bodies.receivers)), dtype=bool)
+    for name in term.acceleration_formula.inputs:
+        known = property_of(name)
+        if known and known[1] == "i":
+            column = bodies.column(known[0])[:, bodies.receivers]
+            unknown |= np.isnan(column).reshape(*unknown.shape, -1).any(axis=-1)
+    return unknown
+
+
+def term_gradient(law, term, bodies, positions, velocities, times):
+    """Acceleration of one term and its exact derivatives by the (scalar) constants of the term.
+
+    Returns
+    -------
+    value : ndarray, shape (..., S, R, d)
+    gradient : dict of str to ndarray of that shape
+    """
+    lookup = law_inputs(term.kind, bodies, positions, velocities, times)
+    shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
+    names = term.formula.constants
+    value, gradient = evaluate_with_gradient(
+        term.acceleration_formula, lookup, law.values(bodies)[term.kind], names
+    )
+    own = law.is_per_entity(term)
+    return settle(value, term, bodies, shape, own), {
+        name: settle(slope, term, bodies, shape, own)
+        for name, slope in gradient.items()
+        if slope is not None
+    }
+
+
+def split_linear(formula):
+    """Split a product into its linear constant and the rest.
+
+    Returns
+    -------
+    name : str or None
+        The constant that multiplies everything, if there is exactly one such factor and it
+        occurs nowhere else.
+    rest : Formula
+        The formula without it.
+    """
+    above, below = factors(formula)
+    free = [k for k, f in enumerate(above) if isinstance(f, Constant)]
+    for k in free:
+        rest = above[:k] + above[k + 1 :]
+        if all(above[k].name not in f.constants for f in rest + below):
+            top = product(rest)
+            return above[k].name, (Call("div", top, product(below)) if below else top)
+    return None, formula
+
+
+def constant_units(term):
+    """Unit of the linear constant of a term: what turns the rest into a force.
+
+    Returns
+    -------
+    dict of str to Unit
+        Empty if the rest of the term has other constants with open units.
+    """
+    name, rest = split_linear(term.formula)
+    if name is None or rest.type.unit is None:
+        return {}
+    return {name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}

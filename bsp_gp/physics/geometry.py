@@ -1,0 +1,93 @@
+"""Contact geometry of discs, walls and mats, as the paper's data have it (DESIGN §8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["POINT", "DISC", "MAT", "WALL", "Shapes", "contact_point"]
+
+POINT, DISC, WALL, MAT = 0, 1, 2, 3
+CODES = {"point": POINT, "disc": DISC, "rect_wall": WALL, "rect_mat": MAT}
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Shape codes and sizes as broadcastable arrays; nan where a size does not apply."""
+
+    code: np.ndarray
+    radius: np.ndarray
+    width: np.ndarray
+    height: np.ndarray
+
+    @classmethod
+    def of(cls, entities):
+        """Collect the shapes of entities, arrays of shape (N,)."""
+        return cls(
+            np.array([CODES[e.shape] for e in entities]),
+            np.array([e.radius for e in entities], dtype=float),
+            np.array([e.width for e in entities], dtype=float),
+            np.array([e.height for e in entities], dtype=float),
+        )
+
+    def __getitem__(self, index):
+        return Shapes(self.code[index], self.radius[index], self.width[index], self.height[index])
+
+    def collides(self, p_self, other, p_other):
+        """1.0 where a disc touches another disc or a wall, else 0.0.
+
+        Disc and disc: centres closer than the sum of the radii. Disc and wall: |dx| < W/2 + r
+        and |dy| < H/2 + r, the wall being the other.
+        """
+        gap = np.asarray(p_self) - p_other
+        with np.errstate(invalid="ignore"):
+            near = np.einsum("...k,...k->...", gap, gap) < (self.radius + other.radius) ** 2
+            inside = (np.abs(gap[..., 0]) < other.width / 2 + self.radius) & (
+                np.abs(gap[..., 1]) < other.height / 2 + self.radius
+            )
+        disc = self.code == DISC
+        touching = (disc & (other.code == DISC) & near) | (disc & (other.code == WALL) & inside)
+        return touching.astype(float)
+
+    def is_on(self, p_self, other, p_other):
+        """1.0 where the centre is over a mat: |dx| <= W/2 and |dy| <= H/2, else 0.0."""
+        gap = np.abs(np.asarray(p_self) - p_other)
+        with np.errstate(invalid="ignore"):
+            inside = (gap[..., 0] <= other.width / 2) & (gap[..., 1] <= other.height / 2)
+        return ((other.code == MAT) & inside).astype(float)
+
+    def contact_margin(self, p_self, other, p_other):
+        """Signed distance to the nearest flip of `collides` or `is_on`, metres; inf if none.
+
+        A row whose margin is below a few standard errors of position has an unsure condition.
+        """
+        gap = np.asarray(p_self) - p_other
+        with np.errstate(invalid="ignore"):
+            discs = np.sqrt(np.einsum("...k,...k->...", gap, gap)) - (self.radius + other.radius)
+            size = np.where(self.code == DISC, self.radius, 0.0)
+            extra = np.where(other.code == WALL, size, 0.0)
+            dx = np.abs(gap[..., 0]) - (other.width / 2 + extra)
+            dy = np.abs(gap[..., 1]) - (other.height / 2 + extra)
+            box = np.where(
+                (dx > 0) & (dy > 0), np.hypot(dx, dy), np.maximum(dx, dy)
+            )
+        margin = np.full(np.broadcast_shapes(discs.shape, box.shape), np.inf)
+        disc_pair = np.broadcast_to((self.code == DISC) & (other.code == DISC), margin.shape)
+        rect = np.broadcast_to((other.code == WALL) | (other.code == MAT), margin.shape)
+        margin = np.where(disc_pair, np.abs(discs), margin)
+        return np.where(rect, np.abs(box), margin)
+
+
+def contact_point(p_self, other, p_other):
+    """Point where the other would be touched: its centre, or for walls the foot point.
+
+    For a wall wider than high (x_self, y_wall), otherwise (x_wall, y_self).
+    """
+    p_self, p_other = np.broadcast_arrays(p_self, p_other)
+    point = p_other.copy()
+    wall = np.broadcast_to(other.code == WALL, point.shape[:-1])
+    wide = np.broadcast_to(other.width > other.height, point.shape[:-1])
+    point[..., 0] = np.where(wall & wide, p_self[..., 0], point[..., 0])
+    point[..., 1] = np.where(wall & ~wide, p_self[..., 1], point[..., 1])
+    return point

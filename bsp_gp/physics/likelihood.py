@@ -1,0 +1,378 @@
+"""What a law must explain: accelerations at instants, with the covariance of their errors.
+
+Three ways to read them off a track, one interface (`Regression`):
+
+``one_step``
+    The paper's vectorised likelihood (section 3.3.1): velocity by backward difference, one
+    symplectic Euler step, independent Gaussian errors of position.
+``gls``
+    The same second differences with the exact covariance that white position noise gives to
+    them, and velocities by central difference: generalised least squares, equivalent to fitting
+    positions with free initial states.
+``derivative``
+    For data with *measured* velocities: their derivative by a central difference of high order.
+
+A weak form against compact test functions has its place beside these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bsp_gp.errors import DataError, EvaluationError, SettingsError
+from bsp_gp.language.formula import evaluate
+from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.force import settle, term_gradient
+
+__all__ = ["METHODS", "Regression", "RegressionBatch", "build_regression", "difference_weights"]
+
+METHODS = ("one_step", "gls", "derivative")
+DERIVATIVE_POINTS = 11
+DENSE_LIMIT = 1500
+"""Longest track (rows) whose whitening matrix is kept dense."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionBatch:
+    """Instants of like-built scenes.
+
+    Attributes
+    ----------
+    bodies : Bodies
+    times : ndarray, shape (n, S), s
+    positions, velocities : ndarray, shape (n, S, N, d)
+        The state at which a law is evaluated.
+    target : ndarray, shape (n, S, R, d), m/s^2
+        Observed accelerations; 0 where not valid.
+    valid : ndarray of bool, shape (n, S, R, d)
+    scale : ndarray, shape (n, S, R, d)
+        1 / standard deviation of independent errors; 0 where not valid.
+    whitener : ndarray or None
+        ``(n, n)`` shared or ``(S, R, n, n)``: applied along time before `scale`; None = identity.
+    """
+
+    bodies: object
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    target: np.ndarray
+    valid: np.ndarray
+    scale: np.ndarray
+    whitener: np.ndarray | None = None
+
+    def whiten(self, values):
+        """Whiten accelerations, shape (n, S, R, ..., d); invalid rows become 0."""
+        extra = values.ndim - 4
+        index = (slice(None),) * 3 + (None,) * extra
+        values = np.where(self.valid[index], values, 0.0)
+        if self.whitener is not None:
+            if self.whitener.ndim == 2:
+                values = np.tensordot(self.whitener, values, axes=(1, 0))
+            else:
+                values = np.einsum("srtu,usr...->tsr...", self.whitener, values, optimize=True)
+        return values * self.scale[index]
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """All instants of some scenes, ready for laws.
+
+    Attributes
+    ----------
+    batches : tuple of RegressionBatch
+    method : str
+    sigma : ndarray, shape (d,)
+        Standard deviation used: of positions, metres (``one_step``, ``gls``) or of
+        accelerations (``derivative``).
+    scenes : tuple of Scene
+    """
+
+    batches: tuple[RegressionBatch, ...]
+    method: str
+    sigma: np.ndarray
+    scenes: tuple
+    n_rows: int = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "n_rows", int(sum(batch.valid.sum() for batch in self.batches)))
+
+    def target(self):
+        """Whitened observed accelerations, one vector."""
+        return self._flat(batch.whiten(batch.target) for batch in self.batches)
+
+    def residual(self, law):
+        """Whitened observed minus predicted accelerations, one vector.
+
+        Raises
+        ------
+        EvaluationError
+            If the law has no finite value at a valid instant.
+        """
+        return self._flat(
+            batch.whiten(batch.target - checked(self.predict(batch, law), batch))
+            for batch in self.batches
+        )
+
+    def predict(self, batch, law):
+        """Accelerations of a law at the instants of a batch, shape (n, S, R, d)."""
+        return law.acceleration(batch.bodies, batch.positions, batch.velocities, batch.times)
+
+    def column(self, term, per_entity=False):
+        """Whitened acceleration of a constant-free term: one vector, or a column per receiver.
+
+        Returns
+        -------
+        columns : ndarray, shape (n_flat, k)
+        names : tuple of str
+            Receiver names for ``per_entity``, else ``("",)``.
+        """
+        parts = []
+        for batch in self.batches:
+            lookup = law_inputs(term.kind, batch.bodies, batch.positions, batch.velocities, batch.times)
+            value = settle(
+                evaluate(term.acceleration_formula, lookup), term, batch.bodies, batch.target.shape,
+                per_entity,
+            )
+            parts.append(batch.whiten(checked(value, batch)))
+        if not per_entity:
+            return self._flat(parts)[:, None], ("",)
+        names = self.receiver_names()
+        columns = []
+        for name in names:
+            pieces = []
+            for batch, part in zip(self.batches, parts, strict=True):
+                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
+                pieces.append(part * mine[..., None])
+            columns.append(self._flat(pieces))
+        return np.stack(columns, axis=1), names
+
+    def gradient(self, law, term):
+        """Whitened derivatives of one term by its constants, dict of vectors."""
+        out = {}
+        for batch in self.batches:
+            _, slopes = term_gradient(
+                law, term, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
+            for name, slope in slopes.items():
+                out.setdefault(name, []).append(batch.whiten(checked(slope, batch)))
+        return {name: self._flat(parts) for name, parts in out.items()}
+
+    def receiver_names(self):
+        """Names of all receivers, in order of first appearance."""
+        return tuple(
+            dict.fromkeys(
+                name for batch in self.batches for row in batch.bodies.receiver_names for name in row
+            )
+        )
+
+    def raw_residuals(self, law):
+        """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""
+        return [
+            np.where(batch.valid, batch.target - self.predict(batch, law), np.nan)
+            for batch in self.batches
+        ]
+
+    def _flat(self, parts):
+        return np.concatenate([np.ravel(part) for part in parts]) if self.batches else np.zeros(0)
+
+
+def checked(values, batch):
+    """Return values (n, S, R, d), or raise EvaluationError where a valid row is not finite."""
+    bad = ~np.isfinite(values) & batch.valid
+    if bad.any():
+        raise EvaluationError(f"the law has no finite value at {int(bad.sum())} instants")
+    return np.where(batch.valid, values, 0.0)
+
+
+def build_regression(
+    scenes, *, method="one_step", sigma=None, up=None, velocity="ignore", sources=True
+):
+    """Read accelerations off measured tracks.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    method : str
+        One of `METHODS`.
+    sigma : array-like, shape (d,) or float, optional
+        Standard deviation of positions (``derivative``: of accelerations); 1 if None. A nan axis
+        (without variation) is left out.
+    up : str, optional
+        Declared vertical axis.
+    velocity : str
+        "measured" to use the velocity columns; needed by ``derivative``.
+    sources : bool
+        Whether laws may name other bodies: then rows where any of them is lost are left out.
+
+    Raises
+    ------
+    DataError
+        If no row is left.
+    """
+    if method not in METHODS:
+        raise SettingsError(f"likelihood must be one of {', '.join(METHODS)}, got {method!r}")
+    n_dims = scenes[0].n_dims
+    sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
+    measured = "measured" if method == "derivative" else "ignore"
+    batches = [
+        _regression_batch(batch, method, sigma, sources) for batch in stack(scenes, up, measured)
+    ]
+    regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
+    if not regression.n_rows:
+        raise DataError(
+            "no instant is usable: a force needs a body in three successive frames"
+            + (", with every other body seen as well" if sources else "")
+        )
+    return regression
+
+
+def _regression_batch(batch, method, sigma, sources):
+    bodies = batch.bodies
+    if method == "derivative":
+        state, target, whitener, scale = _from_velocities(batch)
+    else:
+        state, target, whitener, scale = _from_positions(batch, method, sigma)
+    times, positions, velocities = state
+    target = target[:, :, bodies.receivers]
+    valid = np.isfinite(target) & np.isfinite(sigma)
+    own = np.isfinite(velocities[:, :, bodies.receivers]).all(axis=-1)
+    if sources:
+        own &= (np.isfinite(positions) & np.isfinite(velocities)).all(axis=(-1, -2))[..., None]
+    valid &= own[..., None]
+    target = np.where(valid, target, 0.0)
+    safe = np.where(np.isfinite(sigma), sigma, 1.0)
+    scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
+    if method == "gls":
+        whitener = _gls_whitener(batch.times, valid)
+    return RegressionBatch(bodies, times, positions, velocities, target, valid, scale, whitener)
+
+
+def _steps(times):
+    h = np.diff(times, axis=0)[..., None, None]
+    return h[:-1], h[1:]
+
+
+def _from_positions(batch, method, sigma):
+    p = batch.positions
+    before, after = _steps(batch.times)
+    step_back = (p[1:-1] - p[:-2]) / before
+    step_on = (p[2:] - p[1:-1]) / after
+    target = (step_on - step_back) / ((before + after) / 2)
+    if method == "one_step":
+        velocities = step_back
+        scale = after * (before + after) / 2  # back to an error of position
+    else:
+        velocities = (before * step_on + after * step_back) / (before + after)
+        scale = np.ones_like(after)
+    static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
+    still = static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
+    velocities = np.where(still[:, None] & np.isfinite(velocities), 0.0, velocities)
+    return (batch.times[1:-1], p[1:-1], velocities), target, None, np.nan_to_num(scale)
+
+
+def _from_velocities(batch):
+    if batch.velocities is None:
+        raise DataError(
+            "the likelihood 'derivative' needs measured velocities (columns vx, vy and "
+            '[columns] velocity = "measured")'
+        )
+    half = DERIVATIVE_POINTS // 2
+    n = batch.times.shape[0]
+    if n <= 2 * half:
+        raise DataError(f"the likelihood 'derivative' needs more than {2 * half} rows, got {n}")
+    target = np.full_like(batch.velocities[half:-half], np.nan)
+    for s in range(batch.times.shape[1]):
+        times = batch.times[:, s]
+        for k in range(half, n - half):
+            if np.isfinite(times[k + half]):
+                window = slice(k - half, k + half + 1)
+                weights = difference_weights(times[window] - times[k], 1)
+                target[k - half, s] = np.tensordot(weights, batch.velocities[window, s], axes=1)
+    inner = slice(half, n - half)
+    state = (batch.times[inner], batch.positions[inner], batch.velocities[inner])
+    return state, target, None, 1.0
+
+
+def difference_weights(offsets, order):
+    """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
+
+    Parameters
+    ----------
+    offsets : ndarray, shape (k,)
+        Places of the samples relative to where the derivative is wanted.
+    order : int
+        Order of the derivative.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+    """
+    # Scaled to unit spacing, so that the powers stay near one.
+    width = np.max(np.abs(offsets))
+    x = np.asarray(offsets, dtype=float) / width
+    n = len(x)
+    weights = np.zeros((n, order + 1))
+    weights[0, 0] = 1.0
+    c1, c4 = 1.0, x[0]
+    for i in range(1, n):
+        top = min(i, order)
+        c2, c5, c4 = 1.0, c4, x[i]
+        for j in range(i):
+            c3 = x[i] - x[j]
+            c2 *= c3
+            if j == i - 1:
+                for k in range(top, 0, -1):
+                    weights[i, k] = c1 * (k * weights[i - 1, k - 1] - c5 * weights[i - 1, k]) / c2
+                weights[i, 0] = -c1 * c5 * weights[i - 1, 0] / c2
+            for k in range(top, 0, -1):
+                weights[j, k] = (c4 * weights[j, k] - k * weights[j, k - 1]) / c3
+            weights[j, 0] = c4 * weights[j, 0] / c3
+        c1 = c2
+    return weights[:, order] / width**order
+
+
+def _difference_matrix(times):
+    """Rows of the second difference of positions, shape (T - 2, T), for one grid of times."""
+    before, after = np.diff(times)[:-1], np.diff(times)[1:]
+    n = len(times) - 2
+    matrix = np.zeros((n, n + 2))
+    rows = np.arange(n)
+    matrix[rows, rows] = 2 / (before * (before + after))
+    matrix[rows, rows + 2] = 2 / (after * (before + after))
+    matrix[rows, rows + 1] = -matrix[rows, rows] - matrix[rows, rows + 2]
+    return matrix
+
+
+def _gls_whitener(times, valid):
+    """Inverse Cholesky factors of the covariance of second differences, per unit sigma."""
+    from scipy.linalg import solve_triangular
+
+    n_times, n_scenes = times.shape
+    rows_valid = valid.any(axis=-1)  # (n, S, R)
+    same_grid = np.all(times == times[:, :1])
+    if same_grid and rows_valid.all():
+        return _whitening_block(times[:, 0], np.ones(n_times - 2, dtype=bool), solve_triangular)
+    if n_times > DENSE_LIMIT:
+        raise DataError(
+            f"tracks of {n_times} rows with gaps or differing times are too long for the exact "
+            "covariance; split them into scenes of at most 1500 rows"
+        )
+    blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))
+    for s in range(n_scenes):
+        for r in range(valid.shape[2]):
+            blocks[s, r] = _whitening_block(times[:, s], rows_valid[:, s, r], solve_triangular)
+    return blocks
+
+
+def _whitening_block(times, rows, solve_triangular):
+    n = len(times) - 2
+    block = np.zeros((n, n))
+    if not rows.any():
+        return block
+    matrix = np.nan_to_num(_difference_matrix(times))[rows]
+    factor = np.linalg.cholesky(matrix @ matrix.T)
+    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+    block[np.ix_(rows, rows)] = inverse
+    return block

@@ -1,0 +1,1 @@
+"""The M-step: which law. Strategies share one objective and one notion of a candidate."""

@@ -1,0 +1,310 @@
+"""Bottom-up enumeration: every value that a nonterminal can take on the data, each once.
+
+Derivations with the same values on the rows are merged (the one with fewest levels, then the
+likeliest, is kept), so that a bank holds a few hundred distinct values where the grammar has
+millions of derivations.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.errors import UnitError
+from bsp_gp.language.expression import Expression
+from bsp_gp.language.formula import evaluate
+from bsp_gp.language.grammar import fill
+from bsp_gp.physics.bodies import law_inputs
+
+__all__ = ["Banks", "Entry", "Rows", "distinct_directions", "fingerprints", "merge_proportional"]
+
+DIGITS = 11
+"""Values that agree to this many digits (of their norm) are one value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One distinct value of a nonterminal.
+
+    Attributes
+    ----------
+    formula : Formula
+    expression : Expression
+    complexity : float
+        -log p under the uniform PCFG, nats.
+    levels : int
+    value : ndarray
+        On the rows, flat: (P,) or (P, d).
+    ties : tuple of Formula
+        Merged formulas that are proportional on the data.
+    """
+
+    formula: object
+    expression: object
+    complexity: float
+    levels: int
+    value: np.ndarray
+    ties: tuple = ()
+
+
+class Rows:
+    """The places where a law of one kind is evaluated, flat over the batches of a regression.
+
+    Attributes
+    ----------
+    shapes : list of tuple
+        ``(n, S, R, J)`` of each batch; J is 1 for field laws.
+    n_rows : int
+    """
+
+    def __init__(self, regression, kind):
+        self.kind = kind
+        self.regression = regression
+        self.lookups = [
+            law_inputs(kind, b.bodies, b.positions, b.velocities, b.times) for b in regression.batches
+        ]
+        self.shapes = []
+        self.valid = []
+        for batch in regression.batches:
+            n_sources = batch.bodies.others.shape[1] if kind == "pair" else 1
+            shape = (*batch.target.shape[:3], n_sources)
+            self.shapes.append(shape)
+            self.valid.append(np.broadcast_to(batch.valid.any(axis=-1)[..., None], shape).ravel())
+        self.keep = np.concatenate(self.valid) if self.valid else np.zeros(0, dtype=bool)
+        self.n_rows = int(self.keep.sum())
+        self.n_dims = regression.batches[0].bodies.n_dims
+        self._inputs = {}
+
+    def input(self, name, is_vector):
+        """Values of an input on the valid rows, (P,) or (P, d)."""
+        if name not in self._inputs:
+            parts = []
+            for lookup, shape in zip(self.lookups, self.shapes, strict=True):
+                value = lookup[name]
+                full = (*shape[: 3 if self.kind == "field" else 4], *((self.n_dims,) if is_vector else ()))
+                value = np.broadcast_to(value, full)
+                parts.append(value.reshape(-1, self.n_dims) if is_vector else value.ravel())
+            self._inputs[name] = np.concatenate(parts)[self.keep]
+        return self._inputs[name]
+
+    def shape_input(self, name):
+        """Shapes of receivers or sources on the valid rows."""
+        from bsp_gp.physics.geometry import Shapes
+
+        if name not in self._inputs:
+            columns = []
+            for attribute in ("code", "radius", "width", "height"):
+                parts = [
+                    np.broadcast_to(getattr(lookup[name], attribute), shape).ravel()
+                    for lookup, shape in zip(self.lookups, self.shapes, strict=True)
+                ]
+                columns.append(np.concatenate(parts)[self.keep])
+            self._inputs[name] = Shapes(*columns)
+        return self._inputs[name]
+
+    def inputs_for(self, formula_inputs, types):
+        """Mapping of the named inputs, flat."""
+        out = {}
+        for name in formula_inputs:
+            shape = types[name].shape
+            out[name] = (
+                self.shape_input(name) if shape == "shape"
+                else self.input(name, shape in ("vector", "point"))
+            )
+        return out
+
+    def unflatten(self, value):
+        """Put flat values back: one array (n, S, R, J[, d]) per batch, 0 at invalid rows."""
+        tail = value.shape[1:]
+        full = np.zeros((len(self.keep), *tail))
+        full[self.keep] = value
+        out, start = [], 0
+        for shape in self.shapes:
+            size = int(np.prod(shape))
+            out.append(full[start : start + size].reshape(*shape, *tail))
+            start += size
+        return out
+
+
+class _Leaf:
+    """Stands in for a child's formula while a rule body is evaluated on stored values."""
+
+
+class Banks:
+    """Distinct values of every nonterminal within a bound on levels.
+
+    Parameters
+    ----------
+    grammar : Grammar
+        Masked to what the data supply.
+    rows : Rows
+    log_probs : ndarray, shape (n_rules,)
+        Under the uniform PCFG.
+    """
+
+    def __init__(self, grammar, rows, log_probs):
+        self.grammar = grammar
+        self.rows = rows
+        self.log_probs = log_probs
+        self.n_failed = 0
+        self._levels = {}
+        self._seen = {}
+        self._weights = np.random.default_rng(20211).standard_normal((rows.n_rows, rows.n_dims, 3))
+
+    def bank(self, nonterminal, max_levels):
+        """All distinct entries of at most `max_levels` levels, fewest levels first."""
+        out = []
+        for level in range(1, max_levels + 1):
+            out.extend(self._level(nonterminal, level))
+        return out
+
+    def _level(self, nonterminal, level):
+        key = (nonterminal, level)
+        if key not in self._levels:
+            self._levels[key] = []  # a recursive nonterminal sees only lower levels
+            if level > 1:
+                self._level(nonterminal, level - 1)
+            self._levels[key] = self._new_entries(nonterminal, level)
+        return self._levels[key]
+
+    def _new_entries(self, nonterminal, level):
+        found = {}
+        seen = self._seen.setdefault(nonterminal, set())
+        for rule in self.grammar.rules_of[nonterminal]:
+            for children in self._child_tuples(rule, level):
+                entry = self._build(rule, children)
+                if entry is None:
+                    continue
+                key = self._key(entry.value)
+                if key in seen:
+                    continue
+                if key not in found or entry.complexity < found[key].complexity:
+                    found[key] = entry
+        seen.update(found)
+        return list(found.values())
+
+    def _child_tuples(self, rule, level):
+        if not rule.children:
+            return [()] if level == 1 else []
+        if level == 1:
+            return []
+        lower = [self.bank(child, level - 1) for child in rule.children]
+        return (
+            children
+            for children in itertools.product(*lower)
+            if max(child.levels for child in children) == level - 1
+        )
+
+    def _build(self, rule, children):
+        try:
+            formula = fill(rule.body, [child.formula for child in children])
+        except UnitError:
+            self.n_failed += 1
+            return None
+        value = self._value(rule, children, formula)
+        if value is None or not np.any(value):
+            return None
+        complexity = sum(child.complexity for child in children) - self.log_probs[rule.index]
+        expression = Expression(rule.index, [child.expression for child in children])
+        return Entry(formula, expression, complexity, expression.levels, value)
+
+    def _value(self, rule, children, formula):
+        stored = {child.formula: child.value for child in children}
+        if formula in stored:
+            return stored[formula]
+        inputs = self.rows.inputs_for(formula.inputs, _types_in(formula))
+        value = evaluate(formula, inputs, cache=_Overlay(stored))
+        shape = (self.rows.n_rows, self.rows.n_dims)
+        value = np.broadcast_to(
+            value, shape if formula.type.shape in ("vector", "point") else shape[:1]
+        ).astype(float)
+        if not np.all(np.isfinite(value)):
+            self.n_failed += 1
+            return None
+        return value
+
+    def _key(self, value):
+        return fingerprints([value], self._weights, merge_scale=False)[0]
+
+
+class _Overlay(dict):
+    """A cache that knows the children's values and does not keep intermediate ones."""
+
+    def __setitem__(self, key, value):
+        pass
+
+
+def _types_in(formula):
+    from bsp_gp.language.formula import Input, walk
+
+    return {node.name: node.type for node in walk(formula) if isinstance(node, Input)}
+
+
+def fingerprints(values, weights, merge_scale):
+    """Hashable keys: equal values have equal keys; with `merge_scale` proportional ones too.
+
+    Three random projections of the normalised values, rounded to `DIGITS` digits; the sign is
+    taken from the first projection that is not 0.
+    """
+    keys = []
+    for value in values:
+        matrix = weights[:, 0] if value.ndim == 1 else weights.reshape(-1, weights.shape[-1])
+        size = float(np.linalg.norm(value))
+        if size == 0 or not np.isfinite(size):
+            keys.append(None)
+            continue
+        projections = np.ravel(value) @ matrix / size
+        if merge_scale:
+            if projections[np.argmax(np.abs(projections) > 1e-9)] < 0:
+                projections = -projections
+            keys.append((value.ndim, *np.round(projections, DIGITS - 2)))
+        else:
+            scale = float(f"{size:.{DIGITS}g}")
+            keys.append((value.ndim, scale, *np.round(projections, DIGITS - 2)))
+    return keys
+
+
+def merge_proportional(entries, weights):
+    """Keep the least complex of entries whose values are proportional; the rest become ties."""
+    best, ties = {}, {}
+    keys = fingerprints([entry.value for entry in entries], weights, merge_scale=True)
+    for entry, key in zip(entries, keys, strict=True):
+        if key is None:
+            continue
+        ties.setdefault(key, []).append(entry.formula)
+        if key not in best or (entry.complexity, entry.levels) < (best[key].complexity, best[key].levels):
+            best[key] = entry
+    return [
+        Entry(e.formula, e.expression, e.complexity, e.levels, e.value,
+              tuple(f for f in ties[key] if f != e.formula))
+        for key, e in best.items()
+    ]
+
+
+def distinct_directions(directions, conditions, masses, weights):
+    """Directions x conditions as vectors per unit force, proportional ones merged.
+
+    Parameters
+    ----------
+    directions, conditions : list of Entry
+        Conditions may hold None for "always".
+    masses : ndarray, shape (P,)
+        1 / mass of the receiver, 0 where unknown.
+    """
+    combined = []
+    for condition in conditions:
+        for direction in directions:
+            value = direction.value * masses[:, None]
+            complexity = direction.complexity
+            if condition is not None:
+                value = value * condition.value[:, None]
+                complexity += condition.complexity
+            combined.append((direction, condition, value, complexity))
+    keys = fingerprints([value for _, _, value, _ in combined], weights, merge_scale=True)
+    best = {}
+    for item, key in zip(combined, keys, strict=True):
+        if key is not None and (key not in best or item[3] < best[key][3]):
+            best[key] = item
+    return list(best.values())

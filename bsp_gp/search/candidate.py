@@ -1,0 +1,121 @@
+"""What a search returns: candidates, and a result with its front, ties and certificate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["Candidate", "Certificate", "SearchResult"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One law with its best constant.
+
+    Attributes
+    ----------
+    formula : Formula
+        With its free constant(s).
+    kind : str
+        "pair" or "field".
+    constants : dict of str to float, or to a dict of entity name to float
+    loss : float
+        Half the whitened residual sum of squares after a joint refit: the negative
+        log-likelihood up to a constant, in nats.
+    complexity : float
+        -log p under the uniform PCFG of the grammar, in nats.
+    gain : float
+        Whitened sum of squares that the term explains, of `total`.
+    total : float
+        Whitened sum of squares before the term.
+    expression : Expression or None
+    ties : tuple of Formula
+        Other laws equal on these data, simplest first.
+    """
+
+    formula: object
+    kind: str
+    constants: dict
+    loss: float
+    complexity: float
+    gain: float
+    total: float
+    expression: object = None
+    ties: tuple = ()
+
+    @property
+    def share(self):
+        """Part of the sum of squares that the term explains, 0 to 1."""
+        return self.gain / self.total if self.total else 0.0
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What an exhaustive search guarantees.
+
+    Attributes
+    ----------
+    grammar, fingerprint : str
+    max_levels : int
+    n_derivations : int
+        Derivations within the bound, masked rules excluded.
+    n_scored : int
+        Laws that differ on these data, all scored with their best constants.
+    n_failed : int
+        Sub-expressions without a finite value on these data.
+    missing_inputs : tuple of str
+        Inputs of the grammar that the data lack; rules with them are left out.
+    parts : tuple of str
+        Sizes of the factor banks, for the curious.
+    """
+
+    grammar: str
+    fingerprint: str
+    max_levels: int
+    n_derivations: int
+    n_scored: int
+    n_failed: int
+    missing_inputs: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+    def text(self):
+        """The guarantee in one sentence."""
+        missing = (
+            f"; not sayable on these data for want of {', '.join(self.missing_inputs)}"
+            if self.missing_inputs
+            else ""
+        )
+        return (
+            f"grammar {self.grammar} ({self.fingerprint[:12]}), derivations of at most "
+            f"{self.max_levels} levels: {self.n_derivations:,} derivations, {self.n_scored:,} laws "
+            f"that differ on these data, all scored with their best constants "
+            f"({self.n_failed} sub-expressions without a finite value){missing}"
+        )
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Outcome of a search.
+
+    Attributes
+    ----------
+    best : Candidate or None
+        Lowest loss; of ties the least complex.
+    candidates : tuple of Candidate
+        The best laws, lowest loss first, equal laws merged.
+    front : tuple of Candidate
+        Best per complexity, each better than every simpler one.
+    n_evaluated, n_failed : int
+    seconds : float
+    certificate : Certificate or None
+    null_gains : tuple of float
+        Greatest gain of any law on each simulated target, as a share of its total.
+    """
+
+    best: Candidate | None
+    candidates: tuple[Candidate, ...]
+    front: tuple[Candidate, ...]
+    n_evaluated: int
+    n_failed: int
+    seconds: float
+    certificate: Certificate | None = None
+    null_gains: tuple[float, ...] = field(default=(), repr=False)
