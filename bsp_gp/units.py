@@ -68,12 +68,9 @@ class Unit:
     def text(self, symbols=None):
         """Write the unit, e.g. ``kg m/s^2``; `symbols` renames base units (``{'m': 'px'}``)."""
         names = [(symbols or {}).get(base, base) for base in BASE]
-        above = [
-            _power_text(n, e) for n, e in zip(names, self.exponents, strict=True) if e > 0
-        ]
-        below = [
-            _power_text(n, -e) for n, e in zip(names, self.exponents, strict=True) if e < 0
-        ]
+        pairs = list(zip(names, self.exponents, strict=True))
+        above = [_power_text(n, e) for n, e in pairs if e > 0]
+        below = [_power_text(n, -e) for n, e in pairs if e < 0]
         if not above and not below:
             return "1"
         head = " ".join(above) or "1"
@@ -90,7 +87,9 @@ def _rational(value):
 
 
 def _power_text(name, power):
-    return name if power == 1 else f"{name}^{power}" if power.denominator == 1 else f"{name}^({power})"
+    if power == 1:
+        return name
+    return f"{name}^{power}" if power.denominator == 1 else f"{name}^({power})"
 
 
 DIMENSIONLESS = Unit()
@@ -130,16 +129,12 @@ def parse_unit(text):
     if clean in ("", "1"):
         return 1.0, DIMENSIONLESS
     if not _ALLOWED.fullmatch(clean):
-        raise UnitError(f"unit must be a product of powers of units such as m/s^2, got {text!r:.80}")
-    import pint
-
-    try:
-        quantity = _registry().Quantity(1.0, _registry().parse_units(clean))
-        base = quantity.to_base_units()
-    except pint.OffsetUnitCalculusError as error:
-        raise UnitError(f"unit {clean!r} has an offset; use a unit such as kelvin") from error
-    except (pint.PintError, AttributeError, ValueError, TypeError, SyntaxError) as error:
-        raise UnitError(f"unknown unit {clean!r}; write SI units such as m, s, kg, m/s^2") from error
+        raise UnitError(
+            f"unit must be a product of powers of units such as m/s^2, got {text!r:.80}"
+        )
+    if re.search(r"\b(px|pixels?)\b", clean):
+        raise UnitError("a pixel has no length in SI; give the length of one, such as '0.17 um'")
+    base = _in_base_units(clean)
     exponents = [Fraction(0)] * len(BASE)
     for dimension, power in base.dimensionality.items():
         if dimension not in _DIMENSION:
@@ -149,6 +144,22 @@ def parse_unit(text):
             )
         exponents[_DIMENSION[dimension]] = _rational(power)
     return float(base.magnitude), Unit(tuple(exponents))
+
+
+def _in_base_units(text):
+    from tokenize import TokenError
+
+    import pint
+
+    try:
+        unit = _registry().parse_units(text)
+        if not all(_registry()._units[str(name)].is_multiplicative for name in unit._units):
+            raise UnitError(f"unit {text!r} has an offset; use a unit such as kelvin")
+        return _registry().Quantity(1.0, unit).to_base_units()
+    except (pint.PintError, AttributeError, ValueError, TypeError, SyntaxError, AssertionError,
+            TokenError, KeyError) as error:
+        # pint's parser lets these through for malformed text.
+        raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 
 
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
@@ -169,6 +180,9 @@ class UnitSystem:
 
     declared: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
     symbols: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
+
+    def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
+        return (UnitSystem.from_declared, (dict(self.declared),))
 
     @classmethod
     def from_declared(cls, declared):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tokenize
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
@@ -31,7 +32,10 @@ def _scale(text):
     """Value of one `text` in SI with pixels in the place of metres; ``0.17 um`` is one unit."""
     number = _NUMBERED.fullmatch(text)
     factor, rest = (float(number.group(1)), number.group(2)) if number else (1.0, text)
-    scale, unit = parse_unit(_PIXEL.sub("m", rest))
+    try:
+        scale, unit = parse_unit(_PIXEL.sub("m", rest))
+    except (AssertionError, tokenize.TokenError) as error:  # pint, on "m/" and on "m("
+        raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg") from error
     return factor * scale, unit
 
 

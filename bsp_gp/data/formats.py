@@ -141,6 +141,10 @@ def _inspect(path):
             is_blank = is_blank and not chunk.replace(b"\xef\xbb\xbf", b"").strip()
             for mark in counts:
                 counts[mark] += chunk.count(mark)
+    try:
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        _fail_encoding(path, counts[b"\n"] + 1)
     if is_blank:
         raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
     n_rows = counts[b"\n"]

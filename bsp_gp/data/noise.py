@@ -141,10 +141,14 @@ def _from_differences(tracks):
             "the noise cannot be estimated: no track has three positions",
             remedy="declare noise in dataset.toml",
         )
-    for k, (order, scale, n_effective) in enumerate(candidates):
-        later = min((s for _, s, _ in candidates[k:]), default=scale)
-        if scale <= later * (1 + _TOLERANCE / math.sqrt(2 * n_effective)):
-            break
+    least = math.inf
+    chosen = candidates[-1]
+    for candidate in reversed(candidates):  # the lowest order that no later one undercuts
+        _, scale, n_effective = candidate
+        least = min(least, scale)
+        if scale <= least * (1 + _TOLERANCE / math.sqrt(2 * n_effective)):
+            chosen = candidate
+    order, scale, n_effective = chosen
     return scale, order, n_effective
 
 

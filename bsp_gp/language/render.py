@@ -16,7 +16,7 @@ _LATEX_INPUTS = {
     "p_i": r"\mathbf{p}_i", "p_j": r"\mathbf{p}_j", "p_c": r"\mathbf{c}",
     "v_i": r"\mathbf{v}_i", "v_j": r"\mathbf{v}_j", "s_i": "i", "s_j": "j", "t": "t",
     "e_x": r"\hat{\mathbf{x}}", "e_y": r"\hat{\mathbf{y}}", "e_z": r"\hat{\mathbf{z}}",
-    "up": r"\hat{\mathbf{u}}", "down": r"-\hat{\mathbf{u}}",
+    "up": r"\hat{\mathbf{u}}", "down": r"\left(-\hat{\mathbf{u}}\right)",
 }
 _NAMED_VECTORS = {
     ("p_i", "p_j"): r"\mathbf{r}_{ji}",

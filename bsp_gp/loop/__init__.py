@@ -1,1 +1,1 @@
-"""Closing the loop: residuals, the effects behind them, and when to stop."""
+"""Closing the loop: what is left, where it comes from, which law adds it, what that bought."""

@@ -155,7 +155,7 @@ class ForceLaw:
                 out["field"][name] = out["pair"][name] = value
         return out
 
-    def acceleration(self, bodies, positions, velocities, times):
+    def acceleration(self, bodies, positions, velocities, times, values=None):
         """Acceleration of every receiver.
 
         Parameters
@@ -163,13 +163,15 @@ class ForceLaw:
         bodies : Bodies
         positions, velocities : ndarray, shape (..., S, N, d), m and m/s
         times : ndarray, shape (..., S), s
+        values : dict, optional
+            Constants as `values` gives them, changed by the caller (a leading axis for many
+            values at once).
 
         Returns
         -------
         ndarray, shape (..., S, R, d), m/s^2
-            nan where a law needs a mass that is unknown.
         """
-        values = self.values(bodies)
+        values = self.values(bodies) if values is None else values
         lookups = {}
         shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
         total = np.zeros(shape)

@@ -8,7 +8,7 @@ millions of derivations.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,8 +37,10 @@ class Entry:
     levels : int
     value : ndarray
         On the rows, flat: (P,) or (P, d).
-    ties : tuple of Formula
-        Merged formulas that are proportional on the data.
+    operator : str
+        How it enters as a right-hand factor: "mul", or the grammar's division.
+    ties : tuple of Entry
+        Merged entries that are proportional on the data.
     """
 
     formula: object
@@ -46,6 +48,7 @@ class Entry:
     complexity: float
     levels: int
     value: np.ndarray
+    operator: str = "mul"
     ties: tuple = ()
 
 
@@ -266,21 +269,30 @@ def fingerprints(values, weights, merge_scale):
     return keys
 
 
-def merge_proportional(entries, weights):
-    """Keep the least complex of entries whose values are proportional; the rest become ties."""
-    best, ties = {}, {}
+def merge_proportional(entries, weights, preferred=()):
+    """Keep the least complex of entries whose values are proportional; the rest become its ties.
+
+    Parameters
+    ----------
+    preferred : collection of Entry
+        Kept before others of their class whatever the complexity.
+    """
+    preferred = {id(entry) for entry in preferred}
+    classes = {}
     keys = fingerprints([entry.value for entry in entries], weights, merge_scale=True)
     for entry, key in zip(entries, keys, strict=True):
-        if key is None:
-            continue
-        ties.setdefault(key, []).append(entry.formula)
-        if key not in best or (entry.complexity, entry.levels) < (best[key].complexity, best[key].levels):
-            best[key] = entry
-    return [
-        Entry(e.formula, e.expression, e.complexity, e.levels, e.value,
-              tuple(f for f in ties[key] if f != e.formula))
-        for key, e in best.items()
-    ]
+        if key is not None:
+            classes.setdefault(key, []).append(entry)
+    out = []
+    for members in classes.values():
+        members.sort(key=lambda e: (id(e) not in preferred, e.complexity, e.levels))
+        lead = members[0]
+        if len(members) == 1 or id(lead) in preferred:
+            # An object of the left bank stays the same object, with its ties from there.
+            out.append(lead)
+        else:
+            out.append(replace(lead, ties=tuple(members[1:])))
+    return out
 
 
 def distinct_directions(directions, conditions, masses, weights):
@@ -301,10 +313,25 @@ def distinct_directions(directions, conditions, masses, weights):
             if condition is not None:
                 value = value * condition.value[:, None]
                 complexity += condition.complexity
-            combined.append((direction, condition, value, complexity))
-    keys = fingerprints([value for _, _, value, _ in combined], weights, merge_scale=True)
-    best = {}
+            combined.append(Directed(direction.formula, condition and condition.formula, value, complexity))
+    keys = fingerprints([item.value for item in combined], weights, merge_scale=True)
+    classes = {}
     for item, key in zip(combined, keys, strict=True):
-        if key is not None and (key not in best or item[3] < best[key][3]):
-            best[key] = item
-    return list(best.values())
+        if key is not None:
+            classes.setdefault(key, []).append(item)
+    out = []
+    for members in classes.values():
+        members.sort(key=lambda item: item.complexity)
+        out.append(replace(members[0], ties=tuple(members[1:])))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Directed:
+    """A direction, where its condition holds, per unit force: acceleration vectors (P, d)."""
+
+    direction: object
+    condition: object
+    value: np.ndarray
+    complexity: float
+    ties: tuple = ()

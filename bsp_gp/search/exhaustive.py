@@ -13,18 +13,29 @@ otherwise a's live on rows (``_RowScorer``) and errors must be independent.
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import GrammarError, SettingsError
-from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.grammar import Slot
 from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import OPERATORS
 from bsp_gp.language.pcfg import Pcfg
-from bsp_gp.search.banks import Banks, Entry, Rows, distinct_directions, merge_proportional
+from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.search.banks import (
+    Banks,
+    Entry,
+    Rows,
+    distinct_directions,
+    fingerprints,
+    merge_proportional,
+)
 from bsp_gp.search.candidate import Candidate, Certificate, SearchResult
 
 __all__ = ["Plan", "plan_of", "search_exhaustive"]
@@ -50,8 +61,6 @@ class Plan:
     direction, condition : (nonterminal, budget), condition may be None
     rules : tuple of int
         Rules used on the way, for the complexity.
-    build : callable
-        ``build(left, right, direction, condition) -> Formula``.
     """
 
     constant: str
@@ -164,7 +173,9 @@ class _Side:
         self.complexity = np.array([entry.complexity for entry in entries])
 
     def values(self):
-        return np.stack([entry.value for entry in self.entries])
+        """Values (n, P), each scaled to a greatest size of one: constants take up the scale."""
+        stacked = np.stack([entry.value for entry in self.entries])
+        return stacked / np.max(np.abs(stacked), axis=1, keepdims=True)
 
 
 def search_exhaustive(
@@ -275,9 +286,9 @@ class _Exhaustive:
         for plan in plans:
             families.setdefault((plan.direction, plan.condition), []).append(plan)
         merged = self._directions(families)
-        for done, (family, direction, condition, vector, complexity) in enumerate(merged, 1):
+        for done, (family, directed) in enumerate(merged, 1):
             for block in self._blocks(families[family]):
-                self._score(block, direction, condition, vector, complexity)
+                self._score(block, directed)
             if progress is not None:
                 progress(done, len(merged))
         if self.null_total.size:
@@ -294,10 +305,10 @@ class _Exhaustive:
             items = distinct_directions(directions, conditions, inverse_mass, self.weights)
             for item in items:
                 # The same vector in another family with the same coefficients is the same law.
-                key = (self._coefficient_key(plans), fingerprint_of(item[2], self.weights))
+                key = (self._coefficient_key(plans), fingerprint_of(item.value, self.weights))
                 if key not in seen:
                     seen[key] = True
-                    out.append((family, *item))
+                    out.append((family, item))
         self.parts.append(f"{len(out)} directions")
         return out
 
@@ -334,12 +345,10 @@ class _Exhaustive:
             for plan in plans:
                 left = ones if plan.left is None else self._side(self.banks.bank(*plan.left))
                 blocks.append(_Block(left, ones, np.ones((len(left.entries), 1), bool),
-                                     self._rule_cost(plan), plan.constant, ("mul",)))
+                                     self._rule_cost(plan), plan.constant))
         return blocks
 
     def _one(self):
-        from bsp_gp.language.formula import Number
-
         return Entry(Number(1.0), None, 0.0, 0, np.ones(self.rows.n_rows))
 
     def _side(self, entries):
@@ -354,30 +363,24 @@ class _Exhaustive:
         single = next((p for p in plans if p.right is None and p.left is not None), squares[0])
         cost = self._rule_cost(squares[0])
         one = Entry(self._one().formula, None, self._rule_cost(single) - cost, 0, self._one().value)
-        right_entries, origin = [one], ["mul"]
+        right_entries = [one]
         if "mul" in operators:
             right_entries += left.entries
-            origin += ["mul"] * len(left.entries)
         for name in operators:
             if name != "mul":
-                for entry in left.entries:
-                    inverse = self._inverse(entry, name)
-                    if inverse is not None:
-                        right_entries.append(inverse)
-                        origin.append(name)
-        right, kept = _merge_right(right_entries, origin, self.weights)
+                inverses = [self._inverse(entry, name) for entry in left.entries]
+                right_entries += [entry for entry in inverses if entry is not None]
+        # Members of the left bank are preferred, so that a*b and b*a can be told to be one law.
+        right = _Side(merge_proportional(right_entries, self.weights, preferred=left.entries))
         index = {id(entry): k for k, entry in enumerate(left.entries)}
         allowed = np.ones((len(left.entries), len(right.entries)), dtype=bool)
         for column, entry in enumerate(right.entries):
             if id(entry) in index:  # a * b and b * a are one law
                 allowed[index[id(entry)] + 1 :, column] = False
         self.parts.append(f"{len(left.entries)} x {len(right.entries)} coefficients")
-        return _Block(left, right, allowed, cost, squares[0].constant, tuple(kept))
+        return _Block(left, right, allowed, cost, squares[0].constant)
 
     def _inverse(self, entry, operator):
-        from bsp_gp.language.formula import Number
-        from bsp_gp.language.operators import OPERATORS
-
         with np.errstate(all="ignore"):
             value = OPERATORS[operator].evaluate(
                 (Number(1.0).type, entry.formula.type), np.ones_like(entry.value), entry.value
@@ -387,7 +390,8 @@ class _Exhaustive:
             return None
         if not value.any():
             return None
-        return Entry(entry.formula, entry.expression, entry.complexity, entry.levels, value)
+        return Entry(entry.formula, entry.expression, entry.complexity, entry.levels, value, operator,
+                     tuple(replace(tie, operator=operator) for tie in entry.ties))
 
     def _two_banks(self, plans, plan):
         """left x right, with 1 in either bank where the grammar allows a factor alone."""
@@ -409,43 +413,43 @@ class _Exhaustive:
         if one_left and one_right and not none:
             allowed[one_left[0], one_right[0]] = False
         self.parts.append(f"{len(left.entries)} x {len(right.entries)} coefficients")
-        return _Block(left, right, allowed, cost, plan.constant, ("mul",) * len(right.entries))
+        return _Block(left, right, allowed, cost, plan.constant)
 
-    def _score(self, block, direction, condition, vector, complexity):
+    def _score(self, block, directed):
         self.n_scored += int(block.allowed.sum())
         scorer = _GroupScorer if block.is_static(self.rows) else _RowScorer
         gain = np.zeros(block.allowed.shape)
-        null_gain = np.zeros((len(self.null_gain), *block.allowed.shape)) if len(self.null_gain) else None
+        null_gain = np.zeros((len(self.null_gain), *block.allowed.shape))
+        vector = directed.value / np.max(np.abs(directed.value))
         for ys, q in zip(self.y_groups, self.q_groups, strict=True):
             numerators, denominator = scorer(self, block, vector, q, ys).products()
             safe = np.where(denominator > 0, denominator, np.inf)
             gain += np.square(numerators[0]) / safe
-            if null_gain is not None:
-                for k in range(len(null_gain)):
-                    null_gain[k] += np.square(numerators[k + 1]) / safe
+            for k in range(len(null_gain)):
+                null_gain[k] += np.square(numerators[k + 1]) / safe
         gain = np.where(block.allowed, gain, 0.0)
-        if null_gain is not None:
+        if len(null_gain):
             flat = np.where(block.allowed, null_gain, 0.0).reshape(len(null_gain), -1)
             self.null_gain = np.maximum(self.null_gain, flat.max(axis=1))
-        total = complexity + block.cost + block.left.complexity[:, None] + block.right.complexity
-        self.kept.add(gain, total, (block, direction, condition))
+        total = (directed.complexity + block.cost + block.left.complexity[:, None]
+                 + block.right.complexity)
+        self.kept.add(gain, total, (block, directed))
 
     def candidates(self):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""
         rescored = []
-        for gain, complexity, (block, direction, condition), a, b in self.kept.items():
-            formula = block.formula(a, b, direction, condition, self.grammar)
-            rescored.append(self._rescore(formula, complexity))
-        return _merge_equal([r for r in rescored if r is not None], self.top_k)
+        for _, complexity, (block, directed), a, b in self.kept.items():
+            ties = block.formulas(a, b, directed)
+            rescored.append(self.rescore(ties[0], complexity, tuple(ties[1:])))
+        return _merge_equal(rescored)
 
-    def _rescore(self, formula, complexity):
-        from bsp_gp.physics.force import Term, split_linear
-
+    def rescore(self, formula, complexity, ties=()):
+        """Candidate with its exact loss, and its fitted whitened accelerations."""
         name, rest = split_linear(formula)
-        term = Term(rest, self.kind)
-        column, _ = self.regression.column(term)
-        column = column[:, 0]
-        gain, total, constants, fitted = 0.0, 0.0, [], np.zeros(len(column))
+        column = self.regression.column(Term(rest, self.kind))[0][:, 0]
+        scale = np.max(np.abs(column)) or 1.0
+        column = column / scale
+        constants, fitted, total = [], np.zeros(len(column)), 0.0
         for mask, ys, q in zip(self.groups, self.y_groups, self.q_groups, strict=True):
             x = column * mask
             x = x - q @ (q.T @ x)
@@ -454,39 +458,19 @@ class _Exhaustive:
             y = ys[:, 0]
             total += float(y @ y)
             c = float(x @ y) / size if size > 0 else 0.0
-            constants.append(c)
+            constants.append(c / scale)
             fitted += c * x
         y = sum(ys[:, 0] for ys in self.y_groups)
         loss = 0.5 * float(np.square(y - fitted).sum())
-        gain = total - 2 * loss
         value = constants[0] if len(constants) == 1 else dict(enumerate(constants))
-        candidate = Candidate(formula, self.kind, {name: value}, loss, complexity, gain, total)
+        candidate = Candidate(formula, self.kind, {name: value}, loss, complexity,
+                              total - 2 * loss, total, ties=ties)
         return candidate, fitted
 
 
 def fingerprint_of(value, weights):
     """Scale-free fingerprint of one vector field."""
-    from bsp_gp.search.banks import fingerprints
-
     return fingerprints([value], weights, merge_scale=True)[0]
-
-
-def _merge_right(entries, origin, weights):
-    """Merge the right-hand factors where proportional; keeps objects of the left bank as they are."""
-    from bsp_gp.search.banks import fingerprints
-
-    keys = fingerprints([entry.value for entry in entries], weights, merge_scale=True)
-    chosen = {}
-    for k, key in enumerate(keys):
-        if key is not None and (
-            key not in chosen or entries[k].complexity < entries[chosen[key]].complexity - 1e-12
-        ):
-            # A member of the left bank is preferred, so that a*b and b*a can be told apart.
-            if key in chosen and origin[chosen[key]] == "mul" and origin[k] != "mul":
-                continue
-            chosen[key] = k
-    order = sorted(chosen.values())
-    return _Side([entries[k] for k in order]), [origin[k] for k in order]
 
 
 def _orthonormal(columns, n):
@@ -509,7 +493,6 @@ class _Block:
     allowed: np.ndarray
     cost: float
     constant: str
-    operators: tuple
 
     def is_static(self, rows):
         """Whether the left factors depend on properties only."""
@@ -521,14 +504,24 @@ class _Block:
             )
         return self._static
 
-    def formula(self, a, b, direction, condition, grammar):
+    def formulas(self, a, b, directed, most=60):
+        """The law of this product and those merged into it, simplest first (at most `most`)."""
+        left, right = self.left.entries[a], self.right.entries[b]
+        options = []
+        for choice in itertools.islice(
+            itertools.product((left, *left.ties), (right, *right.ties), (directed, *directed.ties)), 4000
+        ):
+            options.append((sum(part.complexity for part in choice), len(options), choice))
+        lead, *rest = options
+        rest = heapq.nsmallest(most, rest)
+        return [self._formula(*choice) for _, _, choice in (lead, *rest)]
+
+    def _formula(self, left, right, directed):
         """constant * (left op right) * direction [* condition]."""
-        left, right, operator = self.left.entries[a], self.right.entries[b], self.operators[b]
-        coefficient = _combine(operator, left, right)
-        vector = direction.formula
-        body = vector if coefficient is None else Call("mul", coefficient, vector)
-        if condition is not None:
-            body = Call("mul", body, condition.formula)
+        coefficient = _combine(right.operator, left, right)
+        body = directed.direction if coefficient is None else Call("mul", coefficient, directed.direction)
+        if directed.condition is not None:
+            body = Call("mul", body, directed.condition)
         return Call("mul", Constant(self.constant), body)
 
 
@@ -715,8 +708,8 @@ def _group_values(side, rows):
         stacked = []
         for index in range(len(rows.shapes)):
             parts = []
-            for entry in side.entries:
-                full = rows.unflatten(entry.value)[index]
+            for value in _values(side):
+                full = rows.unflatten(value)[index]
                 # Constant in time: the value of largest size is the value (0 = invalid row).
                 pick = np.argmax(np.abs(full), axis=0)
                 parts.append(np.take_along_axis(full, pick[None], axis=0)[0])
@@ -761,7 +754,7 @@ class _Kept:
         return sorted(everything, key=lambda item: (-item[0], item[1]))
 
 
-def _merge_equal(rescored, top_k):
+def _merge_equal(rescored):
     """Sort by loss, merge laws whose fitted accelerations are equal on the data."""
     if not rescored:
         return []
@@ -783,8 +776,6 @@ def _merge_equal(rescored, top_k):
 
 def _absorb(kept, other):
     """Of two equal laws the least complex leads, the other becomes a tie."""
-    from dataclasses import replace
-
     lead, tail = (kept, other) if kept.complexity <= other.complexity else (other, kept)
     names = dict.fromkeys((*kept.ties, *other.ties, tail.formula))
     names.pop(lead.formula, None)

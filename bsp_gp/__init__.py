@@ -1,0 +1,1 @@
+"""Measured motion in; a force law in symbols, with units and error bars, out."""

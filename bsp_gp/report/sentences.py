@@ -1,0 +1,247 @@
+"""What a report says in words; the page and the terminal say the same."""
+
+from __future__ import annotations
+
+import math
+
+from bsp_gp.report.numbers import (
+    NOT_KNOWN,
+    format_number,
+    format_p,
+    format_ratio,
+    is_number,
+    pretty_unit,
+    rounded,
+    with_unit,
+)
+
+__all__ = [
+    "adopted_rounds", "caveats", "constant_groups", "headline", "missing_sentence",
+    "outcome_sentence", "ratio_caution", "verdict_sentence",
+]
+
+_METRICS = (
+    ("rollout_rmse", "position error of held-out rollouts"),
+    ("one_step_nrmse", "one-step error on held-out data"),
+    ("residual_acceleration", "residual acceleration on held-out data"),
+)
+_UNCALIBRATED = ("", "1", "px", "pixel", "pixels", "frame", "frames", "unit", "units", "a.u.")
+_UNKNOWN = ("", "unknown", "none", "not known", "assumed")
+
+
+def adopted_rounds(report):
+    """The rounds whose effect became part of the law."""
+    return [r for r in report.rounds if r.adopted and r.effect is not None]
+
+
+def _joined(parts):
+    parts = list(parts)
+    if len(parts) < 2:
+        return "".join(parts)
+    return ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def _ended(text):
+    """The text as a sentence: a full stop unless it has its own."""
+    text = str(text).strip()
+    return text if not text or text[-1] in ".!?" else text + "."
+
+
+def _last(report, condition=lambda r: True):
+    rounds = [r for r in report.rounds if condition(r)]
+    return rounds[-1] if rounds else None
+
+
+def _finding(effect):
+    if effect.kind == "hidden_body":
+        return f"an unseen body acts on these ({effect.name})"
+    if effect.kind == "measurement":
+        return f"the measurement distorts the motion ({effect.name})"
+    if effect.kind == "declared_term_change":
+        return f"a declared term has to change ({effect.name})"
+    return f"the declared model lacks {effect.name}"
+
+
+def verdict_sentence(report):
+    """The outcome of the whole run in one or two sentences."""
+    adopted = adopted_rounds(report)
+    if report.verdict == "effect adopted" and adopted:
+        text = _joined(_finding(r.effect) for r in adopted)
+        return text[:1].upper() + text[1:] + "."
+    if report.verdict == "nothing missing":
+        last = _last(report)
+        text = "Nothing is missing from the declared model: what it leaves unexplained is noise."
+        return f"{text} {_detectable(last.missing)}".strip() if last else text
+    if report.verdict == "seen, not adopted":
+        seen = _last(report, lambda r: r.effect is not None)
+        text = "The declared model leaves more than noise, but no explanation was good enough"
+        if seen is None:
+            return text + " to adopt."
+        return f"{text} to adopt: the best, {seen.effect.name}, was seen and not adopted."
+    if report.verdict == "cannot tell":
+        last = _last(report)
+        doubt = last is not None and last.missing.is_missing
+        text = (
+            "Something is missing from the declared model, but these data cannot tell what."
+            if doubt
+            else "These data cannot tell whether anything is missing from the declared model."
+        )
+        return f"{text} {_ended(last.reason)}".strip() if last else text
+    return f"Verdict: {report.verdict}."
+
+
+def _detectable(missing):
+    if not is_number(missing.detectable):
+        return ""
+    size = with_unit(format_number(missing.detectable, 2), missing.detectable_unit)
+    return (
+        f"A constant extra acceleration of {size} or more would have been seen "
+        "(with 95 % power); a smaller one would not."
+    )
+
+
+def missing_sentence(round_, alpha):
+    """Question 1 of a round: whether anything is left above the noise, with its numbers."""
+    missing = round_.missing
+    numbers = format_p(missing.p_value)
+    if is_number(missing.statistic):
+        numbers = f"{format_number(missing.statistic)} where noise alone gives 1, {numbers}"
+    if missing.is_missing:
+        text = f"More is left than noise explains (whitened χ² per degree of freedom {numbers})."
+    else:
+        text = f"Nothing is left above the noise (whitened χ² per degree of freedom {numbers})."
+    if not is_number(missing.statistic):
+        text = text.replace("whitened χ² per degree of freedom ", "")
+    level = f" Tested at α = {format_number(alpha, 2)}."
+    return " ".join(filter(None, (text + level, _detectable(missing))))
+
+
+def outcome_sentence(round_):
+    """How a round ended: which effect, adopted or not, and why."""
+    reason = _ended(round_.reason)
+    if round_.effect is None:
+        return reason or "No effect was traced."
+    name = round_.effect.name
+    significance = f"{format_p(round_.effect.p_value)}, selection included"
+    if round_.adopted:
+        return f"Adopted: {name} ({significance}). {reason}".strip()
+    return f"Seen, not adopted: {name} ({significance}). {reason}".strip()
+
+
+def headline(report):
+    """The one comparison that a reader takes away.
+
+    Returns
+    -------
+    dict
+        label, before, after, ratio, floor (texts, `NOT_KNOWN` where there is none),
+        has_after (bool), text (one line).
+    """
+    before, after, floor = (report.total.get(k) for k in ("before", "after", "floor"))
+    for metric, label in _METRICS:
+        if before is not None and is_number(getattr(before, metric)):
+            break
+    else:
+        metric, label = _METRICS[0]
+    has_after = after is not None and bool(adopted_rounds(report))
+
+    def size(errors):
+        if errors is None:
+            return NOT_KNOWN
+        is_force = metric == "residual_acceleration"
+        unit = errors.acceleration_unit if is_force else errors.unit
+        return with_unit(format_number(getattr(errors, metric)), unit)
+
+    out = {
+        "label": label[:1].upper() + label[1:],
+        "before": size(before),
+        "after": size(after) if has_after else NOT_KNOWN,
+        "ratio": format_ratio(report.total.get("ratio"))
+        if has_after and metric == "rollout_rmse"
+        else NOT_KNOWN,
+        "floor": size(floor),
+        "has_after": has_after,
+    }
+    text = f"{out['label']}: {out['before']}"
+    if has_after:
+        text += f" → {out['after']}"
+        if out["ratio"] != NOT_KNOWN:
+            text += f", ratio {out['ratio']}"
+    else:
+        text += " under the declared model"
+    if out["floor"] != NOT_KNOWN:
+        text += f"; noise floor {out['floor']}"
+    out["text"] = text
+    return out
+
+
+def ratio_caution(report):
+    """A warning where the gain is not certain, else ""."""
+    ratio = report.total.get("ratio")
+    if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
+        return ""
+    if ratio.value >= 1:
+        return "The adopted law is no better than the declared one on the held-out data."
+    if is_number(ratio.high) and ratio.high >= 1:
+        return "The 90 % interval of the ratio includes 1: the gain on held-out data is not certain."
+    if not (is_number(ratio.low) and is_number(ratio.high)):
+        return "The ratio has no interval: how certain the gain is was not found out."
+    return ""
+
+
+def caveats(report):
+    """What makes the numbers mean less than they seem to: no calibration, no known noise."""
+    out = []
+    before = report.total.get("before")
+    unit = (before.unit if before is not None else "") or ""
+    if unit.strip().lower() in _UNCALIBRATED:
+        out.append(
+            "Lengths are not calibrated"
+            + (f" (they are in {unit})" if pretty_unit(unit) else " (no unit was declared)")
+            + ": constants are in the units of the data, not in SI, and a wrong scale, a wrong "
+            "clock and a wrong constant look alike."
+        )
+    sigma = report.noise.get("sigma")
+    values = list(sigma) if hasattr(sigma, "__len__") and not isinstance(sigma, str) else [sigma]
+    source = str(report.noise.get("source") or "").strip().lower()
+    if not any(is_number(v) for v in values) or source in _UNKNOWN:
+        out.append(
+            "The noise of the measurement is not known: p-values, the noise floor and the "
+            "smallest effect that would have been seen rest on an assumption."
+        )
+    return out
+
+
+def constant_groups(constants):
+    """Put constants into what is one for all and what belongs to single entities.
+
+    Returns
+    -------
+    shared : list of ConstantEstimate
+    own : list of (name, unit, list of ConstantEstimate)
+        Sorted by value, unknown values last.
+    """
+    shared = [c for c in constants if not c.entity]
+    own = {}
+    for c in constants:
+        if c.entity:
+            own.setdefault((c.name, c.unit), []).append(c)
+
+    def order(c):
+        return (not is_number(c.value), c.value if is_number(c.value) else math.inf, c.entity)
+
+    return shared, [(name, unit, sorted(group, key=order)) for (name, unit), group in own.items()]
+
+
+def group_range(name, unit, group):
+    """One line for a constant of which every entity has its own."""
+    values = [c.value for c in group if is_number(c.value)]
+    if not values:
+        return f"{name}: {len(group)} entities, no value known"
+    spread = max(values) - min(values)
+    low, _, high, power = rounded(min(values), min(values) - spread / 4, max(values))
+    return (
+        f"{name}: {len(group)} entities, {low} to {high}{with_unit(power or '', unit)}"
+        if power
+        else f"{name}: {len(group)} entities, {low} to {with_unit(high, unit)}"
+    )

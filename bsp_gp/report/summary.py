@@ -1,0 +1,106 @@
+"""The report as a few lines for a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+
+from bsp_gp.report.numbers import format_number, format_p, format_value, with_unit
+from bsp_gp.report.sentences import (
+    caveats,
+    constant_groups,
+    group_range,
+    headline,
+    ratio_caution,
+    verdict_sentence,
+)
+
+__all__ = ["format_number", "format_value", "summary_text"]
+
+WIDTH = 100
+MAX_LINES = 25
+_MAX_CONSTANTS = 5
+_MAX_ROUNDS = 4
+
+
+def summary_text(report):
+    """Summarise a report in at most 25 lines of at most 100 characters.
+
+    Parameters
+    ----------
+    report : LoopReport
+
+    Returns
+    -------
+    str
+        Verdict, error before and after, law, constants, rounds, ties, notes; no newline at
+        the end.
+    """
+    lines = _wrapped(f"{report.dataset.get('name', 'data')}: {report.verdict}", 1)
+    lines += _wrapped(verdict_sentence(report), 4)
+    lines += _wrapped(headline(report)["text"], 2)
+    lines += _wrapped(ratio_caution(report), 1)
+    lines += _wrapped("Law: F = " + report.law_text, 3, indent="     ")
+    lines += _constants(report)
+    lines += _rounds(report)
+    lines += _ties(report)
+    notes = [*caveats(report), *report.notes]
+    if notes:
+        more = f" (and {len(notes) - 1} more notes in the report)" if len(notes) > 1 else ""
+        lines += _wrapped(f"Note: {notes[0]}{more}", 2, indent="      ")
+    lines += _wrapped(f"Stopped: {report.stop_reason}", 1)
+    return "\n".join(lines[:MAX_LINES])
+
+
+def _wrapped(text, max_lines, indent=""):
+    text = "".join(c if c.isprintable() else " " for c in str(text))
+    return textwrap.wrap(
+        text, WIDTH, subsequent_indent=indent, max_lines=max_lines, placeholder=" …"
+    )
+
+
+def _constants(report):
+    shared, own = constant_groups(report.constants)
+    rows = [f"{c.name} = {format_value(c.value, c.low, c.high, c.unit)}" for c in shared]
+    rows += [group_range(*group) for group in own]
+    if not rows:
+        return []
+    if len(rows) > _MAX_CONSTANTS:
+        n_left = len(rows) - _MAX_CONSTANTS + 1
+        rows = [*rows[: _MAX_CONSTANTS - 1], f"… and {n_left} more in the report"]
+    out = ["Constants (90 % intervals):"]
+    for row in rows:
+        out += _wrapped("  " + row, 1)
+    return out
+
+
+def _rounds(report):
+    out = []
+    for r in report.rounds[-_MAX_ROUNDS:]:
+        if r.effect is None:
+            text = f"{r.verdict or r.reason or 'no effect traced'} ({format_p(r.missing.p_value)})"
+        else:
+            text = (
+                f"{r.effect.name}: {'adopted' if r.adopted else 'seen, not adopted'} "
+                f"({format_p(r.effect.p_value)})"
+            )
+            if r.after is not None:
+                text += (
+                    f", rollout error {format_number(r.before.rollout_rmse)} → "
+                    f"{with_unit(format_number(r.after.rollout_rmse), r.after.unit)}"
+                )
+        out += _wrapped(f"Round {r.number}: {text}", 1)
+    return out
+
+
+def _ties(report):
+    for r in reversed(report.rounds):
+        if r.effect is not None and r.effect.equivalents:
+            n = len(r.effect.equivalents)
+            text = (
+                f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
+                f"the simplest {r.effect.equivalents[0]}"
+            )
+            if r.effect.separated_by:
+                text += f"; to tell: {r.effect.separated_by}"
+            return _wrapped(text, 2, indent="  ")
+    return []

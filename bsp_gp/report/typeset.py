@@ -1,0 +1,146 @@
+"""Laws typeset: LaTeX to SVG by matplotlib's mathtext, and a LaTeX document to go on with."""
+
+from __future__ import annotations
+
+import re
+from html import escape
+
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import MathTextParser
+from matplotlib.path import Path as Outline
+from matplotlib.textpath import TextPath
+
+from bsp_gp.report.numbers import NOT_KNOWN, rounded
+
+__all__ = ["law_document", "split_terms", "to_svg"]
+
+_SIZE = 20.0  # points; the page scales by em
+_MAX_LENGTH = 3000
+_MARGIN = 1.0
+_DRAW = {Outline.MOVETO: "M", Outline.LINETO: "L", Outline.CURVE3: "Q", Outline.CURVE4: "C"}
+_HAT = re.compile(r"\\hat\{(\\mathbf\{\w\})(_\{\w+\})\}")
+
+
+def split_terms(latex):
+    """Cut a sum at its outer plus signs.
+
+    Examples
+    --------
+    >>> split_terms(r"a = b + \\left(c + d\\right) + {e + f}")
+    ['a = b', '+ \\\\left(c + d\\\\right)', '+ {e + f}']
+    """
+    parts, start, depth = [], 0, 0
+    for match in re.finditer(r"\\left|\\right|\\[{}]|[{}]| \+ ", latex):
+        token = match.group()
+        if token in ("{", r"\left"):
+            depth += 1
+        elif token in ("}", r"\right"):
+            depth -= 1
+        elif token == " + " and depth == 0:
+            parts.append(latex[start : match.start()].strip())
+            start = match.start() + 1
+    return [*parts, latex[start:].strip()]
+
+
+def to_svg(latex):
+    """Typeset an equation as a run of inline SVG drawings, one per term so that lines can break.
+
+    Parameters
+    ----------
+    latex : str
+
+    Returns
+    -------
+    str or None
+        None if mathtext cannot read the equation: show it as text then.
+    """
+    if not latex.strip() or len(latex) > _MAX_LENGTH:
+        return None
+    latex = _HAT.sub(r"\\hat{\1}\2", latex)
+    try:
+        return "\n".join(_draw(part) for part in split_terms(latex))
+    except ValueError:
+        return None
+
+
+def _draw(latex):
+    if "$" in latex:
+        raise ValueError("a dollar sign ends the equation")
+    font = FontProperties(family="DejaVu Sans", math_fontfamily="cm", size=_SIZE)
+    text = f"${latex}$"
+    width, _, depth, *_ = MathTextParser("path").parse(text, 72, font)
+    outline = TextPath((0, 0), text, size=_SIZE, prop=font)
+    if not len(outline.vertices):
+        raise ValueError("an empty equation")
+    box = outline.get_extents()
+    top, bottom = box.y1 + _MARGIN, min(box.y0, -depth) - _MARGIN
+    width, height = max(width, box.x1) + 2 * _MARGIN, top - bottom
+    return (
+        f'<svg class="math" role="img" aria-label="{escape(latex, quote=True)}" '
+        f'viewBox="{-_MARGIN:.1f} {-top:.1f} {width:.1f} {height:.1f}" '
+        f'style="width:{width / _SIZE:.3f}em;height:{height / _SIZE:.3f}em;'
+        f'vertical-align:{bottom / _SIZE:.3f}em"><path d="{_path_data(outline)}"/></svg>'
+    )
+
+
+def _path_data(outline):
+    """An outline in the language of SVG paths, y downwards."""
+    out = []
+    for points, code in outline.iter_segments(curves=True, simplify=False):
+        if code == Outline.CLOSEPOLY:
+            out.append("Z")
+            continue
+        pairs = (f"{points[k]:.2f} {-points[k + 1]:.2f}" for k in range(0, len(points), 2))
+        out.append(_DRAW[code] + " ".join(pairs))
+    return "".join(out)
+
+
+_TEX = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
+    "%": r"\%", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "<": r"\textless{}", ">": r"\textgreater{}", "−": "$-$", "–": "--", "·": r"$\cdot$",
+    "µ": r"$\mu$", "μ": r"$\mu$",
+}
+
+
+def _tex(text):
+    """Plain text for LaTeX; what pdflatex has no letter for becomes a question mark."""
+    out = "".join(_TEX.get(c, c) if c.isprintable() else " " for c in str(text))
+    return "".join(c if ord(c) < 0x250 else "?" for c in out)
+
+
+def _tex_unit(unit):
+    if unit in ("", "1"):
+        return "1"
+    parts = re.split(r"\^\(?([-+]?[\d/.]+)\)?", unit)
+    return "".join(f"$^{{{p}}}$" if k % 2 else _tex(p).replace("*", r"\,") for k, p in enumerate(parts))
+
+
+def law_document(report):
+    """A LaTeX document with the law and its constants, complete with a preamble."""
+    terms = split_terms(report.law_latex)
+    first, *rest = terms
+    left, equals, right = first.partition(" = ")
+    body = rf"{left} ={{}}& {right}" if equals else rf"& {first}"
+    body += "".join(rf" \\ & {term}" for term in rest)
+    lines = [
+        r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
+        r"\usepackage{amsmath,longtable}", r"\begin{document}",
+        r"\begin{align*}", body, r"\end{align*}",
+    ]
+    if report.constants:
+        lines += [
+            r"\begin{longtable}{llrrrl}", r"\hline",
+            r"constant & entity & value & \multicolumn{2}{c}{90\,\% interval} & unit \\", r"\hline",
+        ]
+        for c in report.constants:
+            value, low, high, power = rounded(c.value, c.low, c.high)
+            exponent = power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+"))
+            exponent = exponent.replace(" × 10", "")
+            tail = rf"$\,\times 10^{{{exponent}}}$" if exponent else ""
+            cells = [_tex(c.name), _tex(c.entity)]
+            cells += [_tex(p) + (tail if p != NOT_KNOWN else "") for p in (value, low, high)]
+            lines.append(" & ".join([*cells, _tex_unit(c.unit)]) + r" \\")
+        lines += [r"\hline", r"\end{longtable}"]
+    lines.append(r"\end{document}")
+    return "\n".join(lines) + "\n"

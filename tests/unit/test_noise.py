@@ -1,0 +1,152 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.errors import DataError
+
+BALL = Entity("ball")
+
+
+def fall(t):
+    return np.stack([3 * t, 50 - 4.905 * t**2], axis=1)
+
+
+def orbit(t):
+    return np.stack([np.cos(math.tau * t), np.sin(math.tau * t)], axis=1)
+
+
+def oscillator(t):
+    return np.stack([np.exp(-0.1 * t) * np.cos(3 * t), np.exp(-0.2 * t) * np.sin(2 * t)], axis=1)
+
+
+MOTIONS = {"fall": (fall, 1 / 30), "orbit": (orbit, 1 / 50), "oscillator": (oscillator, 0.05)}
+
+
+def make_scene(motion, rng=None, sigma=0.0, n_times=400, jitter=0.0, name="s"):
+    law, dt = MOTIONS[motion]
+    t = np.arange(n_times) * dt
+    if jitter:
+        t = np.sort(t + jitter * dt * rng.uniform(-1, 1, n_times))
+    x = law(t)
+    if sigma:
+        x = x + sigma * rng.normal(size=x.shape)
+    return Scene(name, t, x[:, None], (BALL,))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("sigma", [1e-3, 1e-2])
+def test_white_noise_is_found(motion, sigma, jitter):
+    ratios, n_effective = [], []
+    for seed in range(20):
+        scene = make_scene(motion, np.random.default_rng(seed), sigma, jitter=jitter)
+        estimate = estimate_noise([scene])
+        assert estimate.source == "estimated"
+        ratios.extend(np.array(estimate.sigma) / sigma)
+        n_effective.extend(estimate.n_effective)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+    # 0.71/sqrt(n) is the sampling error; three of them are near 15 % here
+    assert np.std(ratios) < 1.5 / math.sqrt(2 * np.mean(n_effective))
+    assert np.mean(np.abs(np.array(ratios) - 1) < 0.15) > 0.9
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_many_short_scenes_are_pooled(motion):
+    rng = np.random.default_rng(31)
+    scenes = [make_scene(motion, rng, 1e-2, n_times=30, name=str(k)) for k in range(40)]
+    assert estimate_noise(scenes).sigma == pytest.approx((1e-2, 1e-2), rel=0.1)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_exact_data_are_seen_as_exact(motion, jitter):
+    scene = make_scene(motion, np.random.default_rng(1), n_times=200, jitter=jitter)
+    relative = np.array(estimate_noise([scene]).sigma) / np.ptp(scene.positions[:, 0], axis=0)
+    assert np.all(relative >= 1e-12)
+    assert np.all(relative < 1e-9)
+
+
+def test_contacts_do_not_count():
+    rng = np.random.default_rng(31)
+    t = np.arange(400) * 0.02
+    bouncing = np.stack([0.4 * t, np.abs((2 * t) % 4 - 2)], axis=1)
+    scene = Scene("s", t, (bouncing + 0.01 * rng.normal(size=(400, 2)))[:, None], (BALL,))
+    assert estimate_noise([scene]).sigma == pytest.approx((0.01, 0.01), rel=0.15)
+
+
+def test_noise_may_differ_between_axes():
+    scene = make_scene("orbit")
+    rng = np.random.default_rng(31)
+    noisy = scene.positions + rng.normal(size=scene.positions.shape) * [0.001, 0.02]
+    estimate = estimate_noise([dataclasses.replace(scene, positions=noisy)])
+    assert estimate.sigma == pytest.approx((0.001, 0.02), rel=0.15)
+
+
+def test_static_entities_and_gaps_do_not_matter():
+    rng = np.random.default_rng(31)
+    scene = make_scene("orbit", rng, 0.01)
+    positions = np.concatenate([scene.positions, np.full((400, 1, 2), 7.0)], axis=1)
+    positions[::10, 0] = np.nan
+    both = Scene("s", scene.times, positions, (BALL, Entity("wall", is_static=True)))
+    assert estimate_noise([both]).sigma == pytest.approx((0.01, 0.01), rel=0.15)
+
+
+def test_an_axis_without_variation_is_left_out():
+    rng = np.random.default_rng(31)
+    scene = make_scene("fall", rng, 0.01)
+    flat = scene.positions.copy()
+    flat[..., 0] = 1.25
+    estimate = estimate_noise([dataclasses.replace(scene, positions=flat)])
+    assert estimate.inactive_axes == ("x",)
+    assert math.isnan(estimate.sigma[0])
+    assert estimate.sigma[1] == pytest.approx(0.01, rel=0.15)
+
+
+def test_quoted_before_declared_before_estimated():
+    scene = make_scene("orbit", np.random.default_rng(31), 0.01)
+    declared = Dataset("d", (scene,), noise=(0.5, 0.25))
+    assert estimate_noise(declared).source == "declared"
+    assert estimate_noise(declared).sigma == (0.5, 0.25)
+    assert estimate_noise(dataclasses.replace(declared, noise=(0.5,))).sigma == (0.5, 0.5)
+    sigma = np.full(scene.positions.shape, np.nan)
+    sigma[::2] = [3.0, 4.0]
+    quoted = dataclasses.replace(declared, scenes=(dataclasses.replace(scene, sigma=sigma),))
+    assert estimate_noise(quoted).source == "quoted"
+    assert estimate_noise(quoted).sigma == (3.0, 4.0)
+    assert estimate_noise(quoted).n_effective == (math.inf, math.inf)
+
+
+def test_zero_means_exact_and_is_floored():
+    scene = make_scene("orbit")
+    estimate = estimate_noise(Dataset("d", (scene,), noise=(0.0,)))
+    assert estimate.sigma == pytest.approx((2e-12, 2e-12), rel=1e-2)
+
+
+def test_three_frames_are_enough_to_answer():
+    scene = Scene("s", [0, 1, 2], [[[0, 0]], [[1, 1]], [[2, 4]]], (BALL,))
+    assert estimate_noise([scene]).sigma[1] == pytest.approx(2 / math.sqrt(6), rel=1)
+
+
+def test_nothing_dynamic():
+    scene = Scene("s", [0, 1, 2], np.zeros((3, 1, 2)), (Entity("a", is_static=True),))
+    with pytest.raises(DataError, match="no entity is dynamic"):
+        estimate_noise([scene])
+
+
+def test_reference_scenes(shared_data):
+    from bsp_gp.data.tables import load_dataset
+
+    rng = np.random.default_rng(31)
+    for kind in ("bounce", "mat"):
+        scenes = load_dataset(shared_data / "synth" / kind).scenes
+        noisy = [
+            dataclasses.replace(
+                s, positions=s.positions + 0.01 * rng.normal(size=s.positions.shape)
+            )
+            for s in scenes
+        ]
+        assert estimate_noise(noisy).sigma == pytest.approx((0.01, 0.01), rel=0.05)
