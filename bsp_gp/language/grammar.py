@@ -1,10 +1,10 @@
 """Grammar files: TOML text -> a checked, immutable grammar. The single source of what may be said.
 
-A file has ``[grammar]`` (name, start, kind), ``[types]`` (nonterminal = "shape unit", ``*`` = open),
-``[inputs]``, ``[constants]`` and ``[rules]`` (alternatives separated by ``|``, written as calls);
-optionally ``[operators]`` (which version of an operator a name means) and ``[each_property]``
-(rules that are repeated for every property column of a data set). Rule bodies are read with
-`ast` from whitelisted nodes and never evaluated.
+A file has ``[grammar]`` (name, start, kind), ``[types]`` (nonterminal = "shape unit", where ``*``
+is open), ``[inputs]``, ``[constants]`` and ``[rules]`` (alternatives separated by ``|``, written
+as calls); optionally ``[operators]`` (which version of an operator a name means) and
+``[each_property]`` (rules that are repeated for every property column of a data set). Rule
+bodies are read with `ast` from whitelisted nodes and never evaluated.
 """
 
 from __future__ import annotations
@@ -239,7 +239,9 @@ def load_grammar(name):
         path = grammar_directory() / f"{name}.toml"
     if not path.is_file():
         known = sorted(p.stem for p in grammar_directory().glob("*.toml"))
-        raise GrammarError(f"unknown grammar {str(name)!r}; known are {', '.join(known)}, or give a .toml file")
+        raise GrammarError(
+            f"unknown grammar {str(name)!r}; known are {', '.join(known)}, or give a .toml file"
+        )
     try:
         source = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -351,7 +353,9 @@ class _Reader:
         same_shape = inferred.shape == expected.shape
         same_unit = expected.unit is None or inferred.unit == expected.unit
         if not same_shape or not same_unit:
-            raise GrammarError(f"{where}: the body is a {inferred}, but {nonterminal} is a {expected}")
+            raise GrammarError(
+                f"{where}: the body is a {inferred}, but {nonterminal} is a {expected}"
+            )
         return body, tuple(children)
 
     def node(self, tree, children, where):

@@ -20,9 +20,12 @@ __all__ = ["parse_formula"]
 
 MAX_LENGTH = 2000
 MAX_NESTING = 60
+MAX_DEPTH = 200
+"""Operators below one another, chains such as a + b + c + ... included."""
+MAX_EXPONENT = 99
 _TOKEN = re.compile(
     r"""\s*(?:
-      (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s*\[(?P<unit>[^\[\]]*)\])?
+      (?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?:\s*\[(?P<unit>[^\[\]]*)\])?
     | (?P<name>[A-Za-z][A-Za-z0-9_]*)
     | (?P<op>\*\*|[-+*/^(),])
     )""",
@@ -74,7 +77,9 @@ def _short(text):
 
 
 def _reason(error):
-    return "too deeply nested" if not isinstance(error, SyntaxError) else (error.msg or "bad syntax")
+    if not isinstance(error, SyntaxError):
+        return "too deeply nested"
+    return error.msg or "bad syntax"
 
 
 def _tokenise(text, units):
@@ -110,21 +115,25 @@ def _tokenise(text, units):
 
 def _number(digits, unit_text, text, units):
     value = float(digits)
-    if value in (float("inf"),):
-        raise LawError(f"law {_short(text)}: the number {digits} is too large")
     if unit_text is None:
-        return Number(value, text=digits)
+        return Number(_finite(value, digits, text), text=digits)
     try:
         scale, unit = parse_unit(unit_text)
     except UnitError as error:
         raise LawError(f"law {_short(text)}: {error}") from None
     if units is not None and not units.is_calibrated(unit):
         raise LawError(
-            f"law {_short(text)}: [{unit_text}] cannot be compared with the data, which do not say "
-            f"what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; declare "
-            "them under [units] in dataset.toml, or with --units length=m time=s mass=kg"
+            f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "
+            f"not say what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; "
+            "declare them under [units] in dataset.toml, or with --units length=m time=s mass=kg"
         )
-    return Number(value * scale, unit, f"{digits} [{unit_text.strip()}]")
+    return Number(_finite(value * scale, digits, text), unit, f"{digits} [{unit_text.strip()}]")
+
+
+def _finite(value, digits, text):
+    if value == float("inf"):
+        raise LawError(f"law {_short(text)}: the number {_short(digits)} is too large")
+    return value
 
 
 class _Builder:
@@ -135,6 +144,7 @@ class _Builder:
         self.types = types
         self.operators = operators
         self.numbers = numbers
+        self.depth = 0
 
     def fail(self, problem):
         raise LawError(f"law {_short(self.text)}: {problem}")
@@ -146,6 +156,14 @@ class _Builder:
             self.fail(str(error))
 
     def build(self, node):
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            self.fail(f"more than {MAX_DEPTH} operators below one another; shorten the law")
+        formula = self.node(node)
+        self.depth -= 1
+        return formula
+
+    def node(self, node):
         if isinstance(node, ast.Name):
             return self.name(node.id)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
@@ -166,6 +184,8 @@ class _Builder:
         if operator == "pow":
             if isinstance(right, Number) and right.value == 2:
                 return self.call("square", left)
+            if isinstance(right, Number) and abs(right.value) > MAX_EXPONENT:
+                self.fail(f"an exponent must be at most {MAX_EXPONENT}, got {right.value:g}")
             return self.call("pow", left, right)
         return self.call(self.operators.get(operator, operator), left, right)
 
@@ -183,7 +203,9 @@ class _Builder:
         if name in self.types:
             return Input(name, self.types[name])
         if name in ("up", "down"):
-            self.fail(f"{name!r} needs a declared vertical: [axes] up = \"y\" in dataset.toml, or --up y")
+            self.fail(
+                f'{name!r} needs a declared vertical: [axes] up = "y" in dataset.toml, or --up y'
+            )
         if name == "e_z":
             self.fail("e_z does not exist in two dimensions")
         if name == "p_c":
@@ -200,10 +222,14 @@ class _Builder:
         if known is not None:
             self.fail(
                 f"the data have no property {known[0]!r} (wanted by {name!r}); "
-                f"present are {', '.join(present) or 'none'}; a constant to fit must not end in _i or _j"
+                f"present are {', '.join(present) or 'none'}; a constant to fit must not end in "
+                "_i or _j"
             )
         columns = {property_of(n)[0] for n in present}
         if name in columns or (name in ALIASES and ALIASES[name] in columns and len(name) > 1):
-            self.fail(f"{name!r} is a property; write {name}_i for the receiver or {name}_j for the source")
+            self.fail(
+                f"{name!r} is a property; write {name}_i for the receiver or {name}_j for the "
+                "source"
+            )
         if name in ("p", "v", "r", "x", "y", "z"):
             self.fail(f"{name!r} is not defined; write p_i, p_j, v_i, v_j or norm(p_i - p_j)")

@@ -9,7 +9,9 @@ from bsp_gp.language.operators import OPERATORS
 
 __all__ = ["to_latex", "to_sympy", "to_text"]
 
-_INFIX = {"add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "div_guarded": ("/", 2)}
+_INFIX = {
+    "add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "div_guarded": ("/", 2)
+}
 _ATOM, _POWER, _NEGATIVE = 9, 4, 3
 _GREEK = {"mu": r"\mu", "friction": r"\mu"}
 _LATEX_INPUTS = {
@@ -93,22 +95,24 @@ def _latex(node, values, units, level):
         return _latex_number(f"{values[node.name]:.4g}") + tail
     if node.operator in ("mul", "div", "div_guarded"):
         return _latex_product(node, values, units)
-    parts = [_latex(arg, values, units, 1) for arg in node.args]
     if node.operator in ("add", "sub"):
         named = _named_difference(node)
         if named:
             return named
-        right = parts[1]
-        if node.operator == "sub" and isinstance(node.args[1], Call) and node.args[1].operator in ("add", "sub"):
+        left, right = (_latex(arg, values, units, 1) for arg in node.args)
+        is_sum = isinstance(node.args[1], Call) and node.args[1].operator in ("add", "sub")
+        if node.operator == "sub" and is_sum:
             right = rf"\left({right}\right)"
-        text = f"{parts[0]} {'+' if node.operator == 'add' else '-'} {right}"
+        text = f"{left} {'+' if node.operator == 'add' else '-'} {right}"
         return rf"\left({text}\right)" if level > 1 else text
     if node.operator == "neg":
         return f"-{_latex(node.args[0], values, units, 2)}"
     if node.operator in ("square", "pow"):
-        power = "2" if node.operator == "square" else parts[1]
+        # Every argument is typeset once: twice would double the work at every level.
         base = _latex(node.args[0], values, units, 2)
-        if isinstance(node.args[0], Call) and node.args[0].operator not in ("norm", "add", "sub", "abs"):
+        power = "2" if node.operator == "square" else _latex(node.args[1], values, units, 1)
+        closed = ("norm", "add", "sub", "abs")
+        if isinstance(node.args[0], Call) and node.args[0].operator not in closed:
             base = rf"\left({base}\right)"
         return f"{base}^{{{power}}}"
     if node.operator == "normalize" and _named_difference(node.args[0]):
@@ -117,6 +121,7 @@ def _latex(node, values, units, level):
         return rf"\hat{{{_latex_input(node.args[0])}}}"
     if node.operator == "norm" and _named_difference(node.args[0]):
         return _named_difference(node.args[0]).replace(r"\mathbf", "")
+    parts = [_latex(arg, values, units, 1) for arg in node.args]
     return OPERATORS[node.operator].latex.format(*parts)
 
 
@@ -201,7 +206,8 @@ class _Sympy:
     def convert(self, node):
         sp = self.sympy
         if isinstance(node, Number):
-            return sp.Integer(int(node.value)) if node.value == int(node.value) else sp.Float(node.value)
+            whole = node.value == int(node.value)
+            return sp.Integer(int(node.value)) if whole else sp.Float(node.value)
         if isinstance(node, Constant):
             return sp.Symbol(node.name, real=True)
         if isinstance(node, Input):
@@ -228,7 +234,8 @@ class _Sympy:
             raise EvaluationError("cross needs three dimensions")
         table = {
             "add": lambda: a + b, "sub": lambda: a - b, "mul": lambda: a * b,
-            "neg": lambda: -a, "pow": lambda: a**b, "square": lambda: a**2, "inverse": lambda: 1 / a,
+            "neg": lambda: -a, "pow": lambda: a**b, "square": lambda: a**2,
+            "inverse": lambda: 1 / a,
             "sqrt": lambda: sp.sqrt(a), "abs": lambda: sp.Abs(a), "exp": lambda: sp.exp(a),
             "log": lambda: sp.log(a), "sin": lambda: sp.sin(a), "cos": lambda: sp.cos(a),
             "tanh": lambda: sp.tanh(a), "sign": lambda: sp.sign(a),

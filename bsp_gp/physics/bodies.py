@@ -219,9 +219,8 @@ def _batch(scenes, key, up):
         if measured:
             velocities[: len(scene.times), s] = scene.velocities
     shapes = [Shapes.of(scene.entities) for scene in scenes]
-    stacked = Shapes(
-        *(np.stack([getattr(s, name) for s in shapes]) for name in ("code", "radius", "width", "height"))
-    )
+    fields = ("code", "radius", "width", "height")
+    stacked = Shapes(*(np.stack([getattr(s, name) for s in shapes]) for name in fields))
     bodies = Bodies(
         names=tuple(scene.names for scene in scenes),
         receivers=np.array(receivers, dtype=int),
@@ -242,7 +241,8 @@ def _columns(scenes, shapes, n_dims):
         )
         blank = (np.nan,) * n_dims if is_vector else np.nan
         columns[name] = np.array(
-            [[e.properties.get(name, blank) for e in scene.entities] for scene in scenes], dtype=float
+            [[e.properties.get(name, blank) for e in scene.entities] for scene in scenes],
+            dtype=float,
         )
     columns.setdefault("radius", shapes.radius)
     return columns

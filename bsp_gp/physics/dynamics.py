@@ -1,8 +1,9 @@
 """Equations of motion: single steps and rollouts, vectorised over scenes and copies.
 
 ``euler`` is the paper's symplectic Euler (equation 1); ``leapfrog`` is kick-drift-kick, with the
-half-step velocity in velocity-dependent forces; ``rk4`` is the classical fourth-order rule, the
-default for smooth laws. Entities that forces do not move follow their measured track.
+velocity extrapolated to the end of the step in velocity-dependent forces; ``rk4`` is the
+classical fourth-order rule, the default for smooth laws. Entities that forces do not move follow
+their measured track.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def step_leapfrog(acceleration, p, v, t, h):
     """One kick-drift-kick step."""
     half = v + acceleration(p, v, t, 0) * (h / 2)
     p = p + half * h
-    return p, half + acceleration(p, half, t, 2) * (h / 2)
+    return p, half + acceleration(p, 2 * half - v, t, 2) * (h / 2)
 
 
 def step_rk4(acceleration, p, v, t, h):
@@ -123,7 +124,9 @@ def rollout(law, batch, positions, velocities, *, integrator="rk4", substeps=1, 
         motion has left the range of numbers.
     """
     if integrator not in INTEGRATORS:
-        raise SettingsError(f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}")
+        raise SettingsError(
+            f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}"
+        )
     step = INTEGRATORS[integrator]
     bodies = batch.bodies
     receivers = bodies.receivers

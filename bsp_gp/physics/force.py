@@ -29,7 +29,7 @@ _MASS = ("m_i", "mass_i")
 
 
 def kind_of(formula):
-    """ "pair" if the law mentions the source j (or a contact with it), else "field"."""
+    """Kind of a law: "pair" if it mentions the source j (or a contact with it), else "field"."""
     mentions = any(name.endswith("_j") or name == "p_c" for name in formula.inputs)
     return "pair" if mentions else "field"
 
@@ -210,7 +210,8 @@ def settle(force, term, bodies, shape, per_entity=False):
     the constant is then per unit mass.
     """
     if term.kind == "pair":
-        force = np.broadcast_to(force, (*shape[:-1], bodies.others.shape[1], shape[-1])).sum(axis=-2)
+        full = (*shape[:-1], bodies.others.shape[1], shape[-1])
+        force = np.broadcast_to(force, full).sum(axis=-2)
     if term.needs_mass:
         mass = bodies.column("mass")[:, bodies.receivers]
         force = force / np.where(np.isnan(mass), 1.0 if per_entity else np.inf, mass)[..., None]

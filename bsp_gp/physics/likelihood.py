@@ -49,6 +49,7 @@ class RegressionBatch:
     valid : ndarray of bool, shape (n, S, R, d)
     scale : ndarray, shape (n, S, R, d)
         1 / standard deviation of independent errors; 0 where not valid.
+    scene_names : tuple of str, length S
     whitener : ndarray or None
         ``(n, n)`` shared or ``(S, R, n, n)``: applied along time before `scale`; None = identity.
     """
@@ -60,6 +61,7 @@ class RegressionBatch:
     target: np.ndarray
     valid: np.ndarray
     scale: np.ndarray
+    scene_names: tuple[str, ...] = ()
     whitener: np.ndarray | None = None
 
     def whiten(self, values):
@@ -130,7 +132,9 @@ class Regression:
         """
         parts = []
         for batch in self.batches:
-            lookup = law_inputs(term.kind, batch.bodies, batch.positions, batch.velocities, batch.times)
+            lookup = law_inputs(
+                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
             value = settle(
                 evaluate(term.acceleration_formula, lookup), term, batch.bodies, batch.target.shape,
                 per_entity,
@@ -163,7 +167,10 @@ class Regression:
         """Names of all receivers, in order of first appearance."""
         return tuple(
             dict.fromkeys(
-                name for batch in self.batches for row in batch.bodies.receiver_names for name in row
+                name
+                for batch in self.batches
+                for row in batch.bodies.receiver_names
+                for name in row
             )
         )
 
@@ -246,7 +253,8 @@ def _regression_batch(batch, method, sigma, sources):
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
     if method == "gls":
         whitener = _gls_whitener(batch.times, valid)
-    return RegressionBatch(bodies, times, positions, velocities, target, valid, scale, whitener)
+    names = tuple(scene.name for scene in batch.scenes)
+    return RegressionBatch(bodies, times, positions, velocities, target, valid, scale, names, whitener)
 
 
 def _steps(times):

@@ -44,7 +44,7 @@ def one_step_nrmse(scenes, law, up=None):
 
 
 def residual_acceleration(regression, law):
-    """Root mean square (over bodies and instants) of observed minus predicted acceleration, m/s^2."""
+    """Root mean square of observed minus predicted acceleration over bodies and instants, m/s^2."""
     total, count = 0.0, 0
     for part in regression.raw_residuals(law):
         seen = np.isfinite(part).any(axis=-1)

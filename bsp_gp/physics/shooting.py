@@ -167,12 +167,16 @@ def fit_rollout(
     -------
     RolloutFit
     """
-    problem = _Problem(scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states)
+    problem = _Problem(
+        scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states
+    )
     return problem.solve(max_iterations)
 
 
 class _Problem:
-    def __init__(self, scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states):
+    def __init__(
+        self, scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states
+    ):
         self.law = law
         self.integrator = integrator
         self.substeps = substeps
@@ -180,7 +184,8 @@ class _Problem:
         self.batches = stack(scenes, up, velocity)
         self.parameters = parameter_list(law, free)
         sigma = np.asarray(sigma, dtype=float)
-        self.weight = np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0), 0.0)
+        known = np.isfinite(sigma)
+        self.weight = np.where(known, 1.0 / np.where(known, sigma, 1.0), 0.0)
         self.observed, self.seen = [], []
         for batch in self.batches:
             observed = batch.positions[:, :, batch.bodies.receivers]
@@ -280,7 +285,9 @@ class _Problem:
             n_scenes = residual.shape[1]
             flat = np.moveaxis(residual, 1, 0).reshape(n_scenes, -1)
             jc = np.moveaxis(by_constant * mask, 2, 0).reshape(n_scenes, len(x), flat.shape[1])
-            js = np.moveaxis(by_state * mask, 2, 0).reshape(n_scenes, -1, flat.shape[1]) if self.fit_states else np.zeros((n_scenes, 0, flat.shape[1]))
+            js = np.zeros((n_scenes, 0, flat.shape[1]))
+            if self.fit_states:
+                js = np.moveaxis(by_state * mask, 2, 0).reshape(n_scenes, -1, flat.shape[1])
             blocks.append((flat, jc, js))
             all_predicted.append(predicted)
         return blocks, chisqr, all_predicted
@@ -307,7 +314,9 @@ class _Problem:
         up, down = rolled[:, 1::2], rolled[:, 2::2]
         with np.errstate(invalid="ignore"):
             slopes = np.moveaxis(up - down, 1, 0)
-        widths = np.concatenate([2 * steps_c, np.full(size, 2 * scale_p), np.full(size, 2 * scale_v)])
+        widths = np.concatenate(
+            [2 * steps_c, np.full(size, 2 * scale_p), np.full(size, 2 * scale_v)]
+        )
         slopes = slopes / widths[:count, None, None, None, None]
         slopes = np.nan_to_num(slopes)
         return rolled[:, 0], slopes[:n_c], slopes[n_c:]
@@ -332,14 +341,16 @@ class _Problem:
                 hcc, hcs, hss = jc[s] @ jc[s].T, jc[s] @ js[s].T, js[s] @ js[s].T
                 gc, gs = jc[s] @ flat[s], js[s] @ flat[s]
                 hss = hss + damping * np.diag(np.diag(hss)) + _tiny(hss)
-                solved = np.linalg.solve(hss, np.column_stack([hcs.T, gs])) if len(gs) else np.zeros((0, n_c + 1))
+                solved = np.zeros((0, n_c + 1))
+                if len(gs):
+                    solved = np.linalg.solve(hss, np.column_stack([hcs.T, gs]))
                 matrix += hcc + damping * np.diag(np.diag(hcc)) - hcs @ solved[:, :n_c]
                 vector += gc - hcs @ solved[:, n_c]
                 stored.append((solved[:, n_c], solved[:, :n_c]))
         dx = _solve_bounded(matrix + _tiny(matrix), vector, x, self.low, self.high)
         dstates, index = [], 0
-        for k, batch in enumerate(self.batches):
-            n_scenes, n_receivers, n_dims = self.observed[k].shape[1:]
+        for observed in self.observed:
+            n_scenes, n_receivers, n_dims = observed.shape[1:]
             dp = np.zeros((n_scenes, n_receivers, n_dims))
             dv = np.zeros_like(dp)
             for s in range(n_scenes):
@@ -372,7 +383,9 @@ class _Problem:
 
 def _tiny(matrix):
     diagonal = np.diag(matrix)
-    return np.diag(np.where(diagonal > 0, 1e-14 * diagonal, 1.0)) if len(diagonal) else np.zeros((0, 0))
+    if not len(diagonal):
+        return np.zeros((0, 0))
+    return np.diag(np.where(diagonal > 0, 1e-14 * diagonal, 1.0))
 
 
 def _solve_bounded(matrix, vector, x, low, high):
@@ -391,7 +404,9 @@ def _solve_bounded(matrix, vector, x, low, high):
     return dx
 
 
-def predict(scenes, law, sigma, *, n_initial, integrator="rk4", substeps=1, up=None, velocity="ignore"):
+def predict(
+    scenes, law, sigma, *, n_initial, integrator="rk4", substeps=1, up=None, velocity="ignore"
+):
     """Predict scenes whose initial states are fitted on their first rows only.
 
     Parameters

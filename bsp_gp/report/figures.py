@@ -12,7 +12,6 @@ from bsp_gp.report.drawing import (
     BEFORE,
     FLOOR,
     INK,
-    WIDTH,
     axis_label,
     legend_above,
     log_ticks,
@@ -159,13 +158,13 @@ def _residuals(report):
     if has_adopted:
         series.append(("adopted law", AFTER, after[seen]))
     figure = new_figure(
-        lambda f: _draw_residuals(f, against, series, acceleration), 2.9, max(WIDTH, 1)
+        lambda f: _draw_residuals(f, against, series, acceleration), 2.9
     )
     rows = "held-out rows" if use_held_out else "all rows"
     caption = (
         f"Size of the residual acceleration, {rows}"
         + (", before and after" if has_adopted else "")
-        + ": running medians, with bands from 10 % to 90 %. Where a panel slopes or steps, the "
+        + ": running medians, with bands from 10\u00a0% to 90\u00a0%. Where a panel slopes or steps, the "
         "residual depends on that quantity."
     )
     return ReportFigure("residuals", caption, figure)
@@ -202,8 +201,10 @@ def _draw_residuals(figure, against, series, unit):
         tidy(panel)
         if is_log:
             log_ticks(panel.yaxis)
-    if not is_log:
-        panels[0].set_ylim(bottom=0, top=1.15 * np.nanquantile(everything * factor, 0.998) or None)
+    shown = everything[np.isfinite(everything) & ((everything > 0) | (not is_log))] * factor
+    if shown.size and shown.max() > 0:
+        low, high = np.quantile(shown, [0.01, 0.998])
+        panels[0].set_ylim(low / 1.5 if is_log else 0, 1.5 * high if is_log else 1.15 * high)
     panels[0].set_ylabel(axis_label("residual acceleration", shown_unit))
     legend_above(figure, handles, [label for label, _, _ in series])
 
@@ -221,22 +222,34 @@ def _running_quantiles(x, y):
 
 def _constants(report):
     shared, own = constant_groups([c for c in report.constants if is_number(c.value)])
+    shared = [c for c in shared if c.value and is_number(c.low) and is_number(c.high)]
     if not shared and not own:
         return None
-    heights = [0.5] * len(shared)
+    heights = [0.5 + 0.24 * len(shared)] if shared else []
     heights += [0.5 + 0.17 * min(len(group), _MAX_LABELS) for _, _, group in own]
-    figure = new_figure(
-        lambda f: _draw_constants(f, shared, own, heights), 0.15 + sum(heights), WIDTH
-    )
-    caption = "Constants of the law with their 90 % intervals"
-    caption += "; one value per entity, sorted by value." if own else "."
+    figure = new_figure(lambda f: _draw_constants(f, shared, own, heights), 0.15 + sum(heights))
+    parts = ["the interval relative to the value (at −100\u00a0% it would reach zero)"] if shared else []
+    parts += ["one value per entity, sorted by value"] if own else []
+    caption = f"Constants with their 90\u00a0% intervals: {'; '.join(parts)}."
     return ReportFigure("constants", caption, figure)
 
 
 def _draw_constants(figure, shared, own, heights):
-    panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    groups = [(c.name, c.unit, [c]) for c in shared] + list(own)
-    for panel, (name, unit, group) in zip(panels, groups, strict=True):
+    panels = list(figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0])
+    if shared:
+        panel = panels.pop(0)
+        low, high = np.array([sorted((c.low / c.value - 1, c.high / c.value - 1)) for c in shared]).T
+        labels = [
+            f"{plain(c.name)} = {plain(format_value(c.value, c.low, c.high, c.unit), 60)}"
+            for c in shared
+        ]
+        _draw_intervals(panel, np.zeros(len(shared)), 100 * low, 100 * high, labels)
+        panel.set_ylim(len(shared) - 0.4, -0.6)
+        panel.axvline(0, lw=0.6, color="#AAAAAA", zorder=0)
+        if low.min() < -0.8:
+            panel.axvline(-100, lw=0.8, ls=":", color=INK, zorder=0)
+        panel.set_xlabel("difference from the value (%)", labelpad=1)
+    for panel, (name, unit, group) in zip(panels, own, strict=True):
         values = np.array([c.value for c in group], float)
         low = np.array([c.low if is_number(c.low) else c.value for c in group], float)
         high = np.array([c.high if is_number(c.high) else c.value for c in group], float)
@@ -244,25 +257,24 @@ def _draw_constants(figure, shared, own, heights):
         if (low > 0).all() and spans_decades(values, 1.7):
             panel.set_xscale("log")
             factor, shown_unit = 1.0, unit
-        rows = np.arange(len(group))
-        panel.hlines(rows, low * factor, high * factor, color=AFTER, lw=1.6)
-        panel.plot(values * factor, rows, "o", ms=3.6, color=AFTER)
-        panel.set_ylim(-0.8, len(group) - 0.2)
+        labels = [plain(c.entity) for c in group] if len(group) <= _MAX_LABELS else []
+        _draw_intervals(panel, values * factor, low * factor, high * factor, labels)
         panel.set_xlabel(axis_label(name, shown_unit), labelpad=1)
-        tidy(panel)
-        panel.spines["left"].set_visible(False)
-        panel.tick_params(axis="y", length=0)
-        panel.margins(x=0.08)
-        if len(group) == 1 and not group[0].entity:
-            panel.set_yticks([])
-            c = group[0]
-            panel.set_title(format_value(c.value, c.low, c.high, c.unit), loc="left", pad=2)
-        elif len(group) <= _MAX_LABELS:
-            panel.set_yticks(rows, [plain(c.entity) for c in group])
-            panel.grid(axis="y", lw=0.3, color="#DDDDDD")
-        else:
-            panel.set_yticks([])
+        if not labels:
             panel.set_ylabel(f"{len(group)} entities")
+
+
+def _draw_intervals(panel, values, low, high, labels):
+    rows = np.arange(len(values))
+    panel.hlines(rows, low, high, color=AFTER, lw=1.6)
+    panel.plot(values, rows, "o", ms=3.6, color=AFTER)
+    panel.set_ylim(-0.8, len(values) - 0.2)
+    panel.margins(x=0.08)
+    tidy(panel)
+    panel.spines["left"].set_visible(False)
+    panel.tick_params(axis="y", length=0)
+    panel.set_yticks(rows if labels else [], labels)
+    panel.grid(axis="y", lw=0.3, color="#DDDDDD")
 
 
 def _rounds(report):
@@ -279,19 +291,25 @@ def _rounds(report):
                     rows.append((r.number, label, float(value), color, unit))
         if rows:
             panels.append((title, rows))
-    if not panels:
+    if all(len(rows) < 2 for _, rows in panels):
         return None
     height = 0.55 + 0.24 * max(len(rows) + len({r[0] for r in rows}) for _, rows in panels)
     figure = new_figure(lambda f: _draw_rounds(f, panels), max(height, 1.4))
-    caption = "Error on held-out data before and after every round, and the floor set by the noise."
+    caption = "Error on held-out data before and after every round, and the floor set by the noise"
+    caption += "; logarithmic where dots stand for bars." if any(map(_is_log, panels)) else "."
     return ReportFigure("rounds", caption, figure)
+
+
+def _is_log(panel):
+    values = [row[2] for row in panel[1]]
+    return min(values) > 0 and max(values) > 50 * min(values)
 
 
 def _draw_rounds(figure, panels):
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for panel, (title, rows) in zip(axes, panels, strict=True):
         values = np.array([row[2] for row in rows])
-        is_log = values.min() > 0 and values.max() > 50 * values.min()
+        is_log = _is_log((title, rows))
         start = values.min() / 3 if is_log else 0.0
         if is_log:
             panel.set_xscale("log")
@@ -311,12 +329,12 @@ def _draw_rounds(figure, panels):
                            textcoords="offset points", va="center", color=INK)
         many = len({row[0] for row in rows}) > 1
         names = [f"round {row[0]}, {row[1]}" if many else row[1] for row in rows]
+        tidy(panel)
         panel.set_yticks(places, names)
-        panel.set_ylim(places[-1] + 0.7, -0.7)
+        panel.set_ylim(max(places[-1], 2) + 0.7, -0.7)
         top = values.max() * ((values.max() / start) ** 0.45 if is_log else 1.45)
         panel.set_xlim(start, top if top > start else 1.0)
         panel.set_title(title, loc="left")
-        tidy(panel)
         panel.spines[["left", "bottom"]].set_visible(False)
         panel.tick_params(axis="y", length=0)
         panel.tick_params(axis="x", which="both", length=0, labelbottom=False)

@@ -13,10 +13,10 @@ __all__ = [
 NOT_KNOWN = "–"
 """What stands in place of a number that there is not."""
 
-_MAX_DIGITS = 10
+_MAX_DIGITS = 13
 _PLAIN = (1e-3, 1e5)  # sizes written without a power of ten
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
-_POWER = re.compile(r"(?:\^|\*\*)\(?([-+]?\d+)\)?(?![\d./])")
+_POWER = re.compile(r"(?:\^|\*\*)(?:([-+]?\d+)(?![\d.])|\(([-+]?\d+)\))")
 
 
 def is_number(value):
@@ -40,7 +40,7 @@ def pretty_unit(unit):
     text = str(unit or "").strip()
     if text in ("", "1"):
         return ""
-    return _POWER.sub(lambda m: m.group(1).translate(_SUPERSCRIPTS), text).replace("*", "·")
+    return _POWER.sub(lambda m: (m[1] or m[2]).translate(_SUPERSCRIPTS), text).replace("*", "·")
 
 
 def with_unit(text, unit):
@@ -86,7 +86,7 @@ def format_number(value, digits=3):
 
 
 def rounded(value, low, high):
-    """Round an estimate and its interval to what the interval supports: two digits of it.
+    """Round an estimate and its interval to one or two digits of the interval.
 
     Returns
     -------
@@ -108,7 +108,10 @@ def rounded(value, low, high):
     scale = 10.0**exponent
     half = (high - low) / 2 / scale
     leading = math.floor(math.log10(size / scale)) if size else 0
-    decimals = 1 - math.floor(math.log10(half)) if half > 0 else 3 - leading
+    decimals = 3 - leading
+    if half > 0:  # two digits of an interval below 3.55, one above, as the PDG does
+        place = math.floor(math.log10(half))
+        decimals = (1 if half / 10.0**place < 3.55 else 0) - place
     # An interval far wider than the value still leaves the value one digit, if it can.
     decimals = min(max(decimals, -leading), _MAX_DIGITS - 1 - leading)
     parts = [_fixed(part / scale, decimals) for part in (value, low, high)]

@@ -16,14 +16,14 @@ from bsp_gp.report.numbers import (
 )
 
 __all__ = [
-    "adopted_rounds", "caveats", "constant_groups", "headline", "missing_sentence",
+    "adopted_rounds", "caveats", "constant_groups", "group_range", "headline", "missing_sentence",
     "outcome_sentence", "ratio_caution", "verdict_sentence",
 ]
 
 _METRICS = (
-    ("rollout_rmse", "position error of held-out rollouts"),
-    ("one_step_nrmse", "one-step error on held-out data"),
-    ("residual_acceleration", "residual acceleration on held-out data"),
+    ("rollout_rmse", "held-out position error"),
+    ("one_step_nrmse", "held-out one-step error"),
+    ("residual_acceleration", "held-out residual acceleration"),
 )
 _UNCALIBRATED = ("", "1", "px", "pixel", "pixels", "frame", "frames", "unit", "units", "a.u.")
 _UNKNOWN = ("", "unknown", "none", "not known", "assumed")
@@ -112,8 +112,9 @@ def missing_sentence(round_, alpha):
         text = f"Nothing is left above the noise (whitened χ² per degree of freedom {numbers})."
     if not is_number(missing.statistic):
         text = text.replace("whitened χ² per degree of freedom ", "")
-    level = f" Tested at α = {format_number(alpha, 2)}."
-    return " ".join(filter(None, (text + level, _detectable(missing))))
+    level = f" Tested at α = {alpha:g}."
+    smallest = "" if missing.is_missing else _detectable(missing)
+    return f"{text}{level} {smallest}".strip()
 
 
 def outcome_sentence(round_):
@@ -122,7 +123,8 @@ def outcome_sentence(round_):
     if round_.effect is None:
         return reason or "No effect was traced."
     name = round_.effect.name
-    significance = f"{format_p(round_.effect.p_value)}, selection included"
+    p = round_.effect.p_value
+    significance = f"{format_p(p)}, selection included" if is_number(p) else "significance not known"
     if round_.adopted:
         return f"Adopted: {name} ({significance}). {reason}".strip()
     return f"Seen, not adopted: {name} ({significance}). {reason}".strip()
@@ -236,12 +238,13 @@ def constant_groups(constants):
 def group_range(name, unit, group):
     """One line for a constant of which every entity has its own."""
     values = [c.value for c in group if is_number(c.value)]
+    label = f"{name}: {len(group)} {'entities' if len(group) > 1 else 'entity'}"
     if not values:
-        return f"{name}: {len(group)} entities, no value known"
+        return f"{label}, no value known"
     spread = max(values) - min(values)
     low, _, high, power = rounded(min(values), min(values) - spread / 4, max(values))
     return (
-        f"{name}: {len(group)} entities, {low} to {high}{with_unit(power or '', unit)}"
+        f"{label}, {low} to {high}{with_unit(power or '', unit)}"
         if power
-        else f"{name}: {len(group)} entities, {low} to {with_unit(high, unit)}"
+        else f"{label}, {low} to {with_unit(high, unit)}"
     )

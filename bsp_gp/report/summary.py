@@ -45,7 +45,7 @@ def summary_text(report):
     lines += _ties(report)
     notes = [*caveats(report), *report.notes]
     if notes:
-        more = f" (and {len(notes) - 1} more notes in the report)" if len(notes) > 1 else ""
+        more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
         lines += _wrapped(f"Note: {notes[0]}{more}", 2, indent="      ")
     lines += _wrapped(f"Stopped: {report.stop_reason}", 1)
     return "\n".join(lines[:MAX_LINES])

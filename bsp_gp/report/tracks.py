@@ -26,6 +26,7 @@ MAX_PANELS = 9
 _FLAT = 0.05  # an axis with less of the motion than this is not drawn
 _ALIKE = 0.03  # models closer than this part of the picture look the same
 _MAX_DOTS = 150
+_BOX = 0.85  # height of a path's panel over its width
 _LOG_FACTOR = 30.0
 
 
@@ -145,8 +146,6 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
         panel.set_title(_title(overlay), loc="left")
         panel.set_xlabel(axis_label("time", t_unit) if len(axes) == 1 else axis_label(names[0], unit))
         panel.set_ylabel(axis_label(names[-1], unit))
-        if len(axes) == 2:
-            panel.set_aspect("equal", adjustable="datalim")
         tidy(panel, 4)
     handles = [Line2D([], [], ls="", marker="o", ms=4, mew=0.8, mec="#555555", mfc="white")]
     handles += [Line2D([], [], color=color, ls=style, lw=1.4) for _, color, style in models]
@@ -155,10 +154,10 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
 
 def _set_limits(panel, observed, curves, is_path):
     """Frame what was observed; a rollout that runs away may leave the frame."""
-    setters = (panel.set_xlim, panel.set_ylim)
+    frame = []
     spans = [np.ptp(a[np.isfinite(a)]) for a in observed]
     widest = max(spans) if is_path else 0.0
-    for k, (values, set_limit) in enumerate(zip(observed, setters, strict=True)):
+    for k, values in enumerate(observed):
         finite = values[np.isfinite(values)]
         low, high = float(finite.min()), float(finite.max())
         span = max(spans[k], 0.2 * widest) or abs(high) * 1e-3 or 1.0
@@ -168,7 +167,15 @@ def _set_limits(panel, observed, curves, is_path):
             if inside.size:
                 low = max(min(low, inside.min()), room[0])
                 high = min(max(high, inside.max()), room[1])
-        set_limit(low - 0.06 * span, high + 0.06 * span)
+        frame.append((low - 0.06 * span, high + 0.06 * span))
+    if is_path:  # the same scale along both axes
+        side = max(frame[0][1] - frame[0][0], (frame[1][1] - frame[1][0]) / _BOX)
+        halves = (side / 2, side * _BOX / 2)
+        middles = [(low + high) / 2 for low, high in frame]
+        frame = [(m - half, m + half) for m, half in zip(middles, halves, strict=True)]
+        panel.set_box_aspect(_BOX)
+    panel.set_xlim(*frame[0])
+    panel.set_ylim(*frame[1])
 
 
 def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):

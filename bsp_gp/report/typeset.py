@@ -18,7 +18,14 @@ _SIZE = 20.0  # points; the page scales by em
 _MAX_LENGTH = 3000
 _MARGIN = 1.0
 _DRAW = {Outline.MOVETO: "M", Outline.LINETO: "L", Outline.CURVE3: "Q", Outline.CURVE4: "C"}
-_HAT = re.compile(r"\\hat\{(\\mathbf\{\w\})(_\{\w+\})\}")
+# What mathtext draws badly: hats over an index, growing double bars, small fractions, signs in front.
+_BETTER = (
+    (re.compile(r"\\hat\{(\\mathbf\{\w\})(_\{\w+\})\}"), r"\\hat{\1}\2"),
+    (re.compile(r"\\(left|right)\\\|"), r"\\|"),
+    (re.compile(r"\\frac\b"), r"\\dfrac"),
+    (re.compile(r"(\\sum_\{[^{}]*\})"), r"\1\\,"),
+    (re.compile(r"^([-+]) "), r"\1\\;"),
+)
 
 
 def split_terms(latex):
@@ -39,7 +46,8 @@ def split_terms(latex):
         elif token == " + " and depth == 0:
             parts.append(latex[start : match.start()].strip())
             start = match.start() + 1
-    return [*parts, latex[start:].strip()]
+    parts.append(latex[start:].strip())
+    return [re.sub(r"^\+ -", "- ", part) for part in parts]
 
 
 def to_svg(latex):
@@ -56,9 +64,11 @@ def to_svg(latex):
     """
     if not latex.strip() or len(latex) > _MAX_LENGTH:
         return None
-    latex = _HAT.sub(r"\\hat{\1}\2", latex)
+    terms = split_terms(latex)
+    for pattern, better in _BETTER:
+        terms = [pattern.sub(better, term) for term in terms]
     try:
-        return "\n".join(_draw(part) for part in split_terms(latex))
+        return "\n".join(_draw(term) for term in terms)
     except ValueError:
         return None
 
@@ -66,7 +76,7 @@ def to_svg(latex):
 def _draw(latex):
     if "$" in latex:
         raise ValueError("a dollar sign ends the equation")
-    font = FontProperties(family="DejaVu Sans", math_fontfamily="cm", size=_SIZE)
+    font = FontProperties(family="DejaVu Sans", math_fontfamily="stix", size=_SIZE)
     text = f"${latex}$"
     width, _, depth, *_ = MathTextParser("path").parse(text, 72, font)
     outline = TextPath((0, 0), text, size=_SIZE, prop=font)
@@ -112,21 +122,24 @@ def _tex(text):
 def _tex_unit(unit):
     if unit in ("", "1"):
         return "1"
-    parts = re.split(r"\^\(?([-+]?[\d/.]+)\)?", unit)
+    parts = re.split(r"\^\(?([-+]?\d+)\)?", unit)
     return "".join(f"$^{{{p}}}$" if k % 2 else _tex(p).replace("*", r"\,") for k, p in enumerate(parts))
 
 
 def law_document(report):
     """A LaTeX document with the law and its constants, complete with a preamble."""
-    terms = split_terms(report.law_latex)
-    first, *rest = terms
-    left, equals, right = first.partition(" = ")
-    body = rf"{left} ={{}}& {right}" if equals else rf"& {first}"
-    body += "".join(rf" \\ & {term}" for term in rest)
+    if to_svg(report.law_latex) is None:
+        equation = [r"\begin{quote}\ttfamily", _tex(report.law_text), r"\end{quote}"]
+    else:
+        first, *rest = split_terms(report.law_latex)
+        left, equals, right = first.partition(" = ")
+        body = rf"{left} ={{}}& {right}" if equals else rf"& {first}"
+        body += "".join(rf" \\ & {term}" for term in rest)
+        equation = [r"\begin{align*}", body, r"\end{align*}"]
     lines = [
         r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
         r"\usepackage{amsmath,longtable}", r"\begin{document}",
-        r"\begin{align*}", body, r"\end{align*}",
+        *equation,
     ]
     if report.constants:
         lines += [

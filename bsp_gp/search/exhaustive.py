@@ -38,7 +38,7 @@ from bsp_gp.search.banks import (
 )
 from bsp_gp.search.candidate import Candidate, Certificate, SearchResult
 
-__all__ = ["Plan", "plan_of", "search_exhaustive"]
+__all__ = ["Plan", "law_pool", "plan_of", "search_exhaustive"]
 
 TILE_BYTES = 1 << 26
 """Upper bound of one work array, so that memory does not grow with the data."""
@@ -247,6 +247,26 @@ def search_exhaustive(
                         time.perf_counter() - start, certificate, tuple(search.null_best))
 
 
+def law_pool(regression, grammar, *, kind, is_left, max_levels=8):
+    """All laws of a grammar whose property factor is one of a few, as columns.
+
+    Parameters
+    ----------
+    is_left : callable
+        ``is_left(formula) -> bool`` for property factors; Number(1) stands for none.
+
+    Returns
+    -------
+    laws : list of (Formula, float)
+        Without constants, and their complexity.
+    columns : ndarray, shape (n, len(laws))
+        Whitened accelerations.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        search = _Exhaustive(regression, grammar, kind, max_levels, 1)
+        return search.pool(is_left)
+
+
 class _Exhaustive:
     def __init__(self, regression, grammar, kind, max_levels, top_k):
         self.regression = regression
@@ -343,8 +363,9 @@ class _Exhaustive:
         if not binary:
             ones = _Side([self._one()])
             for plan in plans:
-                left = ones if plan.left is None else self._side(self.banks.bank(*plan.left))
-                blocks.append(_Block(left, ones, np.ones((len(left.entries), 1), bool),
+                # On the right, where factors may vary in time under any covariance.
+                right = ones if plan.left is None else self._side(self.banks.bank(*plan.left))
+                blocks.append(_Block(ones, right, np.ones((1, len(right.entries)), bool),
                                      self._rule_cost(plan), plan.constant))
         return blocks
 
@@ -434,6 +455,26 @@ class _Exhaustive:
         total = (directed.complexity + block.cost + block.left.complexity[:, None]
                  + block.right.complexity)
         self.kept.add(gain, total, (block, directed))
+
+    def pool(self, is_left):
+        """See `law_pool`."""
+        families = {}
+        for plan in plan_of(self.grammar, self.kind, self.max_levels):
+            families.setdefault((plan.direction, plan.condition), []).append(plan)
+        laws, columns = [], []
+        for family, directed in self._directions(families):
+            for block in self._blocks(families[family]):
+                lefts = [a for a, e in enumerate(block.left.entries) if is_left(e.formula)]
+                for a, b in itertools.product(lefts, range(len(block.right.entries))):
+                    if block.allowed[a, b]:
+                        _, rest = split_linear(block.formulas(a, b, directed, most=0)[0])
+                        column = self.regression.column(Term(rest, self.kind))[0][:, 0]
+                        laws.append((rest, block.left.complexity[a] + block.right.complexity[b]
+                                     + block.cost + directed.complexity))
+                        columns.append(column)
+        if not columns:
+            return [], np.zeros((len(self.regression.target()), 0))
+        return laws, np.stack(columns, axis=1)
 
     def candidates(self):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""

@@ -1,0 +1,313 @@
+"""Closing the loop: rounds of finding what is missing, until nothing is, or it cannot be named."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from bsp_gp.errors import LawError, SettingsError
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.effects import EffectSearch
+from bsp_gp.loop.observation import observe
+from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
+from bsp_gp.loop.rounds import constant_estimates, evaluate, run_round
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, unknown_receivers
+from bsp_gp.units import FORCE, Unit
+
+__all__ = ["close_loop", "declared_law"]
+
+PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
+
+
+def declared_law(dataset, texts):
+    """Read declared laws; LawError names the text that is wrong.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    texts : sequence of str
+        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``. Named constants are fitted.
+
+    Returns
+    -------
+    ForceLaw
+        Constants at 1 until they are fitted.
+    """
+    types = dataset_types(dataset)
+    terms = []
+    for text in texts:
+        formula = parse_formula(text, types, units=dataset.units)
+        unit = formula.type.unit
+        if unit is not None and unit != FORCE:
+            raise LawError(
+                f"law {text!r} has the unit {unit}, but a force has {FORCE}; "
+                "give its number a unit, as in 9.81 [m/s^2]"
+            )
+        terms.append(Term(formula, is_declared=True))
+    law = ForceLaw(tuple(terms), {})
+    return law.with_constants(dict.fromkeys(law.names, 1.0))
+
+
+def close_loop(
+    dataset,
+    declared=(),
+    *,
+    rng,
+    grammar="physics",
+    alpha=0.01,
+    max_rounds=5,
+    max_levels=8,
+    n_null=299,
+    per_entity="auto",
+    exclude=("t",),
+    seed=None,
+    workers=None,
+    progress=None,
+):
+    """Find what a declared model lacks, add it, and report the error before and after.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    declared : ForceLaw or sequence of str
+        The model that is believed: typed laws. Empty: no force at all.
+    rng : numpy.random.Generator
+        Splits, simulated residuals, resampling.
+    grammar : str or Grammar
+        What may be missing: a name, a path, or a grammar.
+    alpha : float
+        Level of the tests, 0 to 1.
+    max_rounds : int
+    max_levels : int
+        Bound of the search, in levels of a derivation.
+    n_null : int
+        Simulated residuals behind the p-value; at least 1 / alpha - 1.
+    per_entity : bool or "auto"
+        Whether an effect may have a constant of its own for every body.
+    exclude : sequence of str
+        Inputs that the search may not use (by default time).
+    seed : int, optional
+        Recorded in the report.
+    workers : concurrent.futures.Executor, optional
+        For fitting proposals; the answer does not depend on it.
+    progress : callable, optional
+        ``progress(text)`` at every stage.
+
+    Returns
+    -------
+    LoopReport
+
+    Raises
+    ------
+    BspError
+        If the data, the law or a setting is unusable.
+    """
+    started = time.perf_counter()
+    progress = progress or (lambda text: None)
+    _check(alpha, max_rounds, n_null)
+    law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
+    grammar = load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar
+    sources = max(len(scene.entities) for scene in dataset.scenes) > 1 and (
+        "pair" in grammar.start or any(term.kind == "pair" for term in law.terms)
+    )
+    split_rng, final_rng, *round_rngs = rng.spawn(2 + max_rounds)
+    progress("reading the data set")
+    observation = observe(dataset, law, split_rng, sources=sources)
+    _check_masses(observation, law)
+    search = EffectSearch(observation, grammar, max_levels, n_null, per_entity, tuple(exclude))
+    progress("fitting the declared model")
+    first = model = evaluate(observation, law)
+    rounds = []
+    for number, round_rng in enumerate(round_rngs, 1):
+        done, model = run_round(number, observation, model, search, alpha, round_rng, progress, workers)
+        rounds.append(done)
+        if not done.adopted:
+            break
+    progress("writing up")
+    return _report(observation, search, law, first, model, rounds, grammar, alpha, seed,
+                   final_rng, started)
+
+
+def _check(alpha, max_rounds, n_null):
+    if not 0 < alpha < 1:
+        raise SettingsError(f"alpha must be between 0 and 1, got {alpha!r}")
+    if max_rounds < 1:
+        raise SettingsError(f"max_rounds must be at least 1, got {max_rounds!r}")
+    if n_null < 1 / alpha - 1:
+        raise SettingsError(
+            f"n_null must be at least 1/alpha - 1 = {1 / alpha - 1:.0f} for a p-value to reach "
+            f"alpha = {alpha:g}, got {n_null!r}"
+        )
+
+
+def _check_masses(observation, law):
+    """A declared pooled term must be able to act on every body that moves."""
+    for batch in observation.train_regression.batches:
+        mass = batch.bodies.column("mass")[:, batch.bodies.receivers]
+        for term in law.terms:
+            lost = unknown_receivers(term, batch.bodies) | (term.needs_mass & np.isnan(mass))
+            if lost.any():
+                s, r = np.argwhere(lost)[0]
+                raise LawError(
+                    f"declared law {to_text(term.formula)} needs a property of "
+                    f"{batch.bodies.receiver_names[s][r]!r} that is unknown; give it in "
+                    "entities.csv, or leave the body out"
+                )
+
+
+def _report(observation, search, law, first, model, rounds, grammar, alpha, seed, rng, started):
+    floor_rng, ratio_rng = rng.spawn(2)
+    dataset = observation.dataset
+    floor, copies = observation.floor(model.law, floor_rng)
+    ratio = observation.ratio(first.rows, model.rows, ratio_rng, copies, first.law, model.law)
+    verdicts = {r.verdict for r in rounds}
+    verdict = next(v for v in VERDICTS if v in verdicts)
+    if verdict == "nothing missing" and "seen, not adopted" in verdicts:
+        verdict = "seen, not adopted"
+    units = {c.name: c.unit for c in constant_estimates(observation, model.fit) if not c.entity}
+    return LoopReport(
+        dataset=_about(observation),
+        declared=tuple({"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in law.terms),
+        grammar={"name": grammar.name, "fingerprint": grammar.fingerprint},
+        seed=seed,
+        alpha=alpha,
+        noise={
+            "sigma": [float(s) for s in observation.sigma],
+            "unit": dataset.units.text(Unit.of(m=1)),
+            "source": observation.noise.source,
+            "method": observation.noise.method,
+            "likelihood": observation.method,
+            "sigma_used": [float(s) for s in observation.regression_sigma],
+        },
+        rounds=tuple(rounds),
+        law=model.law,
+        law_text=model.law.text(units=units),
+        law_latex=model.law.latex(units=units),
+        constants=constant_estimates(observation, model.fit),
+        total={"before": first.errors, "after": model.errors, "floor": floor, "ratio": ratio},
+        verdict=verdict,
+        stop_reason=_stop_reason(rounds),
+        versions=_versions(),
+        wall_s=time.perf_counter() - started,
+        overlays=tuple(_overlays(observation, first.law, model.law)),
+        residuals=_residual_table(observation, first.law, model.law),
+        notes=(*dataset.notes, observation.split_note, *_caveats(observation, search)),
+    )
+
+
+def _stop_reason(rounds):
+    last = rounds[-1]
+    if last.adopted:
+        return f"the limit of {len(rounds)} rounds was reached; more may be left"
+    return last.reason
+
+
+def _caveats(observation, search):
+    dataset = observation.dataset
+    if dataset.units.symbols:
+        yield (
+            "not calibrated: " + ", ".join(f"{v} stands for {k}" for k, v in dataset.units.symbols.items())
+            + "; constants are in the data's own units"
+        )
+    if observation.noise.source == "estimated":
+        yield f"the noise level was estimated from the data: {observation.noise.method}"
+    if len(observation.segments) > len(observation.train):
+        yield (
+            f"tracks depend so strongly on their start that they were fitted in "
+            f"{len(observation.segments)} segments"
+        )
+    unknown = sorted({
+        e.name for s in dataset.scenes for e in s.entities
+        if not e.is_static and not np.isfinite(e.mass)
+    })
+    if unknown:
+        yield f"mass unknown: {', '.join(unknown)}; left out of laws for all bodies that need it"
+    if search.per_entity:
+        yield "effects were tried with one constant for all bodies and with one for each body"
+    if search.exclude:
+        yield f"not used by the search: {', '.join(search.exclude)}"
+
+
+def _about(observation):
+    dataset = observation.dataset
+    digest = hashlib.sha256()
+    for scene in dataset.scenes:
+        digest.update(scene.name.encode())
+        digest.update(scene.times.tobytes())
+        digest.update(scene.positions.tobytes())
+    return {
+        "name": dataset.name,
+        "n_scenes": len(dataset.scenes),
+        "n_rows": int(sum(np.isfinite(s.positions).all(axis=-1).sum() for s in dataset.scenes)),
+        "n_entities": len({n for s in dataset.scenes for n in s.names}),
+        "n_dims": dataset.n_dims,
+        "train": [s.name for s in observation.train],
+        "test": [s.name for s in observation.test],
+        "units": dict(dataset.units.declared),
+        "up": dataset.up,
+        "provenance": dict(dataset.provenance),
+        "fingerprint": digest.hexdigest(),
+    }
+
+
+def _versions():
+    out = {}
+    for package in PACKAGES:
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:  # running from a source tree
+            out[package] = "source"
+    return out
+
+
+def _overlays(observation, declared, adopted, most=12):
+    before = observation.predictions(declared)
+    after = observation.predictions(adopted)
+    count = 0
+    for scene, b, a in zip(observation.test, before, after, strict=True):
+        for r, index in enumerate(scene.dynamic):
+            if count < most:
+                count += 1
+                yield Overlay(scene.name, scene.names[index], scene.times, scene.positions[:, index],
+                              b[:, r], a[:, r], observation.n_initial(scene))
+
+
+def _residual_table(observation, declared, adopted):
+    columns = {name: [] for name in ("t", "speed", "distance", "before", "after",
+                                     "before_along", "after_along")}
+    labels = {"scene": [], "entity": [], "split": []}
+    for split, regression in (("train", observation.train_regression), ("test", observation.test_regression)):
+        raw = zip(regression.batches, regression.raw_residuals(declared),
+                  regression.raw_residuals(adopted), strict=True)
+        for batch, before, after in raw:
+            _add_rows(batch, before, after, split, columns, labels)
+    arrays = {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in columns.items()}
+    return ResidualTable(**labels, **arrays)
+
+
+def _add_rows(batch, before, after, split, columns, labels):
+    receivers = batch.bodies.receivers
+    for s, scene in enumerate(batch.scene_names):
+        for r, index in enumerate(receivers):
+            seen = batch.valid[:, s, r].any(axis=-1)
+            v = batch.velocities[seen, s, index]
+            speed = np.linalg.norm(v, axis=-1)
+            unit = v / np.where(speed > 0, speed, 1.0)[:, None]
+            gaps = np.delete(batch.positions[seen, s], index, axis=1) - batch.positions[seen, s, None, index]
+            distance = (np.linalg.norm(gaps, axis=-1).min(axis=1) if gaps.shape[1]
+                        else np.full(len(speed), np.nan))
+            b, a = np.nan_to_num(before[seen, s, r]), np.nan_to_num(after[seen, s, r])
+            values = (batch.times[seen, s], speed, distance, np.linalg.norm(b, axis=-1),
+                      np.linalg.norm(a, axis=-1), (b * unit).sum(axis=-1), (a * unit).sum(axis=-1))
+            for name, value in zip(columns, values, strict=True):
+                columns[name].append(value)
+            labels["scene"] += [scene] * len(speed)
+            labels["entity"] += [batch.bodies.names[s][index]] * len(speed)
+            labels["split"] += [split] * len(speed)
+

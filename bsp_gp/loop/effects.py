@@ -1,0 +1,454 @@
+"""Question 4: which law is it? Proposals from the search, refitted, named and ranked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bsp_gp.language.formula import Call, Constant, Input, Number, factors, walk
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.significance import log_evidence, null_targets, p_value
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.exhaustive import search_exhaustive
+
+__all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "describe", "fresh_name"]
+
+SHORTLIST = 12
+SHORTLIST_NATS = 25.0
+"""Proposals whose evidence is within this of the best are refitted to whole tracks."""
+COLLINEAR = 1e-6
+"""A term whose acceleration is parallel to a declared one to this part is that term, freed."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A term that may be what is missing.
+
+    Attributes
+    ----------
+    formula : Formula
+        With the single free constant `constant`.
+    kind : str
+        "pair" or "field".
+    constant : str
+    per_entity : bool
+        Whether every receiver has a constant of its own.
+    complexity : float
+    share : float
+        Of the training residual's sum of squares that it explains.
+    evidence : float
+        Log-evidence on the regression, nats.
+    ties : tuple of Formula
+        Equal on these data.
+    redoes_declared : bool
+        Parallel to a declared term: the same as freeing its number.
+    """
+
+    formula: object
+    kind: str
+    constant: str
+    per_entity: bool
+    complexity: float
+    share: float
+    evidence: float
+    ties: tuple = ()
+    redoes_declared: bool = False
+
+    def term(self):
+        return Term(self.formula, self.kind)
+
+    def text(self):
+        return to_text(self.formula)
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Outcome of one search for what is missing."""
+
+    shortlist: tuple[Proposal, ...]
+    p_value: float
+    certificates: tuple[str, ...]
+    n_scored: int
+    seconds: float
+
+
+@dataclass(eq=False)
+class EffectSearch:
+    """The search for a missing term on one observation.
+
+    Attributes
+    ----------
+    observation : Observation
+    grammar : Grammar
+        Unmasked; it is masked to the data here.
+    max_levels, n_null : int
+    per_entity : bool or "auto"
+        Whether to try a constant of its own for every body. "auto": where every scene has one
+        moving body and the same bodies occur in several scenes.
+    exclude : collection of str
+        Inputs that laws may not use.
+    """
+
+    observation: object
+    grammar: object
+    max_levels: int = 8
+    n_null: int = 299
+    per_entity: object = "auto"
+    exclude: tuple = ("t",)
+    notes: list = field(default_factory=list)
+
+    def __post_init__(self):
+        dataset = self.observation.dataset
+        types = dataset_types(dataset)
+        vectors = {property_of(n)[0] for n, t in types.items() if property_of(n) and t.shape == "vector"}
+        columns = {
+            property_of(n)[0]: t.unit for n, t in types.items()
+            if property_of(n) and t.shape == "scalar"
+        }
+        grammar = self.grammar.for_properties(columns, vectors)
+        available = set(types) - set(self.exclude) - self._unknown_inputs(dataset)
+        self.masked, self.missing = grammar.masked(available, dataset.n_dims)
+        self.pooled_scenes = [s for s in map(_without_unknown_masses, self.observation.train) if s]
+        self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
+        if self.per_entity == "auto":
+            self.per_entity = self._entities_recur()
+
+    def _unknown_inputs(self, dataset):
+        """Properties that some body lacks: a pooled law cannot name them as a source's."""
+        out = set()
+        entities = [e for scene in dataset.scenes for e in scene.entities]
+        for column in dataset.property_names:
+            if any(not np.all(np.isfinite(e.properties.get(column, np.nan))) for e in entities):
+                from bsp_gp.language.inputs import SHORT
+
+                out |= {f"{column}_j", f"{SHORT.get(column, column)}_j"}
+        return out - {"m_j", "mass_j"} if _masses_known(entities) else out
+
+    def _entities_recur(self):
+        scenes = (*self.observation.train, *self.observation.test)
+        single = all(len(scene.dynamic) == 1 for scene in scenes)
+        names = [scene.names[scene.dynamic[0]] for scene in scenes] if single else []
+        test = {scene.names[scene.dynamic[0]] for scene in self.observation.test} if single else set()
+        train = {scene.names[scene.dynamic[0]] for scene in self.observation.train} if single else set()
+        return single and len(set(names)) >= 2 and bool(test & train)
+
+    def propose(self, fit, rng, progress=None):
+        """Search what the fitted model leaves.
+
+        Parameters
+        ----------
+        fit : Fit
+        rng : numpy.random.Generator
+            For the simulated residuals of the significance test.
+
+        Returns
+        -------
+        Proposals
+        """
+        regression = self._regression(self.pooled_scenes)
+        outcomes = []
+        null_rng, own_rng = rng.spawn(2)
+        residual, jacobian = self._left(regression, fit.law)
+        null = null_targets(regression, null_rng, self.n_null)
+        for kind in self.kinds:
+            result = search_exhaustive(
+                regression, self.masked, kind=kind, target=residual, nuisance=jacobian,
+                max_levels=self.max_levels, missing_inputs=self.missing, null_targets=null,
+                progress=progress,
+            )
+            outcomes.append((result, False, 1, regression, residual, jacobian))
+        if self.per_entity:
+            outcomes.append(self._own_constants(fit, own_rng, progress))
+        return self._collect(outcomes, fit.law)
+
+    def _own_constants(self, fit, rng, progress):
+        """The field search with a constant per receiver; properties cannot matter there."""
+        grammar = self.masked.without_inputs(
+            {n for n in self.masked.inputs if property_of(n)} - {"m_i"}
+        )
+        scenes = [_with_unit_masses(s) for s in self.observation.train]
+        regression = self._regression(scenes)
+        residual, jacobian = self._left(regression, fit.law)
+        groups = [column != 0 for column in self._groups(regression)]
+        result = search_exhaustive(
+            regression, grammar.without_inputs({"m_i"}), kind="field", target=residual,
+            nuisance=jacobian, max_levels=self.max_levels, missing_inputs=self.missing,
+            groups=groups, null_targets=null_targets(regression, rng, self.n_null),
+            progress=progress,
+        )
+        return result, True, len(groups), regression, residual, jacobian
+
+    def _groups(self, regression):
+        columns = []
+        for name in regression.receiver_names():
+            parts = []
+            for batch in regression.batches:
+                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
+                parts.append(np.broadcast_to(mine[..., None], batch.target.shape).ravel())
+            columns.append(np.concatenate(parts))
+        return columns
+
+    def _regression(self, scenes):
+        observation = self.observation
+        return build_regression(
+            scenes, method=observation.method, sigma=observation.regression_sigma,
+            up=observation.dataset.up, sources=observation.sources,
+        )
+
+    def _left(self, regression, law):
+        """Residual of the fitted law, and the columns of its free constants."""
+        fitted = fit_constants(regression, law)
+        return regression.residual(law) if not self.observation.is_exact else fitted.residual, fitted.jacobian
+
+    def _collect(self, outcomes, law):
+        observed, null, proposals = [], [], []
+        for result, own, n_constants, regression, residual, jacobian in outcomes:
+            n = regression.n_rows
+            for candidate in result.candidates:
+                proposals.append(self._proposal(candidate, own, n_constants, n))
+            best = result.best.share if result.best else 0.0
+            observed.append(log_evidence(best, n, n_constants))
+            null.append(log_evidence(np.array(result.null_gains), n, n_constants))
+        proposals = self._flag_declared(proposals, law, outcomes[0][3])
+        proposals.sort(key=lambda p: (-p.evidence, p.complexity))
+        return Proposals(
+            tuple(_shortlist(proposals, law)),
+            p_value(observed, null),
+            tuple(r.certificate.text() for r, *_ in outcomes),
+            sum(r.n_evaluated for r, *_ in outcomes),
+            sum(r.seconds for r, *_ in outcomes),
+        )
+
+    def _proposal(self, candidate, own, n_constants, n_rows):
+        name, _ = split_linear(candidate.formula)
+        return Proposal(candidate.formula, candidate.kind, name, own, candidate.complexity,
+                        candidate.share, float(log_evidence(candidate.share, n_rows, n_constants)),
+                        candidate.ties)
+
+    def _flag_declared(self, proposals, law, regression):
+        """Mark proposals that only change the number of a declared term."""
+        declared = []
+        for term in law.terms:
+            if term.is_declared and not term.formula.constants:
+                column = regression.column(term)[0][:, 0]
+                size = np.linalg.norm(column)
+                if size > 0:
+                    declared.append(column / size)
+        if not declared:
+            return proposals
+        out = []
+        for proposal in proposals:
+            rest = split_linear(proposal.formula)[1]
+            column = regression.column(Term(rest, proposal.kind))[0][:, 0]
+            size = np.linalg.norm(column)
+            parallel = size > 0 and any(
+                1 - (column @ d / size) ** 2 < COLLINEAR for d in declared
+            )
+            out.append(replace(proposal, redoes_declared=bool(parallel)))
+        return out
+
+
+def _shortlist(proposals, law):
+    """The best by evidence, with equal-valued forms nearest to the declared law first."""
+    if not proposals:
+        return []
+    best = proposals[0].evidence
+    near = [p for p in proposals if p.evidence >= best - max(SHORTLIST_NATS, 0.02 * abs(best))]
+    simple = sorted(near, key=lambda p: p.complexity)[: SHORTLIST // 2]
+    out = near[: SHORTLIST // 2]
+    out += [p for p in simple if p not in out]
+    rest = [p for p in proposals if p not in out]
+    return out + rest[: max(0, 6 - len(out))]
+
+
+def _masses_known(entities):
+    return all(np.isfinite(e.mass) for e in entities)
+
+
+def _without_unknown_masses(scene):
+    """The scene with bodies of unknown mass as sources only; None if nothing is left to move."""
+    entities = tuple(
+        replace(e, is_static=True) if not e.is_static and not np.isfinite(e.mass) else e
+        for e in scene.entities
+    )
+    scene = replace(scene, entities=entities)
+    return scene if len(scene.dynamic) else None
+
+
+def _with_unit_masses(scene):
+    return replace(
+        scene,
+        entities=tuple(
+            e if e.is_static else replace(e, properties={**e.properties, "mass": 1.0})
+            for e in scene.entities
+        ),
+    )
+
+
+def fresh_name(law, stem="c"):
+    """A constant name that the law does not use."""
+    k = 1
+    while f"{stem}{k}" in law.names:
+        k += 1
+    return f"{stem}{k}"
+
+
+def rename_constant(formula, old, new):
+    """The formula with one constant renamed."""
+    if isinstance(formula, Constant):
+        return Constant(new) if formula.name == old else formula
+    if isinstance(formula, Call):
+        return Call(formula.operator, *(rename_constant(arg, old, new) for arg in formula.args))
+    return formula
+
+
+def allowed_sign(observation, proposal):
+    """Interval of the constant for which the term does not push forward.
+
+    A term that is parallel to the velocity of its receiver wherever it acts can only brake: a
+    friction or drag that drives a body on is the sign of another cause.
+
+    Returns
+    -------
+    (low, high) : tuple of float
+        (-inf, inf) for terms that are not parallel to the velocity throughout.
+    """
+    rest = split_linear(proposal.formula)[1]
+    term = Term(rest, proposal.kind)
+    along, size = [], []
+    for batch in observation.train_regression.batches:
+        value = observation.train_regression.predict(batch, _bare(term))
+        velocity = batch.velocities[:, :, batch.bodies.receivers]
+        mask = batch.valid.any(axis=-1)
+        along.append(np.einsum("...d,...d->...", value, velocity)[mask])
+        size.append((np.linalg.norm(value, axis=-1) * np.linalg.norm(velocity, axis=-1))[mask])
+    along, size = np.concatenate(along), np.concatenate(size)
+    acts = size > 1e-9 * (np.max(size) if len(size) else 0.0)
+    cosine = along[acts] / size[acts]
+    if len(cosine) and np.all(cosine > 0.999):
+        return -np.inf, 0.0
+    if len(cosine) and np.all(cosine < -0.999):
+        return 0.0, np.inf
+    return -np.inf, np.inf
+
+
+def _bare(term):
+    from bsp_gp.physics.force import ForceLaw
+
+    return ForceLaw((term,), {})
+
+
+# --- names in plain words -------------------------------------------------------------------------
+
+_DIRECTIONS = {
+    "v_i": "velocity", "v_i - v_j": "relative velocity", "p_i - p_j": "line to the other body",
+    "p_i - p_c": "line to the contact point",
+}
+_POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
+
+
+def describe(formula, value=None):
+    """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
+    _, rest = split_linear(formula)
+    above, below = factors(rest)
+    direction, condition, powers = None, None, {}
+    for sign, parts in ((1, above), (-1, below)):
+        for part in parts:
+            if part.type.shape == "vector":
+                direction = part
+            elif part.type.shape == "bool":
+                condition = part
+            else:
+                _add_powers(part, sign, powers)
+    return _phrase(direction, condition, powers, value)
+
+
+def _add_powers(part, sign, powers):
+    power = sign
+    while isinstance(part, Call) and part.operator in ("square", "inverse", "pow"):
+        if part.operator == "square":
+            power *= 2
+        elif part.operator == "inverse":
+            power *= -1
+        elif isinstance(part.args[1], Number):
+            power *= part.args[1].value
+        else:
+            break
+        part = part.args[0]
+    if isinstance(part, Number):
+        return
+    if isinstance(part, Call) and part.operator in ("mul", "div"):
+        above, below = factors(part)
+        for s, inner in ((power, above), (-power, below)):
+            for p in inner:
+                _add_powers(p, s, powers)
+        return
+    powers[to_text(part)] = powers.get(to_text(part), 0) + power
+
+
+def _phrase(direction, condition, powers, value):
+    text = to_text(direction) if direction is not None else ""
+    where = ""
+    if condition is not None:
+        where = " while on the mat" if "is_on" in to_text(condition) else " at contact"
+    speed = powers.get("norm(v_i)", 0) or powers.get("norm(v_i - v_j)", 0)
+    distance = powers.get("norm(p_i - p_j)", 0)
+    radial = any("along(" in name for name in powers)
+    extension = any(name.startswith("norm(p_i - p_j) - ") for name in powers)
+    if text in ("normalize(v_i)", "v_i") and not distance and not radial:
+        brakes = value is None or value <= 0
+        total = speed + (1 if text == "v_i" else 0)
+        if total == 0:
+            return f"{'friction' if brakes else 'forward push'} of constant size{where}"
+        kind = "drag" if brakes else "forward push"
+        return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
+    if text.startswith("perp(normalize(v_i") or text.startswith("cross("):
+        return f"force across the velocity, speed^{speed:g} (magnetic or Magnus){where}"
+    if text in ("e_x", "e_y", "e_z"):
+        return f"uniform push along {text[-1]}" + _scaling(powers) + where
+    if text.startswith("normalize(p_i - p"):
+        verb = "force along the line to the other body"
+        if value is not None:
+            verb = "push from the other body" if value > 0 else "pull to the other body"
+        if extension and not distance:
+            return f"spring towards the other body{where}"
+        return verb + _scaling(powers) + where
+    return f"force along {text or 'a fixed direction'}" + _scaling(powers) + where
+
+
+_WORDS = {"norm(p_i - p_j)": "distance", "norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
+
+
+def _scaling(powers):
+    words = []
+    for name, power in powers.items():
+        if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
+            continue
+        label = _WORDS.get(name, "radial speed" if name.startswith("along(") else None)
+        label = label or ("|radial speed|" if name.startswith("abs(along(") else name)
+        words.append(label if power == 1 else f"{label}^{power:g}")
+    return f", as {' * '.join(words)}" if words else ""
+
+
+def _input_names(text):
+    import re
+
+    return re.findall(r"[A-Za-z_]\w*", text)
+
+
+def property_product(term):
+    """Plain property factors of a term, as a frozenset of names: {m_i, m_j} for gravity."""
+    above, _ = factors(term.formula)
+    return frozenset(f.name for f in above if isinstance(f, Input) and property_of(f.name))
+
+
+def inputs_by_kind(formula):
+    """Names of inputs of a formula: (properties, motion)."""
+    names = {node.name for node in walk(formula) if isinstance(node, Input)}
+    properties = {n for n in names if property_of(n)}
+    return properties, names - properties

@@ -1,0 +1,451 @@
+"""A data set made ready for the loop: split, noise, likelihood, integrator; fits and errors.
+
+Everything that a round asks of the data goes through one `Observation`, so that residuals,
+predictions and errors always use the same model, the same rows and the same noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.data.noise import NoiseEstimate, estimate_noise
+from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.split import choose_split
+from bsp_gp.errors import DataError
+from bsp_gp.loop.outcome import Errors, Ratio
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.dynamics import rollout
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
+from bsp_gp.physics.shooting import cut_segments, fit_rollout, guess_state, predict
+from bsp_gp.search.constants import fit_constants
+
+__all__ = ["Fit", "Observation", "observe"]
+
+EXACT = 1e-9
+"""Noise below this part of the range is numerical: the data count as exact."""
+MAX_SUBSTEPS = 16
+CHAOS = 30.0
+"""Growth of a small change of the initial state at which a track is cut for shooting."""
+N_FLOOR = 24
+"""Simulated copies of the held-out data behind the noise floor and parametric intervals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A law fitted to the training scenes.
+
+    Attributes
+    ----------
+    law : ForceLaw
+    parameters : tuple of (name, entity)
+    values : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+        Scaled by the misfit where that is above one.
+    chisqr : float
+        Whitened sum of squares of what the fit minimised (positions, or accelerations).
+    n_rows : int
+    n_effective : float
+        Rows discounted for the autocorrelation of the residual.
+    jacobian : ndarray
+        Of the regression, for joint refits.
+    residual : ndarray
+        Whitened residual of the regression.
+    """
+
+    law: ForceLaw
+    parameters: tuple
+    values: np.ndarray
+    covariance: np.ndarray
+    chisqr: float
+    n_rows: int
+    n_effective: float
+    jacobian: np.ndarray
+    residual: np.ndarray
+
+    def bic(self, n_effective=None):
+        """Bayesian information criterion with the noise level profiled out, nats times two."""
+        n = n_effective or self.n_effective
+        per_row = max(self.chisqr / self.n_rows, 1e-300)
+        return n * np.log(per_row) + len(self.parameters) * np.log(max(n, 2.0))
+
+    @property
+    def intervals(self):
+        """90 % half-widths of the constants, shape (k,)."""
+        return 1.6448536269514722 * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """See the module; made by `observe`."""
+
+    dataset: object
+    train: tuple[Scene, ...]
+    test: tuple[Scene, ...]
+    split_note: str
+    noise: NoiseEstimate
+    sigma: np.ndarray
+    is_exact: bool
+    method: str
+    regression_sigma: np.ndarray
+    integrator: str
+    substeps: int
+    segments: tuple[Scene, ...]
+    train_regression: object
+    test_regression: object
+    sources: bool
+
+    # --- fitting ---------------------------------------------------------------------------------
+
+    def fit(self, law, bounds=None, start=None):
+        """Fit the constants of a law to the training scenes.
+
+        Noisy positions: regression first, then whole tracks with free initial states. Exact or
+        measured-velocity data: the regression is the likelihood.
+        """
+        first = fit_constants(self.train_regression, law)
+        if self.is_exact:
+            n_eff = self._effective(self.train_regression, first.residual)
+            chisqr = 2 * first.loss
+            n_rows = int(self.train_regression.n_rows)
+            # Misfit per row, and fewer independent rows than rows.
+            inflation = chisqr / max(n_rows - len(first.values), 1) * (n_rows / n_eff)
+            return Fit(first.law, first.parameters, first.values, first.covariance * inflation,
+                       chisqr, n_rows, n_eff, first.jacobian, first.residual)
+        whole = fit_rollout(self.segments, _clipped(start or first.law, bounds), self.sigma,
+                            integrator=self.integrator, substeps=self.substeps,
+                            up=self.dataset.up, bounds=bounds)
+        n_eff = self._effective_positions(whole)
+        dof = max(whole.n_rows - whole.n_free, 1)
+        # Misfit beyond the noise counts against the constants, with as many independent rows
+        # as the autocorrelation of the residual leaves.
+        misfit = max(whole.chisqr / dof, 1.0)
+        inflation = misfit * (max(whole.n_rows / n_eff, 1.0) if misfit > 1.5 else 1.0)
+        residual = self.train_regression.residual(whole.law)
+        return Fit(whole.law, whole.parameters, whole.values, whole.covariance * inflation,
+                   whole.chisqr, whole.n_rows, n_eff, first.jacobian, residual)
+
+    def _effective(self, regression, residual):
+        """Number of rows discounted for lag-one autocorrelation of the whitened residual."""
+        start, tops, bottoms = 0, 0.0, 0.0
+        n_tracks = 0
+        for batch in regression.batches:
+            part = residual[start : start + batch.target.size].reshape(batch.target.shape)
+            start += batch.target.size
+            tops += float((part[1:] * part[:-1]).sum())
+            bottoms += float((part * part).sum())
+            n_tracks += int(batch.valid.any(axis=0).sum())
+        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+        return max(regression.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
+
+    def _effective_positions(self, fit):
+        tops = bottoms = 0.0
+        n_tracks = 0
+        for batch, predicted in zip(fit.batches, fit.predicted, strict=True):
+            observed = batch.positions[:, :, batch.bodies.receivers]
+            error = np.where(np.isfinite(self.sigma), (observed - predicted) / self.sigma, 0.0)
+            error = np.nan_to_num(error)
+            tops += float((error[1:] * error[:-1]).sum())
+            bottoms += float((error * error).sum())
+            n_tracks += int((np.abs(error).sum(axis=0) > 0).sum())
+        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+        return max(fit.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
+
+    # --- errors on held-out data -----------------------------------------------------------------
+
+    def n_initial(self, scene):
+        """First rows on which the initial state of a held-out scene is fitted."""
+        if self.velocity == "measured":
+            return 1
+        n = len(scene.times)
+        wanted = self.dataset.evaluation.initial_rows
+        return min(wanted if wanted is not None else min(12, max(3, n // 3)), n - 1)
+
+    @property
+    def velocity(self):
+        return "measured" if self.method == "derivative" else "ignore"
+
+    def predictions(self, law, scenes=None):
+        """Predicted positions of the receivers of held-out scenes, list of (T, R, d)."""
+        return predict(scenes if scenes is not None else self.test, law, self.sigma,
+                       n_initial=self.n_initial, integrator=self.integrator,
+                       substeps=self.substeps, up=self.dataset.up, velocity=self.velocity)
+
+    def errors(self, law, scenes=None):
+        """Errors of a law on held-out scenes, and the sums behind them.
+
+        Returns
+        -------
+        errors : Errors
+        per_scene : list of dict
+            scene, sum_squares, n, endpoint (per scene, receivers averaged).
+        """
+        scenes = self.test if scenes is None else scenes
+        per_scene = []
+        for scene, predicted in zip(scenes, self.predictions(law, scenes), strict=True):
+            per_scene.append(self._scene_errors(scene, predicted))
+        total = sum(row["sum_squares"] for row in per_scene)
+        count = sum(row["n"] for row in per_scene)
+        ends = [end for row in per_scene for end in row["endpoints"]]
+        regression = (self.test_regression if scenes is self.test else
+                      self._regression(scenes, self.regression_sigma))
+        units = self.dataset.units
+        from bsp_gp.units import ACCELERATION, Unit
+
+        return Errors(
+            residual_acceleration=residual_acceleration(regression, law),
+            one_step_nrmse=one_step_nrmse(scenes, law, self.dataset.up),
+            rollout_rmse=float(np.sqrt(total / count)) if count else float("nan"),
+            endpoint=float(np.median(ends)) if ends else float("nan"),
+            unit=units.text(Unit.of(m=1)),
+            endpoint_mean=float(np.mean(ends)) if ends else float("nan"),
+            acceleration_unit=units.text(ACCELERATION),
+        ), per_scene
+
+    def _scene_errors(self, scene, predicted):
+        observed = scene.positions[:, scene.dynamic]
+        error = np.where(np.isfinite(self.sigma), observed - predicted, 0.0)
+        squares = np.square(error).sum(axis=-1)
+        squares[: self.n_initial(scene)] = np.nan
+        row = self.dataset.evaluation.endpoint_row
+        index = (row - 1) if row is not None else len(scene.times) - 1
+        # Where a track ends before the end-point row there is no end-point to score.
+        ends = np.sqrt(squares[index]) if index < len(scene.times) else np.array([])
+        return {
+            "scene": scene.name,
+            "sum_squares": float(np.nansum(squares)),
+            "n": int(np.isfinite(squares).sum()),
+            "endpoints": [float(end) for end in ends if np.isfinite(end)],
+        }
+
+    def _regression(self, scenes, sigma):
+        return build_regression(scenes, method=self.method, sigma=sigma, up=self.dataset.up,
+                                sources=self.sources)
+
+    def floor(self, law, rng):
+        """Errors that a perfect model would still make, and simulated ratios.
+
+        The law is rolled out on the held-out scenes, noise is added, and the simulated scenes
+        are scored like measured ones, initial states refitted.
+
+        Returns
+        -------
+        floor : Errors
+        copies : list of tuple of Scene
+            The simulated held-out data, for parametric intervals of other quantities.
+        """
+        copies = []
+        for k, child in enumerate(rng.spawn(N_FLOOR)):
+            copy = self.simulate(law, self.test, child)
+            copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
+        errors, _ = self.errors(law, [scene for copy in copies for scene in copy])
+        return errors, copies
+
+    def simulate(self, law, scenes, rng):
+        """Scenes as the law would have made them: fitted initial states, rollout, noise."""
+        states = self._states(law, scenes)
+        out = []
+        for scene, predicted in zip(scenes, states, strict=True):
+            sigma = np.where(np.isfinite(self.sigma), self.sigma, 0.0)
+            noise = rng.standard_normal(predicted.shape) * sigma
+            positions = np.array(scene.positions)
+            dynamic = scene.dynamic
+            seen = np.isfinite(positions[:, dynamic])
+            keep = np.where(np.isfinite(self.sigma), predicted, positions[:, dynamic])
+            positions[:, dynamic] = np.where(seen, keep + noise, np.nan)
+            out.append(replace(scene, positions=positions))
+        return tuple(out)
+
+    def _states(self, law, scenes):
+        """Best whole-track predictions of a law (initial states fitted on all rows)."""
+        if self.velocity == "measured":
+            return self.predictions(law, scenes)
+        fit = fit_rollout(scenes, law, self.sigma, free=(), integrator=self.integrator,
+                          substeps=self.substeps, up=self.dataset.up)
+        found = {}
+        for batch, predicted in zip(fit.batches, fit.predicted, strict=True):
+            for s, scene in enumerate(batch.scenes):
+                found[scene.name] = predicted[: len(scene.times), s]
+        return [found[scene.name] for scene in scenes]
+
+    def ratio(self, before, after, rng, copies=None, law_before=None, law_after=None):
+        """After / before of the rollout error on held-out data, with a 90 % interval.
+
+        Five or more held-out scenes: resampling of whole scenes. Fewer: parametric, from
+        simulated copies of the held-out data.
+        """
+        def value(rows_after, rows_before):
+            top = sum(row["sum_squares"] for row in rows_after)
+            bottom = sum(row["sum_squares"] for row in rows_before)
+            return float(np.sqrt(top / bottom)) if bottom > 0 else float("nan")
+
+        point = value(after, before)
+        if len(before) >= 5:
+            draws = []
+            for _ in range(400):
+                pick = rng.integers(len(before), size=len(before))
+                draws.append(value([after[k] for k in pick], [before[k] for k in pick]))
+            method = f"resampling {len(before)} held-out scenes"
+        else:
+            draws = []
+            for copy in copies or ():
+                _, rows_after = self.errors(law_after, list(copy))
+                _, rows_before = self.errors(law_before, list(copy))
+                # The copies carry the noise of the adopted law; its misfit is carried over.
+                extra = max(sum(r["sum_squares"] for r in after)
+                            - np.mean([sum(r["sum_squares"] for r in rows_after)]), 0.0)
+                top = sum(r["sum_squares"] for r in rows_after) + extra
+                bottom = sum(r["sum_squares"] for r in rows_before)
+                draws.append(float(np.sqrt(top / bottom)) if bottom > 0 else float("nan"))
+            method = "parametric: fewer than five held-out scenes"
+        draws = [d for d in draws if np.isfinite(d)]
+        if not draws:
+            return Ratio(point, float("nan"), float("nan"), method)
+        low, high = np.quantile(draws, [0.05, 0.95])
+        return Ratio(point, float(min(low, point)), float(max(high, point)), method)
+
+
+def _clipped(law, bounds):
+    """Start values inside the bounds."""
+    constants = {}
+    for name, (low, high) in (bounds or {}).items():
+        value = law.constants[name]
+        if hasattr(value, "items"):
+            constants[name] = {k: float(np.clip(v, low, high)) for k, v in value.items()}
+        else:
+            constants[name] = float(np.clip(value, low, high))
+    return law.with_constants(constants)
+
+
+def observe(dataset, law, rng, *, sources=True, noise=None):
+    """Make a data set ready for the loop.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    law : ForceLaw
+        The declared model; it decides whether bodies touch (then the paper's step is used).
+    rng : numpy.random.Generator
+        For a split that is not declared.
+    sources : bool
+        Whether laws may name other bodies.
+    noise : NoiseEstimate, optional
+        Overrides the data set's.
+
+    Returns
+    -------
+    Observation
+    """
+    dataset = _with_usable_masses(dataset)
+    train, test, note = choose_split(dataset, rng)
+    estimate = noise or estimate_noise(dataset)
+    sigma = np.array(estimate.sigma, dtype=float)
+    if not np.isfinite(sigma).any():
+        raise DataError("nothing moves: no dynamic entity changes its position on any axis")
+    measured = dataset.velocity == "measured" and all(
+        s.velocities is not None for s in dataset.scenes
+    )
+    extent = _extent(dataset)
+    is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    method = "derivative" if measured else "one_step" if is_exact else "gls"
+    regression_sigma = _acceleration_sigma(train, dataset.up) if measured else sigma
+    integrator = "euler" if _touches(law) or method == "one_step" else "rk4"
+    common = {"method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources}
+    observation = Observation(
+        dataset, tuple(train), tuple(test), note, estimate, sigma, is_exact, method,
+        np.asarray(regression_sigma), integrator, 4 if measured else 1, tuple(train),
+        build_regression(train, **common), build_regression(test, **common), sources,
+    )
+    if is_exact:
+        return observation
+    start = fit_constants(observation.train_regression, law).law
+    if integrator == "rk4":
+        observation = replace(observation, substeps=_substeps(observation, start))
+    return replace(observation, segments=tuple(_segments(observation, start)))
+
+
+def _extent(dataset):
+    spans = [np.nanmax(s.positions) - np.nanmin(s.positions) for s in dataset.scenes]
+    return float(np.max(spans)) or 1.0
+
+
+def _touches(law):
+    return any(
+        node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c")
+    )
+
+
+def _with_usable_masses(dataset):
+    """Where no dynamic entity has a mass, every mass is one: constants are per unit mass."""
+    dynamic = [e for s in dataset.scenes for e in s.entities if not e.is_static]
+    if not dynamic:
+        raise DataError("no entity is dynamic: there is no motion to explain",
+                        remedy="set dynamic to 1 for the bodies that move")
+    if any(np.isfinite(e.mass) for e in dynamic):
+        return dataset
+    scenes = [
+        replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
+        for scene in dataset.scenes
+    ]
+    note = "no mass is known: constants are per unit mass of the body that moves"
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _unit_mass(entity):
+    if entity.is_static or np.isfinite(entity.mass):
+        return entity
+    return Entity(entity.name, entity.shape, entity.radius, entity.width, entity.height,
+                  entity.is_static, {**entity.properties, "mass": 1.0})
+
+
+def _acceleration_sigma(scenes, up):
+    """Noise of accelerations that are differences of measured velocities, per axis."""
+    regression = build_regression(scenes, method="derivative", up=up, sources=False)
+    series = []
+    for batch in regression.batches:
+        for s in range(batch.target.shape[1]):
+            n = int(np.isfinite(batch.times[:, s]).sum())
+            names = batch.bodies.receiver_names[s]
+            series.append(Scene(f"{s}", batch.times[:n, s], batch.target[:n, s],
+                                tuple(Entity(name) for name in names)))
+    return np.array(estimate_noise(series).sigma)
+
+
+def _substeps(observation, law):
+    """Double the sub-steps until predictions move by less than a tenth of the noise."""
+    batches = stack(observation.train, observation.dataset.up)
+    substeps = 1
+    while substeps < MAX_SUBSTEPS:
+        worst = 0.0
+        for batch in batches:
+            p, v = guess_state(batch)
+            coarse = rollout(law, batch, p, v, substeps=substeps)
+            fine = rollout(law, batch, p, v, substeps=2 * substeps)
+            with np.errstate(invalid="ignore"):
+                change = np.abs(coarse - fine) / observation.sigma
+            worst = max(worst, float(np.nanmax(np.where(np.isfinite(change), change, 0.0))))
+        if worst < 0.1:
+            break
+        substeps *= 2
+    return substeps
+
+
+def _segments(observation, law):
+    """Cut tracks where a small change of the initial state has grown `CHAOS` times."""
+    shortest = None
+    for batch in stack(observation.train, observation.dataset.up):
+        p, v = guess_state(batch)
+        step = 1e-6 * (np.nanmax(np.abs(batch.positions)) or 1.0)
+        base = rollout(law, batch, p, v, substeps=observation.substeps,
+                       integrator=observation.integrator)
+        moved = rollout(law, batch, p + step, v, substeps=observation.substeps,
+                        integrator=observation.integrator)
+        growth = np.linalg.norm(moved - base, axis=-1) / step
+        running = np.isfinite(batch.times)[..., None]
+        grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))
+        if len(grown):
+            shortest = min(shortest or len(growth), max(int(grown[0]), 8))
+    return cut_segments(observation.train, shortest)

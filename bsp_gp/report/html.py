@@ -1,0 +1,273 @@
+"""The report as one page: every word escaped, every figure inside, nothing fetched."""
+
+from __future__ import annotations
+
+import base64
+import shlex
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from bsp_gp.report.figures import build_figures
+from bsp_gp.report.numbers import (
+    NOT_KNOWN,
+    format_number,
+    format_p,
+    format_ratio,
+    format_value,
+    is_number,
+    pretty_unit,
+    rounded,
+    with_unit,
+)
+from bsp_gp.report.sentences import (
+    adopted_rounds,
+    caveats,
+    constant_groups,
+    group_range,
+    headline,
+    missing_sentence,
+    outcome_sentence,
+    ratio_caution,
+    verdict_sentence,
+)
+from bsp_gp.report.typeset import to_svg
+
+__all__ = ["render_html"]
+
+_MAX_RIVALS = 20
+_MAX_ROWS = 300
+_ERRORS = (
+    ("rollout_rmse", "Position error of rollouts (RMS)", "unit"),
+    ("endpoint", "Position error at the end point (median)", "unit"),
+    ("endpoint_mean", "Position error at the end point (mean)", "unit"),
+    ("one_step_nrmse", "One-step error (nRMSE)", "unit"),
+    ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
+)
+_KINDS = {
+    "pair": "force between bodies", "field": "force on each body by itself",
+    "hidden_body": "unseen body", "measurement": "measurement",
+    "declared_term_change": "change of a declared term",
+}
+_TONES = {"effect adopted": "found", "nothing missing": "clean", "seen, not adopted": "open",
+          "cannot tell": "open"}
+
+
+def render_html(report, run_info=None, figures=None):
+    """Write the page of a report.
+
+    Parameters
+    ----------
+    report : LoopReport
+    run_info : mapping, optional
+        ``argv`` (list of str) is shown as the command that makes the report again.
+    figures : dict of str to ReportFigure, optional
+        From `build_figures`; drawn here if not given.
+
+    Returns
+    -------
+    str
+        A complete HTML document.
+    """
+    figures = build_figures(report) if figures is None else figures
+    shared, own = constant_groups(report.constants)
+    environment = Environment(
+        loader=PackageLoader("bsp_gp.report", "templates"), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )
+    environment.globals.update(law=_law, number=format_number, p_value=format_p,
+                               value=format_value, kind=lambda k: _KINDS.get(k, k))
+    return environment.get_template("report.html").render(
+        name=report.dataset.get("name") or "data",
+        facts=_facts(report),
+        verdict=report.verdict,
+        tone=_TONES.get(report.verdict, "open"),
+        sentence=verdict_sentence(report),
+        head=headline(report),
+        caution=ratio_caution(report),
+        caveats=caveats(report),
+        notes=report.notes,
+        law_text=report.law_text,
+        law_latex=report.law_latex,
+        law_title=_law_title(report),
+        declared=report.declared,
+        constants=[_constant(c) for c in shared],
+        own=[(group_range(*g), g[0], pretty_unit(g[1]), [_constant(c) for c in g[2]]) for g in own],
+        figures={name: _figure(f) for name, f in figures.items()},
+        total=_total_table(report),
+        rounds=[_round(r, report) for r in report.rounds],
+        extras=[_extra(e) for e in report.extras],
+        stop_reason=report.stop_reason,
+        reproduce=_reproduce(report, run_info or {}),
+    )
+
+
+def _law(latex, text):
+    """Typeset a law; plain text where it cannot be."""
+    drawn = to_svg(latex or "")
+    return Markup(drawn) if drawn else Markup("<code>{}</code>").format(text or latex)
+
+
+def _law_title(report):
+    if adopted_rounds(report):
+        return "The law"
+    return "The declared law, as fitted"
+
+
+def _facts(report):
+    """What was measured, in a line."""
+    data = report.dataset
+    parts = [
+        f"{data[key]} {word if data[key] != 1 else one}"
+        for key, word, one in (("n_scenes", "scenes", "scene"), ("n_entities", "entities", "entity"),
+                               ("n_rows", "rows", "row"))
+        if data.get(key) is not None
+    ]
+    parts += [
+        f"{_count(data[key])} {word}"
+        for key, word in (("train", "to learn from"), ("test", "held out"))
+        if data.get(key)
+    ]
+    sigma = report.noise.get("sigma")
+    values = sigma if isinstance(sigma, list | tuple) else [sigma]
+    known = [format_number(v, 2) for v in values if is_number(v)]
+    if known:
+        text = " / ".join(dict.fromkeys(known))
+        source = report.noise.get("source")
+        parts.append("noise " + with_unit(text, report.noise.get("unit"))
+                     + (f" ({source})" if source else ""))
+    return " · ".join(parts)
+
+
+def _count(value):
+    """A number of scenes, or the text that describes a split."""
+    return len(value) if isinstance(value, list | tuple) else value
+
+
+def _constant(c):
+    value, low, high, power = rounded(c.value, c.low, c.high)
+    interval = NOT_KNOWN if NOT_KNOWN in (low, high) else f"[{low}, {high}]{power}"
+    return {"name": c.name, "entity": c.entity, "value": value + power, "interval": interval,
+            "unit": pretty_unit(c.unit)}
+
+
+def _figure(figure):
+    data = base64.b64encode(figure.svg().encode("utf-8")).decode("ascii")
+    return {"uri": f"data:image/svg+xml;base64,{data}", "caption": figure.caption}
+
+
+def _error_table(before, after, floor, ratio):
+    rows = []
+    for metric, label, unit_of in _ERRORS:
+        unit = next((getattr(e, unit_of) for e in (before, after, floor) if e is not None), "")
+        values = [getattr(e, metric) if e is not None else None for e in (before, after, floor)]
+        if not any(is_number(v) for v in values):
+            continue
+        quotient = NOT_KNOWN
+        if metric == "rollout_rmse" and ratio is not None:
+            quotient = format_ratio(ratio)
+        elif is_number(values[0]) and is_number(values[1]) and values[0] > 0:
+            quotient = format_number(values[1] / values[0], 2)
+        rows.append([label, *(format_number(v) for v in values), quotient, pretty_unit(unit)])
+    return rows
+
+
+def _total_table(report):
+    return _error_table(*(report.total.get(k) for k in ("before", "after", "floor", "ratio")))
+
+
+def _round(r, report):
+    effect = r.effect
+    table = _error_table(r.before, r.after, r.floor, r.ratio)
+    shared, own = constant_groups(effect.constants if effect is not None else ())
+    title = effect.name if effect is not None else (r.verdict or "no effect traced")
+    rivals = [
+        {"name": v.name, "kind": _KINDS.get(v.kind, v.kind), "law": v.law,
+         "bic": format_number(v.delta_bic),
+         "share": f"{100 * v.training_share:.0f} %" if is_number(v.training_share) else NOT_KNOWN,
+         "ratio": format_number(v.held_out_ratio), "complexity": format_number(v.complexity),
+         "reason": v.reason}
+        for v in r.rivals[:_MAX_RIVALS]
+    ]
+    return {
+        "number": r.number,
+        "title": title,
+        "state": ("adopted" if r.adopted else "not adopted") if effect is not None else "",
+        "missing": missing_sentence(r, report.alpha),
+        "tests": [(name.replace("_", " "), format_p(p)) for name, p in r.missing.tests.items()],
+        "outcome": outcome_sentence(r),
+        "effect": effect,
+        "constants": [_constant(c) for c in shared],
+        "own": [group_range(*group) for group in own],
+        "entities": _names(effect.entities) if effect else "",
+        "table": [] if table == _total_table(report) else table,
+        "rivals": rivals,
+        "n_rivals_left": max(len(r.rivals) - _MAX_RIVALS, 0),
+        "held_out": _table_of_dicts(r.held_out),
+        "certificate": r.certificate,
+        "seconds": format_number(r.seconds, 2),
+    }
+
+
+def _names(names, max_names=12):
+    text = ", ".join(str(n) for n in names[:max_names])
+    return f"{text} and {len(names) - max_names} more" if len(names) > max_names else text
+
+
+def _cell(value):
+    if value is None or (isinstance(value, float) and not is_number(value)):
+        return NOT_KNOWN
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if is_number(value):
+        return str(value) if isinstance(value, int) else format_number(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(_cell(v) for v in value)
+    return str(value)
+
+
+def _table_of_dicts(rows):
+    """Header, rows and number of rows left out; None without rows."""
+    if not rows:
+        return None
+    keys = list(dict.fromkeys(k for row in rows for k in row))
+    return {
+        "header": [str(k).replace("_", " ") for k in keys],
+        "is_number": [any(is_number(row.get(k)) for row in rows) for k in keys],
+        "rows": [[_cell(row.get(k)) for k in keys] for row in rows[:_MAX_ROWS]],
+        "n_left": max(len(rows) - _MAX_ROWS, 0),
+    }
+
+
+def _extra(extra):
+    table = extra.get("table") or []
+    return {
+        "title": extra.get("title", ""),
+        "paragraphs": extra.get("paragraphs") or [],
+        "header": [_cell(v) for v in table[0]] if table else [],
+        "rows": [[_cell(v) for v in row] for row in table[1:]],
+    }
+
+
+def _reproduce(report, run_info):
+    """Label and text of everything that a run needs to be repeated."""
+    rows = []
+    if run_info.get("argv"):
+        rows.append(("Command", shlex.join(str(a) for a in run_info["argv"])))
+    rows.append(("Seed", str(report.seed)))
+    rows.append(("Level of significance", f"α = {report.alpha:g}"))
+    grammar = " ".join(
+        str(report.grammar[k]) for k in ("name", "fingerprint") if report.grammar.get(k)
+    )
+    rows.append(("Grammar", grammar or NOT_KNOWN))
+    if report.dataset.get("fingerprint"):
+        rows.append(("Data", str(report.dataset["fingerprint"])))
+    provenance = report.dataset.get("provenance")
+    if hasattr(provenance, "items"):
+        provenance = "; ".join(f"{k}: {_cell(v)}" for k, v in provenance.items())
+    if provenance:
+        rows.append(("Provenance", str(provenance)))
+    versions = ", ".join(f"{k} {v}" for k, v in report.versions.items())
+    rows.append(("Versions", versions or NOT_KNOWN))
+    rows.append(("Time taken", with_unit(format_number(report.wall_s, 3), "s")))
+    return rows
