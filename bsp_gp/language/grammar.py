@@ -389,9 +389,10 @@ class _Reader:
         raise GrammarError(f"{where}: unknown name {name!r}")
 
     def check(self, grammar):
-        for nonterminal, least in grammar.min_levels.items():
-            if least == float("inf"):
-                raise GrammarError(f"nonterminal {nonterminal!r} has no finite derivation")
+        least = grammar.min_levels
+        endless = [name for name in grammar.types if least[name] == float("inf")]
+        if endless:
+            raise GrammarError(f"nonterminal(s) {endless} have no finite derivation")
         reached, stack = set(), list(grammar.start.values())
         while stack:
             nonterminal = stack.pop()

@@ -22,6 +22,7 @@ from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
 from bsp_gp.physics.shooting import cut_segments, fit_rollout, guess_state, predict
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.units import ACCELERATION, Unit
 
 __all__ = ["Fit", "Observation", "observe"]
 
@@ -65,11 +66,16 @@ class Fit:
     n_effective: float
     jacobian: np.ndarray
     residual: np.ndarray
+    is_exact: bool = False
 
     def bic(self, n_effective=None):
-        """Bayesian information criterion with the noise level profiled out, nats times two."""
+        """Bayesian information criterion with the noise level profiled out, nats times two.
+
+        On exact data a residual below the numerical floor counts as at the floor, so that
+        rounding is never taken for evidence.
+        """
         n = n_effective or self.n_effective
-        per_row = max(self.chisqr / self.n_rows, 1e-300)
+        per_row = max(self.chisqr / self.n_rows, 1.0 if self.is_exact else 1e-300)
         return n * np.log(per_row) + len(self.parameters) * np.log(max(n, 2.0))
 
     @property
@@ -113,8 +119,9 @@ class Observation:
             n_rows = int(self.train_regression.n_rows)
             # Misfit per row, and fewer independent rows than rows.
             inflation = chisqr / max(n_rows - len(first.values), 1) * (n_rows / n_eff)
+            # What exact data leave is misfit, not noise: every row counts in a comparison.
             return Fit(first.law, first.parameters, first.values, first.covariance * inflation,
-                       chisqr, n_rows, n_eff, first.jacobian, first.residual)
+                       chisqr, n_rows, float(n_rows), first.jacobian, first.residual, True)
         whole = fit_rollout(self.segments, _clipped(start or first.law, bounds), self.sigma,
                             integrator=self.integrator, substeps=self.substeps,
                             up=self.dataset.up, bounds=bounds)
@@ -184,17 +191,13 @@ class Observation:
             scene, sum_squares, n, endpoint (per scene, receivers averaged).
         """
         scenes = self.test if scenes is None else scenes
-        per_scene = []
-        for scene, predicted in zip(scenes, self.predictions(law, scenes), strict=True):
-            per_scene.append(self._scene_errors(scene, predicted))
+        per_scene = self._score(law, scenes)
         total = sum(row["sum_squares"] for row in per_scene)
         count = sum(row["n"] for row in per_scene)
         ends = [end for row in per_scene for end in row["endpoints"]]
         regression = (self.test_regression if scenes is self.test else
                       self._regression(scenes, self.regression_sigma))
         units = self.dataset.units
-        from bsp_gp.units import ACCELERATION, Unit
-
         return Errors(
             residual_acceleration=residual_acceleration(regression, law),
             one_step_nrmse=one_step_nrmse(scenes, law, self.dataset.up),
@@ -204,6 +207,29 @@ class Observation:
             endpoint_mean=float(np.mean(ends)) if ends else float("nan"),
             acceleration_unit=units.text(ACCELERATION),
         ), per_scene
+
+    def headline_error(self, law):
+        """The one held-out error by which laws are compared: cheap, one number.
+
+        Residual acceleration on exact data, the rollout error on noisy data.
+        """
+        if self.is_exact:
+            return residual_acceleration(self.test_regression, law)
+        rows = self._score(law, self.test)
+        count = sum(row["n"] for row in rows)
+        total = sum(row["sum_squares"] for row in rows)
+        return float(np.sqrt(total / count)) if count else float("nan")
+
+    def headline_rollout(self, law):
+        """Root mean square rollout error on the training scenes."""
+        rows = self._score(law, self.train)
+        return float(np.sqrt(sum(r["sum_squares"] for r in rows) / max(sum(r["n"] for r in rows), 1)))
+
+    def _score(self, law, scenes):
+        return [
+            self._scene_errors(scene, predicted)
+            for scene, predicted in zip(scenes, self.predictions(law, scenes), strict=True)
+        ]
 
     def _scene_errors(self, scene, predicted):
         observed = scene.positions[:, scene.dynamic]
@@ -226,10 +252,11 @@ class Observation:
                                 sources=self.sources)
 
     def floor(self, law, rng):
-        """Errors that a perfect model would still make, and simulated ratios.
+        """Errors that a perfect model would still make.
 
         The law is rolled out on the held-out scenes, noise is added, and the simulated scenes
-        are scored like measured ones, initial states refitted.
+        are scored like measured ones, initial states refitted. On exact data the floor is the
+        numerical one and is not simulated.
 
         Returns
         -------
@@ -237,12 +264,24 @@ class Observation:
         copies : list of tuple of Scene
             The simulated held-out data, for parametric intervals of other quantities.
         """
+        if self.is_exact:
+            return self._numerical_floor(), ()
         copies = []
         for k, child in enumerate(rng.spawn(N_FLOOR)):
             copy = self.simulate(law, self.test, child)
             copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
         errors, _ = self.errors(law, [scene for copy in copies for scene in copy])
         return errors, copies
+
+    def _numerical_floor(self):
+        units = self.dataset.units
+        position = float(np.sqrt(np.nansum(self.sigma**2)))
+        steps = [np.median(np.diff(s.times)) for s in self.test]
+        acceleration = (float(np.sqrt(np.nansum(self.regression_sigma**2)))
+                        if self.method == "derivative"
+                        else position * np.sqrt(6.0) / float(np.median(steps)) ** 2)
+        return Errors(acceleration, position, position, position, units.text(Unit.of(m=1)),
+                      position, units.text(ACCELERATION))
 
     def simulate(self, law, scenes, rng):
         """Scenes as the law would have made them: fitted initial states, rollout, noise."""
@@ -275,7 +314,7 @@ class Observation:
         """After / before of the rollout error on held-out data, with a 90 % interval.
 
         Five or more held-out scenes: resampling of whole scenes. Fewer: parametric, from
-        simulated copies of the held-out data.
+        simulated copies of the held-out data; exact data have no noise to simulate.
         """
         def value(rows_after, rows_before):
             top = sum(row["sum_squares"] for row in rows_after)
@@ -356,14 +395,19 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     common = {"method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources}
     observation = Observation(
         dataset, tuple(train), tuple(test), note, estimate, sigma, is_exact, method,
-        np.asarray(regression_sigma), integrator, 4 if measured else 1, tuple(train),
+        np.asarray(regression_sigma), integrator, 1, tuple(train),
         build_regression(train, **common), build_regression(test, **common), sources,
     )
+    if measured and integrator == "rk4":
+        # Steps must be finer than what a wrong law does to a track, not than the noise.
+        start = fit_constants(observation.train_regression, law).law
+        error = observation.headline_rollout(start)
+        return replace(observation, substeps=_substeps(observation, start, 0.1 * error))
     if is_exact:
         return observation
     start = fit_constants(observation.train_regression, law).law
     if integrator == "rk4":
-        observation = replace(observation, substeps=_substeps(observation, start))
+        observation = replace(observation, substeps=_substeps(observation, start, observation.sigma))
     return replace(observation, segments=tuple(_segments(observation, start)))
 
 
@@ -414,9 +458,9 @@ def _acceleration_sigma(scenes, up):
     return np.array(estimate_noise(series).sigma)
 
 
-def _substeps(observation, law):
-    """Double the sub-steps until predictions move by less than a tenth of the noise."""
-    batches = stack(observation.train, observation.dataset.up)
+def _substeps(observation, law, tolerance):
+    """Double the sub-steps until predictions move by less than a tenth of the tolerance."""
+    batches = stack(observation.train, observation.dataset.up, observation.velocity)
     substeps = 1
     while substeps < MAX_SUBSTEPS:
         worst = 0.0
@@ -425,7 +469,7 @@ def _substeps(observation, law):
             coarse = rollout(law, batch, p, v, substeps=substeps)
             fine = rollout(law, batch, p, v, substeps=2 * substeps)
             with np.errstate(invalid="ignore"):
-                change = np.abs(coarse - fine) / observation.sigma
+                change = np.abs(coarse - fine) / tolerance
             worst = max(worst, float(np.nanmax(np.where(np.isfinite(change), change, 0.0))))
         if worst < 0.1:
             break

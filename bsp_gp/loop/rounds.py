@@ -10,7 +10,7 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Number, factors, product
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.loop.effects import allowed_sign, describe, fresh_name, rename_constant
+from bsp_gp.loop.effects import COLLINEAR, allowed_sign, describe, fresh_name, rename_constant
 from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
@@ -22,6 +22,8 @@ __all__ = ["Attempt", "Model", "constant_estimates", "run_round"]
 MIN_BIC_GAIN = 6.0
 REVISION_BIC_GAIN = 10.0
 TIE_BIC = 2.0
+MAX_SET = 4
+"""Largest set of found terms that is chosen as a whole."""
 MIN_SHARE = 0.5
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
@@ -169,9 +171,8 @@ def _choose(observation, model, search, attempts):
     n_eff = min(attempts, key=lambda a: a.fit.chisqr).fit.n_effective
     best = min(able, key=lambda a: (a.score(n_eff), a.complexity))
     best = _like_declared(observation, model.law, best, n_eff)
-    found = [term for term in best.law.terms if not term.is_declared]
-    if len(found) >= 2 and observation.is_exact:
-        best = _revise(observation, model.law, best, search)
+    if observation.is_exact:
+        best = _plan_ahead(observation, model.law, best, search)
     return best
 
 
@@ -223,46 +224,146 @@ def _like_declared(observation, law, best, n_eff):
                    name=describe(formula, value), ties=(best.text, *best.ties))
 
 
-def _revise(observation, law, best, search):
-    """Choose all found terms anew as a set, where that fits much better."""
-    found = [term for term in best.law.terms if not term.is_declared]
+def _plan_ahead(observation, law, best, search):
+    """Choose the found terms anew as part of the best set, on exact data.
+
+    Added one at a time, a proxy (a cube of speed for an inverse cube of distance) may be taken
+    first and never be parted with. So sets of terms are scored as wholes; where a larger set
+    leaves far less, its strongest members are what is adopted now.
+    """
     declared = [term for term in law.terms if term.is_declared]
-    regression = observation.train_regression
-    properties = _declared_pair(law)
-    wanted = {product(properties)} if properties else set()
-
-    def is_left(formula):
-        return formula in wanted or (not wanted and isinstance(formula, Number))
-
-    kinds = dict.fromkeys(term.kind for term in found)
-    laws, columns = [], []
-    for kind in kinds:
-        more, matrix = law_pool(regression, search.masked, kind=kind, is_left=is_left,
-                                max_levels=search.max_levels)
-        laws += [(formula, complexity, kind) for formula, complexity in more]
-        columns.append(matrix)
-    if not laws:
+    found = [term for term in best.law.terms if not term.is_declared]
+    pool = _Pool(observation, declared, best, search)
+    if not pool.laws:
         return best
-    base = ForceLaw(declared, {n: best.law.constants[n] for t in declared for n in t.formula.constants})
-    fit = observation.fit(base)
-    q = _orthonormal(fit.jacobian)
-    matrix = np.concatenate(columns, axis=1)
-    matrix = matrix - q @ (q.T @ matrix)
-    target = fit.residual - q @ (q.T @ fit.residual)
-    fixed = _fixed_directions(regression, declared)
-    free = [k for k in range(len(laws)) if not _is_parallel(columns, k, fixed)]
-    sets = best_subsets(matrix, target, len(found))
-    allowed = [s for s in sets if set(s[1]) <= set(free)]
-    if not allowed:
+    sizes = range(len(found), min(len(found) + 2, MAX_SET) + 1)
+    sets = {size: pool.sets(size) for size in sizes}
+    size = _worthwhile(sets, len(found), pool.floor)
+    if not sets.get(size) or (size == len(found) == 1):
         return best
-    revised = _set_attempt(observation, base, laws, allowed[0][1], best)
-    n_eff = revised.fit.n_effective
-    if best.fit.bic(n_eff) - revised.fit.bic(n_eff) < REVISION_BIC_GAIN:
-        revised = best
-    bar = revised.fit.chisqr / 2
-    same = [s for s in sets if revised.fit.n_effective * np.log(max(s[0], 1e-300) / bar) < TIE_BIC]
-    texts = [_set_text(laws, s[1]) for s in same]
-    return replace(revised, equivalents=tuple(dict.fromkeys(texts)))
+    chosen = pool.simplest(sets[size])
+    order = pool.by_gain(chosen)[: len(found)]
+    planned = pool.attempt(order, best)
+    gain = best.fit.bic() - planned.fit.bic()
+    if size == len(found) and gain < REVISION_BIC_GAIN:
+        planned = best
+    same = pool.equals(pool.all_sets(size), sets[size][0][0]) if size == len(found) else ()
+    return replace(planned, equivalents=tuple(same))
+
+
+def _worthwhile(sets, size, floor):
+    """Grow the size of the set while that leaves a hundredth of the sum of squares or less."""
+    while size + 1 in sets and sets[size + 1] and sets[size]:
+        further = min(
+            (max(sets[s][0][0], floor) for s in sets if s > size and sets[s]), default=np.inf
+        )
+        if further > 0.01 * max(sets[size][0][0], floor):
+            break
+        size += 1
+    return size
+
+
+class _Pool:
+    """Columns of all laws with the declared (or best) property factors."""
+
+    def __init__(self, observation, declared, best, search):
+        self.observation = observation
+        regression = observation.train_regression
+        found = [term for term in best.law.terms if not term.is_declared]
+        wanted = {_property_part(term.formula) for term in found}
+        kinds = dict.fromkeys(term.kind for term in found)
+        self.laws, columns = [], []
+        for kind in kinds:
+            laws, matrix = law_pool(regression, search.masked, kind=kind,
+                                    is_left=wanted.__contains__, max_levels=search.max_levels)
+            self.laws += [(formula, complexity, kind) for formula, complexity in laws]
+            columns.append(matrix)
+        self.declared = ForceLaw(
+            declared, {n: best.law.constants[n] for t in declared for n in t.formula.constants}
+        )
+        fit = observation.fit(self.declared)
+        q = _orthonormal(fit.jacobian)
+        matrix = np.concatenate(columns, axis=1)
+        self.frozen = _parallel(matrix, _fixed_directions(regression, declared))
+        self.matrix = matrix - q @ (q.T @ matrix)
+        self.target = fit.residual - q @ (q.T @ fit.residual)
+        self.floor = 0.5 * regression.n_rows
+        self._cache = {}
+
+    def all_sets(self, size):
+        """Best sets of this size, declared terms' freed numbers included."""
+        if size not in self._cache:
+            self._cache[size] = best_subsets(self.matrix, self.target, size)
+        return self._cache[size]
+
+    def sets(self, size):
+        """Best sets of this size that leave the declared numbers alone."""
+        free = np.flatnonzero(~self.frozen)
+        found = best_subsets(self.matrix[:, free], self.target, size)
+        return [(loss, tuple(int(free[k]) for k in chosen)) for loss, chosen in found]
+
+    def simplest(self, sets):
+        """Of the sets that fit practically as well as the best, the least complex."""
+        bar = max(sets[0][0], self.floor) * 1.2
+        near = [chosen for loss, chosen in sets if max(loss, self.floor) <= bar]
+        return min(near, key=lambda chosen: round(sum(self.laws[k][1] for k in chosen), 6))
+
+    def by_gain(self, chosen):
+        """Order a set so that each next member explains most of what is left."""
+        order, left = [], list(chosen)
+        while left:
+            losses = []
+            for k in left:
+                columns = self.matrix[:, [*order, k]]
+                columns = columns / np.linalg.norm(columns, axis=0)
+                coefficients, *_ = np.linalg.lstsq(columns, self.target, rcond=None)
+                losses.append(float(np.square(self.target - columns @ coefficients).sum()))
+            order.append(left.pop(int(np.argmin(losses))))
+        return order
+
+    def attempt(self, order, best):
+        """The declared law with these members, fitted."""
+        law, complexity = self.declared, 0.0
+        for k in order:
+            formula, cost, kind = self.laws[k]
+            name = fresh_name(law)
+            law = law.plus(Term(Call("mul", Constant(name), formula), kind), {name: 0.0})
+            complexity += cost
+        fit = self.observation.fit(law)
+        old = {to_text(split_linear(t.formula)[1]): t for t in best.law.terms[:-1] if not t.is_declared}
+        terms = [t for t in fit.law.terms if not t.is_declared]
+        texts = [to_text(split_linear(t.formula)[1]) for t in terms]
+        new = [t for t, text in zip(terms, texts, strict=True) if text not in old]
+        new = new or terms
+        gone = [describe(t.formula) for text, t in old.items() if text not in texts]
+        constants = fit.law.constants
+        return Attempt(
+            fit.law, fit, complexity,
+            " and ".join(describe(t.formula, constants[split_linear(t.formula)[0]]) for t in new),
+            " + ".join(to_text(t.formula) for t in new),
+            " + ".join(to_latex(t.formula) for t in new), new[-1].kind, replaces=tuple(gone),
+        )
+
+    def equals(self, sets, best_loss):
+        """Texts of the sets that these data cannot tell from the best."""
+        bar = max(best_loss, self.floor)
+        n = self.observation.train_regression.n_rows
+        for loss, chosen in sets:
+            if n * np.log(max(loss, self.floor) / bar) < TIE_BIC:
+                yield " + ".join(
+                    f"c{n_} * {to_text(self.laws[k][0])}" for n_, k in enumerate(chosen, 1)
+                ) + (" (frees a declared number)" if self.frozen[list(chosen)].any() else "")
+
+
+def _property_part(formula):
+    """Product of the property factors, as the left bank of the search writes it."""
+    above, below = factors(formula)
+    above = [f for f in above if _is_property(f)]
+    below = [f for f in below if _is_property(f)]
+    if not above and not below:
+        return Number(1.0)
+    top = product(above)
+    return Call("div", top, product(below)) if below else top
 
 
 def _orthonormal(columns):
@@ -282,54 +383,14 @@ def _fixed_directions(regression, declared):
     return out
 
 
-def _is_parallel(columns, index, fixed):
-    matrix = np.concatenate(columns, axis=1)
-    column = matrix[:, index]
-    size = np.linalg.norm(column)
-    return size > 0 and any(1 - (column @ d / size) ** 2 < 1e-6 for d in fixed)
-
-
-def _set_attempt(observation, base, laws, chosen, best):
-    law, complexity, names = base, 0.0, []
-    for k in _by_gain(observation, base, laws, chosen):
-        formula, cost, kind = laws[k]
-        name = fresh_name(law)
-        law = law.plus(Term(Call("mul", Constant(name), formula), kind), {name: 0.0})
-        complexity += cost
-    fit = observation.fit(law)
-    old = {to_text(split_linear(t.formula)[1]) for t in best.law.terms if not t.is_declared}
-    new_terms = [t for t in fit.law.terms if not t.is_declared]
-    names = [describe(t.formula, fit.law.constants[split_linear(t.formula)[0]]) for t in new_terms]
-    kept = {to_text(split_linear(t.formula)[1]) for t in new_terms}
-    return Attempt(
-        fit.law, fit, complexity, " + ".join(names),
-        " + ".join(to_text(t.formula) for t in new_terms),
-        " + ".join(to_latex(t.formula) for t in new_terms), new_terms[-1].kind,
-        replaces=tuple(sorted(old - kept)),
-    )
-
-
-def _by_gain(observation, base, laws, chosen):
-    """Order a set so that each next term explains most of what is left."""
-    left, order = list(chosen), []
-    law = base
-    while left:
-        def loss(k, law=law):
-            formula, _, kind = laws[k]
-            name = fresh_name(law)
-            return observation.fit(law.plus(Term(Call("mul", Constant(name), formula), kind),
-                                            {name: 0.0})).chisqr
-
-        k = min(left, key=loss)
-        left.remove(k)
-        order.append(k)
-        name = fresh_name(law)
-        law = law.plus(Term(Call("mul", Constant(name), laws[k][0]), laws[k][2]), {name: 0.0})
-    return order
-
-
-def _set_text(laws, chosen):
-    return " + ".join(f"c{n} * {to_text(laws[k][0])}" for n, k in enumerate(chosen, 1))
+def _parallel(matrix, fixed):
+    """Which columns are parallel to a declared term of fixed number."""
+    sizes = np.linalg.norm(matrix, axis=0)
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    out = np.zeros(matrix.shape[1], dtype=bool)
+    for direction in fixed:
+        out |= 1 - (direction @ matrix / sizes) ** 2 < COLLINEAR
+    return out
 
 
 # --- verdict --------------------------------------------------------------------------------------
@@ -484,17 +545,16 @@ def _rivals(observation, model, chosen, attempts):
             reason = "fits as well" + ("; less simple" if attempt.complexity > chosen.complexity else "")
         elif not reason:
             reason = f"fits worse: BIC higher by {delta:.1f}"
-        errors, _ = observation.errors(attempt.fit.law)
         out.append(Rival(attempt.name, attempt.kind, attempt.text, attempt.latex, float(delta),
-                         attempt.share, _ratio_of(observation, errors, model.errors),
+                         attempt.share, _ratio_of(observation, attempt.fit.law, model.errors),
                          attempt.complexity, reason))
     return out
 
 
-def _ratio_of(observation, after, before):
-    if observation.is_exact:
-        return after.residual_acceleration / before.residual_acceleration
-    return after.rollout_rmse / before.rollout_rmse if before.rollout_rmse else float("nan")
+def _ratio_of(observation, law, before):
+    """Held-out error of a law over that of the model entering the round."""
+    bottom = before.residual_acceleration if observation.is_exact else before.rollout_rmse
+    return observation.headline_error(law) / bottom if bottom else float("nan")
 
 
 def _freed_numbers(observation, model, chosen):
@@ -509,7 +569,6 @@ def _freed_numbers(observation, model, chosen):
             terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
             law = ForceLaw(terms, {**base.constants, name: 1.0})
             fit = observation.fit(law)
-            errors, _ = observation.errors(fit.law)
             k = [n for n, _ in fit.parameters].index(name)
             delta = fit.bic(chosen.fit.n_effective) - chosen.fit.bic()
             factor, half = fit.values[k], fit.intervals[k]
@@ -517,7 +576,7 @@ def _freed_numbers(observation, model, chosen):
                 f"declared number freed, {label}", "declared_term_change", to_text(scaled.formula),
                 to_latex(scaled.formula), float(delta),
                 float(1 - (fit.chisqr / model.fit.chisqr)),
-                _ratio_of(observation, errors, model.errors), 0.0,
+                _ratio_of(observation, fit.law, model.errors), 0.0,
                 _freed_reason(factor, half, delta, observation),
             ))
     return out

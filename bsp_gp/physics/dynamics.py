@@ -60,34 +60,40 @@ class Tracks:
         self.points = 2 * substeps
         self.positions = self.velocities = None
         if len(self.driven):
-            self._interpolate(batch, substeps)
+            self._interpolate(batch)
 
-    def _interpolate(self, batch, substeps):
+    def _interpolate(self, batch):
         track = batch.positions[:, :, self.driven]
-        filled = np.where(np.isnan(track), track[:1], track)
+        seen = np.isfinite(track).all(axis=-1)
+        first = np.take_along_axis(track, np.argmax(seen, axis=0)[None, ..., None], axis=0)
         shape = (batch.times.shape[0] - 1, self.points + 1, *track.shape[1:])
-        self.positions = np.broadcast_to(filled[:-1, None], shape)
-        self.velocities = np.zeros(shape)
-        if np.array_equal(filled, np.broadcast_to(filled[:1], filled.shape)):
+        self.positions, self.velocities = np.broadcast_to(first, shape), np.zeros(shape)
+        moving = np.any((track != first) & seen[..., None], axis=(0, -1))
+        if not moving.any():
             return
-        self.positions, self.velocities = self.positions.copy(), self.velocities.copy()
+        self.positions = self.positions.copy()
         fractions = np.arange(self.points + 1) / self.points
-        for s in range(batch.times.shape[1]):
+        for s, k in np.argwhere(moving):
             times = batch.times[:, s]
             n = int(np.isfinite(times).sum())
-            curve = self._curve(batch, s, n)
+            rows = np.flatnonzero(seen[:, s, k])
+            curve = self._curve(batch, s, self.driven[k], rows)
             places = times[: n - 1, None] + np.diff(times[:n])[:, None] * fractions
-            self.positions[: n - 1, :, s] = curve(places)
-            self.velocities[: n - 1, :, s] = curve.derivative()(places)
+            # Before the first and after the last seen row: straight on.
+            inside = np.clip(places, times[rows[0]], times[rows[-1]])
+            slope = curve.derivative()(inside)
+            self.positions[: n - 1, :, s, k] = curve(inside) + slope * (places - inside)[..., None]
+            self.velocities[: n - 1, :, s, k] = slope
 
-    def _curve(self, batch, s, n):
+    def _curve(self, batch, s, entity, rows):
         from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-        times = batch.times[:n, s]
-        p = batch.positions[:n, s][:, self.driven]
+        times, p = batch.times[rows, s], batch.positions[rows, s, entity]
         if batch.velocities is not None:
-            return CubicHermiteSpline(times, p, batch.velocities[:n, s][:, self.driven])
-        degree = 5 if n > 5 else 1 if n < 4 else 3
+            v = batch.velocities[rows, s, entity]
+            if np.isfinite(v).all():
+                return CubicHermiteSpline(times, p, v)
+        degree = 5 if len(rows) > 5 else 1 if len(rows) < 4 else 3
         return make_interp_spline(times, p, k=degree)
 
     def place(self, p, v, k, point):

@@ -254,7 +254,9 @@ def _regression_batch(batch, method, sigma, sources):
     if method == "gls":
         whitener = _gls_whitener(batch.times, valid)
     names = tuple(scene.name for scene in batch.scenes)
-    return RegressionBatch(bodies, times, positions, velocities, target, valid, scale, names, whitener)
+    return RegressionBatch(
+        bodies, times, positions, velocities, target, valid, scale, names, whitener
+    )
 
 
 def _steps(times):

@@ -17,7 +17,8 @@ from bsp_gp.report.numbers import pretty_unit
 
 __all__ = [
     "AFTER", "BEFORE", "FLOOR", "INK", "WIDTH", "axis_label", "legend_above", "log_ticks",
-    "new_figure", "plain", "png_bytes", "scaled", "spans_decades", "svg_text", "tidy", "time_scaled",
+    "new_figure", "plain", "png_bytes", "scaled", "spans_decades", "svg_text", "tidy",
+    "time_scaled",
 ]
 
 # Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their darkness.

@@ -164,8 +164,8 @@ def _contents(report, run_info):
     }
     out = {name: text.encode("utf-8", "replace") for name, text in files.items()}
     for name, figure in figures.items():
-        out[f"figures/{name}.svg"] = figure.svg().encode("utf-8")
-        out[f"figures/{name}.png"] = figure.png()
+        out[f"figures/{name}.svg"] = figure.svg.encode("utf-8")
+        out[f"figures/{name}.png"] = figure.png
     return out
 
 

@@ -6,11 +6,11 @@ import base64
 import shlex
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
+    format_level,
     format_number,
     format_p,
     format_ratio,
@@ -29,7 +29,7 @@ from bsp_gp.report.sentences import (
     missing_sentence,
     outcome_sentence,
     ratio_caution,
-    verdict_sentence,
+    verdict_parts,
 )
 from bsp_gp.report.typeset import to_svg
 
@@ -49,6 +49,7 @@ _KINDS = {
     "hidden_body": "unseen body", "measurement": "measurement",
     "declared_term_change": "change of a declared term",
 }
+_TESTS = {"chi2": "χ²", "ljung_box": "Ljung–Box", "durbin_watson": "Durbin–Watson"}
 _TONES = {"effect adopted": "found", "nothing missing": "clean", "seen, not adopted": "open",
           "cannot tell": "open"}
 
@@ -70,19 +71,21 @@ def render_html(report, run_info=None, figures=None):
         A complete HTML document.
     """
     figures = build_figures(report) if figures is None else figures
+    sentence, detail = verdict_parts(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
         loader=PackageLoader("bsp_gp.report", "templates"), autoescape=True,
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )
-    environment.globals.update(law=_law, number=format_number, p_value=format_p,
+    environment.globals.update(typeset=to_svg, number=format_number, p_value=format_p,
                                value=format_value, kind=lambda k: _KINDS.get(k, k))
     return environment.get_template("report.html").render(
         name=report.dataset.get("name") or "data",
         facts=_facts(report),
         verdict=report.verdict,
         tone=_TONES.get(report.verdict, "open"),
-        sentence=verdict_sentence(report),
+        sentence=sentence,
+        detail=detail,
         head=headline(report),
         caution=ratio_caution(report),
         caveats=caveats(report),
@@ -102,12 +105,6 @@ def render_html(report, run_info=None, figures=None):
     )
 
 
-def _law(latex, text):
-    """Typeset a law; plain text where it cannot be."""
-    drawn = to_svg(latex or "")
-    return Markup(drawn) if drawn else Markup("<code>{}</code>").format(text or latex)
-
-
 def _law_title(report):
     if adopted_rounds(report):
         return "The law"
@@ -119,8 +116,11 @@ def _facts(report):
     data = report.dataset
     parts = [
         f"{data[key]} {word if data[key] != 1 else one}"
-        for key, word, one in (("n_scenes", "scenes", "scene"), ("n_entities", "entities", "entity"),
-                               ("n_rows", "rows", "row"))
+        for key, word, one in (
+            ("n_scenes", "scenes", "scene"),
+            ("n_entities", "entities", "entity"),
+            ("n_rows", "rows", "row"),
+        )
         if data.get(key) is not None
     ]
     parts += [
@@ -152,7 +152,7 @@ def _constant(c):
 
 
 def _figure(figure):
-    data = base64.b64encode(figure.svg().encode("utf-8")).decode("ascii")
+    data = base64.b64encode(figure.svg.encode("utf-8")).decode("ascii")
     return {"uri": f"data:image/svg+xml;base64,{data}", "caption": figure.caption}
 
 
@@ -173,7 +173,11 @@ def _error_table(before, after, floor, ratio):
 
 
 def _total_table(report):
-    return _error_table(*(report.total.get(k) for k in ("before", "after", "floor", "ratio")))
+    keys = ("before", "after", "floor", "ratio")
+    before, after, floor, ratio = (report.total.get(k) for k in keys)
+    if not adopted_rounds(report):
+        after = ratio = None
+    return _error_table(before, after, floor, ratio)
 
 
 def _round(r, report):
@@ -194,7 +198,9 @@ def _round(r, report):
         "title": title,
         "state": ("adopted" if r.adopted else "not adopted") if effect is not None else "",
         "missing": missing_sentence(r, report.alpha),
-        "tests": [(name.replace("_", " "), format_p(p)) for name, p in r.missing.tests.items()],
+        "tests": [
+            (_TESTS.get(k, k.replace("_", " ")), format_p(p)) for k, p in r.missing.tests.items()
+        ],
         "outcome": outcome_sentence(r),
         "effect": effect,
         "constants": [_constant(c) for c in shared],
@@ -255,7 +261,7 @@ def _reproduce(report, run_info):
     if run_info.get("argv"):
         rows.append(("Command", shlex.join(str(a) for a in run_info["argv"])))
     rows.append(("Seed", str(report.seed)))
-    rows.append(("Level of significance", f"α = {report.alpha:g}"))
+    rows.append(("Level of significance", format_level(report.alpha)))
     grammar = " ".join(
         str(report.grammar[k]) for k in ("name", "fingerprint") if report.grammar.get(k)
     )

@@ -6,8 +6,8 @@ import math
 import re
 
 __all__ = [
-    "NOT_KNOWN", "format_number", "format_p", "format_ratio", "format_value", "is_number",
-    "pretty_unit", "rounded", "with_unit",
+    "NOT_KNOWN", "format_level", "format_number", "format_p", "format_ratio", "format_value",
+    "is_number", "pretty_unit", "rounded", "with_unit",
 ]
 
 NOT_KNOWN = "–"
@@ -109,10 +109,9 @@ def rounded(value, low, high):
     half = (high - low) / 2 / scale
     leading = math.floor(math.log10(size / scale)) if size else 0
     decimals = 3 - leading
-    if half > 0:  # two digits of an interval below 3.55, one above, as the PDG does
+    if half > 0:  # two digits of a half-width that begins with 1 or 2, else one
         place = math.floor(math.log10(half))
-        decimals = (1 if half / 10.0**place < 3.55 else 0) - place
-    # An interval far wider than the value still leaves the value one digit, if it can.
+        decimals = (1 if half / 10.0**place < 2.95 else 0) - place
     decimals = min(max(decimals, -leading), _MAX_DIGITS - 1 - leading)
     parts = [_fixed(part / scale, decimals) for part in (value, low, high)]
     return (*parts, _power_of_ten(exponent))
@@ -139,6 +138,11 @@ def format_ratio(ratio):
     if ratio is None:
         return NOT_KNOWN
     return format_value(ratio.value, ratio.low, ratio.high)
+
+
+def format_level(alpha):
+    """Write a level of significance as it was chosen."""
+    return f"α = {alpha:g}" if is_number(alpha) else "α not known"
 
 
 def format_p(p):

@@ -6,6 +6,7 @@ import math
 
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
+    format_level,
     format_number,
     format_p,
     format_ratio,
@@ -17,7 +18,7 @@ from bsp_gp.report.numbers import (
 
 __all__ = [
     "adopted_rounds", "caveats", "constant_groups", "group_range", "headline", "missing_sentence",
-    "outcome_sentence", "ratio_caution", "verdict_sentence",
+    "outcome_sentence", "ratio_caution", "verdict_parts", "verdict_sentence",
 ]
 
 _METRICS = (
@@ -47,11 +48,6 @@ def _ended(text):
     return text if not text or text[-1] in ".!?" else text + "."
 
 
-def _last(report, condition=lambda r: True):
-    rounds = [r for r in report.rounds if condition(r)]
-    return rounds[-1] if rounds else None
-
-
 def _finding(effect):
     if effect.kind == "hidden_body":
         return f"an unseen body acts on these ({effect.name})"
@@ -64,30 +60,36 @@ def _finding(effect):
 
 def verdict_sentence(report):
     """The outcome of the whole run in one or two sentences."""
+    return " ".join(filter(None, verdict_parts(report)))
+
+
+def verdict_parts(report):
+    """The outcome of the whole run in one sentence, and what belongs to it.
+
+    Returns
+    -------
+    sentence, detail : str
+        The detail may be "".
+    """
     adopted = adopted_rounds(report)
+    last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:
         text = _joined(_finding(r.effect) for r in adopted)
-        return text[:1].upper() + text[1:] + "."
+        return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "nothing missing":
-        last = _last(report)
         text = "Nothing is missing from the declared model: what it leaves unexplained is noise."
-        return f"{text} {_detectable(last.missing)}".strip() if last else text
+        return text, _detectable(last.missing) if last else ""
     if report.verdict == "seen, not adopted":
-        seen = _last(report, lambda r: r.effect is not None)
-        text = "The declared model leaves more than noise, but no explanation was good enough"
-        if seen is None:
-            return text + " to adopt."
-        return f"{text} to adopt: the best, {seen.effect.name}, was seen and not adopted."
+        seen = [r.effect.name for r in report.rounds if r.effect is not None]
+        text = "The declared model leaves more than noise, but nothing was good enough to adopt."
+        return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
     if report.verdict == "cannot tell":
-        last = _last(report)
-        doubt = last is not None and last.missing.is_missing
-        text = (
-            "Something is missing from the declared model, but these data cannot tell what."
-            if doubt
-            else "These data cannot tell whether anything is missing from the declared model."
-        )
-        return f"{text} {_ended(last.reason)}".strip() if last else text
-    return f"Verdict: {report.verdict}."
+        if last is not None and last.missing.is_missing:
+            text = "Something is missing from the declared model, but these data cannot tell what."
+        else:
+            text = "These data cannot tell whether anything is missing from the declared model."
+        return text, _ended(last.reason) if last else ""
+    return f"Verdict: {report.verdict}.", ""
 
 
 def _detectable(missing):
@@ -95,8 +97,8 @@ def _detectable(missing):
         return ""
     size = with_unit(format_number(missing.detectable, 2), missing.detectable_unit)
     return (
-        f"A constant extra acceleration of {size} or more would have been seen "
-        "(with 95 % power); a smaller one would not."
+        f"A constant extra acceleration of {size} or more would have been seen with 95 % power; "
+        "a smaller one may hide in the noise."
     )
 
 
@@ -112,7 +114,7 @@ def missing_sentence(round_, alpha):
         text = f"Nothing is left above the noise (whitened χ² per degree of freedom {numbers})."
     if not is_number(missing.statistic):
         text = text.replace("whitened χ² per degree of freedom ", "")
-    level = f" Tested at α = {alpha:g}."
+    level = f" Tested at {format_level(alpha)}."
     smallest = "" if missing.is_missing else _detectable(missing)
     return f"{text}{level} {smallest}".strip()
 
@@ -124,7 +126,7 @@ def outcome_sentence(round_):
         return reason or "No effect was traced."
     name = round_.effect.name
     p = round_.effect.p_value
-    significance = f"{format_p(p)}, selection included" if is_number(p) else "significance not known"
+    significance = format_p(p) + (", selection included" if is_number(p) else "")
     if round_.adopted:
         return f"Adopted: {name} ({significance}). {reason}".strip()
     return f"Seen, not adopted: {name} ({significance}). {reason}".strip()
@@ -140,11 +142,8 @@ def headline(report):
         has_after (bool), text (one line).
     """
     before, after, floor = (report.total.get(k) for k in ("before", "after", "floor"))
-    for metric, label in _METRICS:
-        if before is not None and is_number(getattr(before, metric)):
-            break
-    else:
-        metric, label = _METRICS[0]
+    known = [m for m in _METRICS if before is not None and is_number(getattr(before, m[0]))]
+    metric, label = (known or _METRICS)[0]
     has_after = after is not None and bool(adopted_rounds(report))
 
     def size(errors):
@@ -185,7 +184,7 @@ def ratio_caution(report):
     if ratio.value >= 1:
         return "The adopted law is no better than the declared one on the held-out data."
     if is_number(ratio.high) and ratio.high >= 1:
-        return "The 90 % interval of the ratio includes 1: the gain on held-out data is not certain."
+        return "The 90 % interval of the ratio includes 1: the gain is not certain."
     if not (is_number(ratio.low) and is_number(ratio.high)):
         return "The ratio has no interval: how certain the gain is was not found out."
     return ""

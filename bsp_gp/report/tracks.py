@@ -144,7 +144,8 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
         _set_limits(panel, (x, y), curves, len(axes) == 2)
         names = ["xyz"[k] for k in axes]
         panel.set_title(_title(overlay), loc="left")
-        panel.set_xlabel(axis_label("time", t_unit) if len(axes) == 1 else axis_label(names[0], unit))
+        across = (names[0], unit) if len(axes) == 2 else ("time", t_unit)
+        panel.set_xlabel(axis_label(*across))
         panel.set_ylabel(axis_label(names[-1], unit))
         tidy(panel, 4)
     handles = [Line2D([], [], ls="", marker="o", ms=4, mew=0.8, mec="#555555", mfc="white")]

@@ -18,7 +18,7 @@ _SIZE = 20.0  # points; the page scales by em
 _MAX_LENGTH = 3000
 _MARGIN = 1.0
 _DRAW = {Outline.MOVETO: "M", Outline.LINETO: "L", Outline.CURVE3: "Q", Outline.CURVE4: "C"}
-# What mathtext draws badly: hats over an index, growing double bars, small fractions, signs in front.
+# What mathtext draws badly: hats over an index, growing bars, small fractions, leading signs.
 _BETTER = (
     (re.compile(r"\\hat\{(\\mathbf\{\w\})(_\{\w+\})\}"), r"\\hat{\1}\2"),
     (re.compile(r"\\(left|right)\\\|"), r"\\|"),
@@ -29,12 +29,12 @@ _BETTER = (
 
 
 def split_terms(latex):
-    """Cut a sum at its outer plus signs.
+    r"""Cut a sum at its outer plus signs.
 
     Examples
     --------
-    >>> split_terms(r"a = b + \\left(c + d\\right) + {e + f}")
-    ['a = b', '+ \\\\left(c + d\\\\right)', '+ {e + f}']
+    >>> split_terms(r"a = b + \left(c + d\right) + {e + f}")
+    ['a = b', '+ \\left(c + d\\right)', '+ {e + f}']
     """
     parts, start, depth = [], 0, 0
     for match in re.finditer(r"\\left|\\right|\\[{}]|[{}]| \+ ", latex):
@@ -78,10 +78,10 @@ def _draw(latex):
         raise ValueError("a dollar sign ends the equation")
     font = FontProperties(family="DejaVu Sans", math_fontfamily="stix", size=_SIZE)
     text = f"${latex}$"
-    width, _, depth, *_ = MathTextParser("path").parse(text, 72, font)
-    outline = TextPath((0, 0), text, size=_SIZE, prop=font)
-    if not len(outline.vertices):
+    width, _, depth, glyphs, rectangles = MathTextParser("path").parse(text, 72, font)
+    if not glyphs and not rectangles:
         raise ValueError("an empty equation")
+    outline = TextPath((0, 0), text, size=_SIZE, prop=font)
     box = outline.get_extents()
     top, bottom = box.y1 + _MARGIN, min(box.y0, -depth) - _MARGIN
     width, height = max(width, box.x1) + 2 * _MARGIN, top - bottom
@@ -123,7 +123,10 @@ def _tex_unit(unit):
     if unit in ("", "1"):
         return "1"
     parts = re.split(r"\^\(?([-+]?\d+)\)?", unit)
-    return "".join(f"$^{{{p}}}$" if k % 2 else _tex(p).replace("*", r"\,") for k, p in enumerate(parts))
+    plain, powers = [_tex(p).replace("*", r"\,") for p in parts[::2]], [*parts[1::2], ""]
+    return "".join(
+        p + (f"$^{{{n}}}$" if n else "") for p, n in zip(plain, powers, strict=True)
+    )
 
 
 def law_document(report):

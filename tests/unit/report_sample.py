@@ -138,7 +138,7 @@ def seen_not_adopted():
         full, rounds=(only,), verdict="seen, not adopted", constants=full.constants[:1],
         total={"before": errors(5.55), "after": errors(5.55), "floor": errors(0.27),
                "ratio": Ratio(1.0, 1.0, 1.0)},
-        stop_reason="No explanation was good enough.",
+        stop_reason="No explanation was good enough.", overlays=full.overlays[:1], residuals=None,
     )
 
 
@@ -173,11 +173,13 @@ def orbit():
                 1.9 * position + 60.0 * drift * along, 40),
     )
     n = len(t)
-    table = ResidualTable(["sun"] * n, ["Mercury"] * n, ["test"] * n, t, 4.8e4 + 1e4 * np.sin(angle),
-                          5.8e10 * (1 + 0.2 * np.cos(angle)), 1e-8 * (1 + np.cos(angle) ** 2),
+    table = ResidualTable(["sun"] * n, ["Mercury"] * n, ["test"] * n, t,
+                          4.8e4 + 1e4 * np.sin(angle), 5.8e10 * (1 + 0.2 * np.cos(angle)),
+                          1e-8 * (1 + np.cos(angle) ** 2),
                           np.abs(rng.normal(0, 2e-11, n)), np.zeros(n), np.zeros(n))
     effect = replace(full.rounds[0].effect, name="inverse-cube attraction", kind="pair",
-                     law="c1 * m_i / norm(p_j - p_i)^3 * normalize(p_j - p_i)", entities=("Mercury",),
+                     law="c1 * m_i / norm(p_j - p_i)^3 * normalize(p_j - p_i)",
+                     entities=("Mercury",),
                      latex=r"\sum_{j\ne i} \frac{c_{1}\,m_i}{{r}_{ij}^{3}}\,\hat{\mathbf{r}_{ij}}",
                      constants=(ConstantEstimate("c1", 3.521e28, 3.48e28, 3.56e28, "m^4/s^2"),))
     before, after, floor = (errors(s, "m", "m/s^2") for s in (2.4e5, 71.0, 31.0))

@@ -1,0 +1,471 @@
+import csv
+import importlib.util
+import json
+import logging
+import math
+import os
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bsp_gp.errors import OutputError
+from bsp_gp.report import folder as folder_module
+from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
+from bsp_gp.report.figures import build_figures
+from bsp_gp.report.folder import check_target, write_report
+from bsp_gp.report.html import render_html
+from bsp_gp.report.numbers import format_number, format_p, format_value, pretty_unit, rounded
+from bsp_gp.report.sentences import (
+    caveats,
+    headline,
+    missing_sentence,
+    ratio_caution,
+    verdict_sentence,
+)
+from bsp_gp.report.summary import summary_text
+from bsp_gp.report.tracks import pick_overlays, wants_errors
+from bsp_gp.report.typeset import law_document, split_terms, to_svg
+
+_spec = importlib.util.spec_from_file_location(
+    "report_sample", Path(__file__).with_name("report_sample.py")
+)
+sample = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sample)
+
+RUN = {"argv": ["bsp-gp", "close", "my data", "--seed", "7"]}
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+CONTRACT = (
+    "schema", "dataset", "declared", "grammar", "seed", "alpha", "noise", "rounds", "law", "total",
+    "verdict", "stop_reason", "versions", "wall_s",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """Every sample report as a page, drawn once."""
+    return {name: render_html(make(), RUN) for name, make in sample.ALL.items()}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The folder of the report in which an effect was adopted."""
+    return write_report(
+        sample.adopted(), tmp_path_factory.mktemp("reports") / "deep" / "drag", run_info=RUN
+    )
+
+
+class Outline(HTMLParser):
+    """Tags that do not nest, attributes that fetch something, and the text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.faults, self.fetched, self.tags, self.words = [], [], [], set(), []
+        self.feed(page)
+        self.close()
+        self.faults += self.open
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.fetched += [v for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
+        self.faults += [k for k, _ in attrs if k.startswith("on")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.add(tag)
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.faults.append(f"</{tag}>")
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] != "style":
+            self.words.append(data)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((9.80665, 9.79123, 9.82211, "m/s^2"), "9.807 [9.791, 9.822] m/s²"),
+        ((0.18, 0.15, 0.22), "0.18 [0.15, 0.22]"),
+        ((1.327e20, 1.323e20, 1.331e20, "m^3/s^2"), "1.327 [1.323, 1.331] × 10²⁰ m³/s²"),
+        ((-0.02, -0.05, 0.011), "−0.02 [−0.05, 0.01]"),
+        ((12345.6, 11000.0, 13800.0, "N"), "12300 [11000, 13800] N"),
+        ((3.0, math.nan, math.nan, "kg*m"), "3.000 kg·m"),
+        ((math.nan, math.nan, math.nan, "m"), "–"),
+        ((math.inf, 0.0, 1.0), "–"),
+        ((0.0, 0.0, 0.0), "0.000 [0.000, 0.000]"),
+        ((2.0, -300.0, 300.0), "0 [−300, 300]"),
+        ((1e-12, 0.9e-12, 1.1e-12), "1.00 [0.90, 1.10] × 10⁻¹²"),
+    ],
+)
+def test_values_have_the_digits_that_their_interval_supports(arguments, text):
+    assert format_value(*arguments) == text
+
+
+def test_no_number_is_longer_than_a_float_can_hold():
+    rng = np.random.default_rng(3)
+    for value in rng.normal(size=200) * 10.0 ** rng.integers(-30, 30, 200):
+        for relative in (0.0, 1e-18, 1e-9, 0.03, 7.0):
+            half = abs(value) * relative
+            for text in rounded(value, value - half, value + half)[:3]:
+                assert len(re.sub(r"\D", "", text)) <= 15
+            assert float(_ascii(format_number(value, 4))) == pytest.approx(value, rel=5e-4)
+
+
+def _ascii(text):
+    powers = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
+    return text.replace(" × 10", "e").translate(powers)
+
+
+def test_small_helpers():
+    assert [pretty_unit(u) for u in ("1", "", None, "m^3/s^2", "kg^(-1)", "m^(1/2)")] == [
+        "", "", "", "m³/s²", "kg⁻¹", "m^(1/2)",
+    ]  # fmt: skip
+    assert [format_p(p) for p in (0.0, 3e-5, 0.0123, 1.0, math.nan)] == [
+        "p < 0.0001", "p < 0.0001", "p = 0.012", "p = 1", "p not known",
+    ]  # fmt: skip
+    assert format_number(True) == "–" and format_number("7") == "–" and format_number(None) == "–"
+    assert plain("a$b$\nc") == r"a\$b\$ c" and len(plain("x" * 99)) == 28
+    assert scaled("m", np.array([3e9, -5e10])) == (pytest.approx(1e-9), "10⁹ m")
+    assert scaled("m", np.array([math.nan])) == (1.0, "m")
+    assert time_scaled("s", np.array([0.0, 864000.0]))[1] == "days"
+    assert time_scaled("frame", np.array([0.0, 9.0])) == (1.0, "frame")
+    assert not spans_decades(np.abs(np.random.default_rng(1).normal(size=4000)))
+    assert spans_decades(np.geomspace(1, 1e4, 50))
+
+
+@pytest.mark.parametrize("name", sample.ALL)
+def test_page_is_well_nested_and_fetches_nothing(pages, name):
+    outline = Outline(pages[name])
+    assert not outline.faults
+    assert not outline.tags & {"script", "iframe", "object", "link", "form", "base"}
+    assert all(v.startswith("data:image/svg+xml;base64,") for v in outline.fetched)
+    assert not re.search(r"url\(|@import", pages[name])
+
+
+@pytest.mark.parametrize("name", [n for n in sample.ALL if n != "hostile"])
+def test_page_shows_no_raw_number(pages, name):
+    text = Outline(pages[name]).text
+    assert not re.search(r"\d\.\d{14,}|\bnan\b|\binf\b|\bNone\b|Errors\(", text)
+
+
+def test_page_of_an_adopted_effect_has_the_facts(pages):
+    text = Outline(pages["adopted"]).text
+    for fact in (
+        "The declared model lacks drag, quadratic in speed.", "6.11 m", "1.10 m", "0.297 m",
+        "0.18 [0.15, 0.22]", "9.807", "[9.791, 9.822]", "m/s²", "ball 13", "kg/m",
+        "whitened χ² per degree of freedom 8.31", "p = 0.002, selection included",
+        "-c1 * R_i * v_i * norm(v_i)", "balls of different radius, or speeds beyond 20 m/s",
+        "drag, linear in speed", "less evidence, and a worse held-out error", "86 %", "41.3",
+        "throw_3", "Decomposition of the residual", "along the velocity",
+        "All 75,816 laws up to depth 5 were tried.", "sha256:3fa9", "numpy 2.4.6",
+        "bsp-gp close 'my data' --seed 7", "3 rows of throw_2 were dropped",
+        "0.019 m/s² or more would have been seen with 95 % power",
+        "Nothing is left above the noise",
+    ):  # fmt: skip
+        assert fact in text
+    assert pages["adopted"].count('class="math"') == 3
+    assert pages["adopted"].count("<img") == 4
+    assert "Read this first" not in text and "<b>Notes</b>" in pages["adopted"]
+
+
+def test_page_of_every_other_verdict(pages):
+    text = {name: Outline(page).text for name, page in pages.items()}
+    assert "Nothing is missing from the declared model" in text["nothing_missing"]
+    assert "0.019 m/s² or more would have been seen" in text["nothing_missing"]
+    assert "Adopted law" not in text["nothing_missing"]
+    assert "thrust along the velocity, was seen and not adopted" in text["seen_not_adopted"]
+    assert "Its sign is that of a force that pushes a ball forward." in text["seen_not_adopted"]
+    assert "these data cannot tell what" in text["cannot_tell"]
+    assert "Lengths are not calibrated (they are in px)" in text["cannot_tell"]
+    assert "The noise of the measurement is not known" in text["cannot_tell"]
+    assert "Read this first" in text["cannot_tell"]
+    assert "Adopted law" not in text["seen_not_adopted"]
+    assert "1.32712440018 × 10²⁰" in text["orbit"] and "m³/s²" in text["orbit"]
+
+
+def test_text_of_users_is_escaped_everywhere(tmp_path, pages):
+    assert "<script" not in pages["hostile"] and "alert(&#34;x&#34;)" in pages["hostile"]
+    assert 'alert("x")' in Outline(pages["hostile"]).text
+    out = write_report(sample.hostile(), tmp_path / "r")
+    for file in out.glob("figures/*.svg"):
+        tree = ET.parse(file)
+        assert not [e for e in tree.iter() if str(e.tag).endswith("script")]
+    assert "Thrown balls" in (out / "report.html").read_text("utf-8")
+    assert r"\frac{" not in law_document(sample.hostile())
+
+
+def test_figures_belong_to_what_the_report_has(caplog):
+    caplog.set_level(logging.WARNING)
+    names = {name: list(build_figures(make())) for name, make in sample.ALL.items()}
+    assert names["adopted"] == ["tracks", "constants", "rounds", "residuals"]
+    assert names["orbit"] == ["tracks", "track_errors", "constants", "rounds", "residuals"]
+    assert names["cannot_tell"] == []
+    assert names["all_nan"] == []
+    assert not caplog.records
+
+
+def test_tracks_are_picked_scene_after_scene_and_shown_apart():
+    flat = sample.overlays_2d(20)
+    assert len(pick_overlays(flat)) == 9
+    two = [replace(o, scene="a") for o in flat[:10]] + [replace(flat[10], scene="b")]
+    assert flat[10].times is pick_overlays(two, 2)[1].times
+    assert not wants_errors(flat)
+    assert wants_errors([replace(o, declared=o.adopted) for o in flat])
+    assert wants_errors(sample.orbit().overlays)
+
+
+def test_a_rollout_that_runs_away_and_odd_names_can_be_drawn():
+    first = sample.overlays_2d(1)[0]
+    wild = replace(first, declared=first.declared * 1e9, entity="鉄球 $x_$ \x07")
+    lone = replace(first, scene="", observed=first.observed[:, :1], declared=first.declared[:, :1],
+                   adopted=first.adopted[:, :1] * math.nan, n_initial=0)
+    figures = build_figures(replace(sample.adopted(), overlays=(wild, lone)))
+    assert figures["tracks"].svg and figures["tracks"].png
+    low, high = figures["tracks"].figure.axes[0].get_ylim()
+    assert -40 < low < high < 40
+
+
+def test_many_entities_keep_the_figure_short():
+    c = sample.adopted().constants[1]
+    many = tuple(replace(c, entity=f"e{k}", value=10.0 ** (k % 5)) for k in range(500))
+    figure = build_figures(replace(sample.adopted(), constants=many))["constants"].figure
+    assert figure.get_size_inches()[1] < 12
+
+
+@pytest.mark.parametrize(
+    "latex",
+    [
+        r"\mathbf{F}_i = \mathbf{0}",
+        r"\sum_{j\ne i} \frac{c_{1}\,m_i}{{r}_{ij}^{2}}\,\hat{\mathbf{r}_{ij}} + \hat{\mathbf{x}}",
+        r"\operatorname{project}\left(\mathbf{v}_i, \mathbf{r}_{ji}\right)\,\hat{\mathbf{x}}",
+        r"{\left(\mathbf{v}_i\right)}_{\perp} + \left|\frac{1}{2}\right|\,\mathrm{drag area}_i",
+        r"\left[i\,j\ \mathrm{touch}\right]\,\widehat{\left(\mathbf{p}_i - \mathbf{c}\right)}",
+        r"1.5\times 10^{-8}\,[\mathrm{kg~m/s^2}]\,\sqrt{\left\|\mathbf{v}_i\right\|}",
+    ],
+)
+def test_our_latex_can_be_typeset(latex):
+    parts = to_svg(latex).split("\n")
+    assert len(parts) == len(split_terms(latex))
+    for part in parts:
+        assert ET.fromstring(part)[0].get("d")
+
+
+@pytest.mark.parametrize("latex", ["", r"\frac{", "$x$", r"\nonsense{x}", "x" * 9999, "{}"])
+def test_what_cannot_be_typeset_is_left_as_text(latex):
+    assert to_svg(latex) is None
+
+
+def test_signs_of_a_sum_are_not_doubled():
+    assert split_terms(r"a + -b + \left(c + d\right)") == ["a", "- b", r"+ \left(c + d\right)"]
+    assert split_terms(r"a\left\{b + c\right\} + d") == [r"a\left\{b + c\right\}", "+ d"]
+
+
+@pytest.mark.parametrize("name", sample.ALL)
+def test_summary_fits_a_terminal(name):
+    report = sample.ALL[name]()
+    text = summary_text(report)
+    lines = text.split("\n")
+    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+    assert report.verdict in lines[0]
+    assert text.isprintable() or text.replace("\n", "").isprintable()
+
+
+def test_summary_has_the_facts():
+    text = " ".join(summary_text(sample.adopted()).split())
+    for fact in ("lacks drag, quadratic in speed", "6.11 m → 1.10 m, ratio 0.18 [0.15, 0.22]",
+                 "noise floor 0.297 m", "g = 9.807 [9.791, 9.822] m/s²", "c1: 14 entities",
+                 "2 other laws", "balls of different radius", "p = 0.002"):  # fmt: skip
+        assert fact in text
+
+
+def test_summary_stays_short_however_much_there_is():
+    full = sample.adopted()
+    long = "word " * 400
+    report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
+                     notes=(long,) * 9, law_text=long, stop_reason=long)
+    lines = summary_text(report).split("\n")
+    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+
+
+def test_sentences_match_the_verdict():
+    hidden = sample.adopted()
+    effect = replace(hidden.rounds[0].effect, kind="hidden_body", name="0.3 M☉ at 2 AU")
+    hidden = replace(hidden, rounds=(replace(hidden.rounds[0], effect=effect),))
+    assert verdict_sentence(hidden) == "An unseen body acts on these (0.3 M☉ at 2 AU)."
+    assert "nothing was good enough" in verdict_sentence(sample.seen_not_adopted())
+    assert headline(sample.nothing_missing())["ratio"] == "–"
+    assert "more is left than noise" in missing_sentence(sample.adopted().rounds[0], 0.01).lower()
+    empty = replace(sample.nothing_missing(), rounds=(), total={})
+    assert verdict_sentence(empty).startswith("Nothing is missing")
+    assert render_html(empty) and summary_text(empty)
+
+
+def test_doubtful_gains_and_missing_knowledge_are_said():
+    report = sample.adopted()
+    ratio = report.total["ratio"]
+
+    def caution(**changes):
+        return ratio_caution(
+            replace(report, total={**report.total, "ratio": replace(ratio, **changes)})
+        )
+
+    assert caution() == ""
+    assert "includes 1" in caution(high=1.2)
+    assert "no better" in caution(value=1.1, high=1.2)
+    assert "no interval" in caution(high=math.nan)
+    assert caveats(report) == []
+    assert len(caveats(sample.cannot_tell())) == 2
+
+
+@pytest.mark.parametrize("name", sample.ALL)
+def test_report_json_keeps_its_contract(name):
+    data = json.loads(folder_module._json(sample.ALL[name]().to_dict()))
+    assert set(CONTRACT) <= set(data)
+    assert list(data)[0] == "schema"
+    assert set(data["total"]) == {"before", "after", "floor", "ratio"}
+    for key in ("before", "floor"):
+        assert {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint",
+                "unit"} <= set(data["total"][key])  # fmt: skip
+    for r in data["rounds"]:
+        assert {"missing", "effect", "rivals", "adopted", "reason", "before", "after", "floor",
+                "ratio", "held_out", "certificate"} <= set(r)  # fmt: skip
+        assert {"statistic", "p_value", "detectable"} <= set(r["missing"])
+
+
+def test_folder_has_every_file(written):
+    names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file()}
+    figures = {f"figures/{n}.{e}" for n in ("tracks", "constants", "rounds", "residuals")
+               for e in ("svg", "png")}
+    assert names == figures | {"report.html", "report.json", "law.txt", "law.tex", "residuals.csv",
+                               "run.json"}
+    assert [p.name for p in written.parent.iterdir()] == ["drag"]
+    assert (written / "figures" / "tracks.png").read_bytes().startswith(b"\x89PNG")
+    text = (written / "report.json").read_text("utf-8")
+    assert text.endswith("}\n") and '\n "dataset"' in text and "NaN" not in text
+    run = json.loads((written / "run.json").read_text("utf-8"))
+    assert run["argv"] == RUN["argv"] and run["seed"] == 7
+    assert run["dataset"]["fingerprint"] == "sha256:3fa9"
+    law = (written / "law.txt").read_text("utf-8").splitlines()
+    assert law[0] == sample.adopted().law_text
+    assert all(line.startswith("# ") for line in law[1:]) and len(law) == 16
+    tex = (written / "law.tex").read_text("utf-8")
+    assert r"\mathbf{F}_i ={}&" in tex and r"\\ & - {c}_{1}" in tex and "m/s$^{2}$" in tex
+
+
+def test_residuals_csv_loses_no_digit(written):
+    table = sample.adopted().residuals
+    with (written / "residuals.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(table.t)
+    assert [float(r["before"]) for r in rows] == table.before.tolist()
+    assert {r["distance"] for r in rows} == {""}
+
+
+def test_the_same_report_gives_the_same_bytes(tmp_path, written):
+    again = write_report(sample.adopted(), tmp_path / "again", run_info=RUN)
+    files = [{p.relative_to(f): p.read_bytes() for p in f.rglob("*") if p.is_file()}
+             for f in (written, again)]
+    assert files[0] == files[1] and len(files[0]) > 10
+
+
+@pytest.fixture
+def small():
+    """A report that is quick to write."""
+    return sample.cannot_tell()
+
+
+def test_an_older_report_is_replaced_only_on_demand(tmp_path, small):
+    target = tmp_path / "r"
+    target.mkdir()
+    write_report(small, target)
+    (target / "figures.txt").write_text("mine")
+    with pytest.raises(OutputError, match="--overwrite"):
+        write_report(small, target)
+    with pytest.raises(OutputError, match="--out"):
+        check_target(target)
+    assert check_target(target, overwrite=True) == target
+    write_report(replace(small, seed=8), target, overwrite=True)
+    assert json.loads((target / "report.json").read_text("utf-8"))["seed"] == 8
+    assert not (target / "figures.txt").exists()
+    assert os.listdir(tmp_path) == ["r"]
+
+
+@pytest.mark.parametrize("content", [None, "{}", '{"schema": "other"}'])
+def test_a_foreign_folder_is_never_deleted(tmp_path, small, content):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    if content is not None:
+        (tmp_path / "report.json").write_text(content)
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="never overwritten"):
+            write_report(small, tmp_path, overwrite=overwrite)
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_places_that_cannot_hold_a_report(tmp_path, small, monkeypatch):
+    file = tmp_path / "file"
+    file.write_text("")
+    for target in (file, file / "below"):
+        with pytest.raises(OutputError, match="is a file"):
+            check_target(target)
+    monkeypatch.chdir(tmp_path)
+    for target in (".", "..", tmp_path):
+        with pytest.raises(OutputError, match="folder of its own"):
+            check_target(target)
+    monkeypatch.setattr(folder_module.os, "access", lambda *args: False)
+    with pytest.raises(OutputError, match="not writable"):
+        check_target(tmp_path / "new" / "deep")
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("has_older", [False, True])
+def test_a_failure_in_the_middle_leaves_nothing_behind(tmp_path, small, monkeypatch, failure,
+                                                       has_older):
+    target = tmp_path / "r"
+    if has_older:
+        write_report(small, target)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    write = Path.write_bytes
+
+    def fail_late(self, data):
+        if self.name == "law.tex":
+            raise failure
+        return write(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", fail_late)
+    expected = OutputError if isinstance(failure, OSError) else KeyboardInterrupt
+    with pytest.raises(expected):
+        write_report(replace(small, seed=99), target, overwrite=True)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    assert os.listdir(tmp_path) == (["r"] if has_older else [])
+
+
+def test_the_older_report_returns_if_the_new_one_cannot_take_its_place(
+    tmp_path, small, monkeypatch
+):
+    target = write_report(small, tmp_path / "r")
+    rename = Path.rename
+
+    def refuse(self, to):
+        if ".new-" in self.name:
+            raise PermissionError(13, "Permission denied")
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OutputError, match="Permission denied"):
+        write_report(replace(small, seed=99), target, overwrite=True)
+    assert json.loads((target / "report.json").read_text("utf-8"))["seed"] == 7
+    assert os.listdir(tmp_path) == ["r"]
+
+
+def test_a_number_that_json_cannot_hold_writes_nothing(tmp_path, small):
+    with pytest.raises(ValueError, match="JSON"):
+        write_report(small, tmp_path / "r", run_info={"x": math.nan})
+    assert os.listdir(tmp_path) == []
