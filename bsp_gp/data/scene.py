@@ -317,6 +317,14 @@ class Dataset:
                 remedy="a held-out scene must not be trained on",
             )
 
+    def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
+        return (
+            Dataset,
+            (self.name, self.scenes, self.train, self.test, self.units, dict(self.property_units),
+             self.up, self.noise, self.velocity, self.latents, self.evaluation,
+             dict(self.provenance), self.notes),
+        )
+
     @property
     def n_dims(self):
         return self.scenes[0].n_dims

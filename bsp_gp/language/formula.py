@@ -32,7 +32,7 @@ __all__ = [
 class Formula:
     """Base of the four kinds of node; `type` is the node's `Type`."""
 
-    __slots__ = ("_hash", "_key", "type")
+    __slots__ = ("_hash", "_key", "is_constant_free", "type")
 
     def __eq__(self, other):
         return self is other or (
@@ -42,8 +42,9 @@ class Formula:
     def __hash__(self):
         return self._hash
 
-    def _settle(self, type_, key):
+    def _settle(self, type_, key, is_constant_free=True):
         self.type = type_
+        self.is_constant_free = is_constant_free
         self._key = key
         self._hash = hash((type(self).__name__, key))
 
@@ -84,7 +85,7 @@ class Constant(Formula):
 
     def __init__(self, name):
         self.name = name
-        self._settle(Type("scalar", None), name)
+        self._settle(Type("scalar", None), name, is_constant_free=False)
 
     def __reduce__(self):
         return (Constant, (self.name,))
@@ -124,7 +125,7 @@ class Call(Formula):
         type_ = op.infer(*(arg.type for arg in args))
         if operator == "pow" and isinstance(args[1], Number) and args[0].type.unit is not None:
             type_ = Type(type_.shape, args[0].type.unit ** args[1].value)
-        self._settle(type_, (operator, args))
+        self._settle(type_, (operator, args), all(arg.is_constant_free for arg in args))
 
     def __reduce__(self):
         return (Call, (self.operator, *self.args))
@@ -173,7 +174,7 @@ def _evaluate(node, inputs, constants, cache):
         return cache[node]
     values = [_evaluate(arg, inputs, constants, cache) for arg in node.args]
     value = OPERATORS[node.operator].evaluate(tuple(arg.type for arg in node.args), *values)
-    if cache is not None and not node.constants:
+    if cache is not None and node.is_constant_free:
         cache[node] = value
     return value
 

@@ -116,13 +116,19 @@ def _latex(node, values, units, level):
             base = rf"\left({base}\right)"
         return f"{base}^{{{power}}}"
     if node.operator == "normalize" and _named_difference(node.args[0]):
-        return rf"\hat{{{_named_difference(node.args[0])}}}"
+        return _hat(_named_difference(node.args[0]))
     if node.operator == "normalize" and isinstance(node.args[0], Input):
-        return rf"\hat{{{_latex_input(node.args[0])}}}"
+        return _hat(_latex_input(node.args[0]))
     if node.operator == "norm" and _named_difference(node.args[0]):
         return _named_difference(node.args[0]).replace(r"\mathbf", "")
     parts = [_latex(arg, values, units, 1) for arg in node.args]
     return OPERATORS[node.operator].latex.format(*parts)
+
+
+def _hat(vector):
+    """A hat on the letter, not on its index."""
+    letter, mark, index = vector.partition("_")
+    return rf"\hat{{{letter}}}{mark}{index}"
 
 
 def _latex_product(node, values, units):
@@ -161,14 +167,14 @@ def _latex_input(node):
         return _LATEX_INPUTS[node.name]
     stem, _, role = node.name.rpartition("_")
     column = property_of(node.name)
-    stem = _GREEK.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem.replace('_', ' ')}}}")
+    stem = _GREEK.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem.replace('_', chr(92) + ' ')}}}")
     return rf"{stem}_{role}" if column else node.name
 
 
 def _latex_name(name):
     head = name.rstrip("0123456789")
     digits = name[len(head):]
-    head = head.strip("_").replace("_", " ")
+    head = head.strip("_").replace("_", "\\ ")
     head = head if len(head) == 1 else rf"\mathrm{{{head}}}"
     return f"{head}_{{{digits}}}" if digits else head
 

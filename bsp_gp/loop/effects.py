@@ -14,7 +14,7 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.constants import fit_constants
-from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
 __all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "describe", "fresh_name"]
 
@@ -100,7 +100,7 @@ class EffectSearch:
     n_null: int = 299
     per_entity: object = "auto"
     exclude: tuple = ("t",)
-    notes: list = field(default_factory=list)
+    _pools: dict = field(default_factory=dict)
 
     def __post_init__(self):
         dataset = self.observation.dataset
@@ -165,6 +165,16 @@ class EffectSearch:
         if self.per_entity:
             outcomes.append(self._own_constants(fit, own_rng, progress))
         return self._collect(outcomes, fit.law)
+
+    def pool(self, kind, wanted):
+        """All laws of a kind with one of the wanted property factors, as columns (kept)."""
+        key = (kind, wanted)
+        if key not in self._pools:
+            self._pools[key] = law_pool(
+                self.observation.train_regression, self.masked, kind=kind,
+                is_left=wanted.__contains__, max_levels=self.max_levels,
+            )
+        return self._pools[key]
 
     def _own_constants(self, fit, rng, progress):
         """The field search with a constant per receiver; properties cannot matter there."""

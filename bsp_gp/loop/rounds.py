@@ -14,13 +14,15 @@ from bsp_gp.loop.effects import COLLINEAR, allowed_sign, describe, fresh_name, r
 from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
-from bsp_gp.search.exhaustive import law_pool
 from bsp_gp.search.subsets import best_subsets
 
 __all__ = ["Attempt", "Model", "constant_estimates", "run_round"]
 
 MIN_BIC_GAIN = 6.0
-REVISION_BIC_GAIN = 10.0
+REVISION_SHARE = 0.5
+"""A set takes the place of terms found one by one where it leaves at most this part."""
+SAME_LOSS = 1.2
+"""On exact data, sets whose losses differ by less than this factor fit practically equally."""
 TIE_BIC = 2.0
 MAX_SET = 4
 """Largest set of found terms that is chosen as a whole."""
@@ -217,7 +219,10 @@ def _like_declared(observation, law, best, n_eff):
     name = split_linear(formula)[0]
     new = law.plus(Term(formula, "pair"), {name: 0.0})
     fit = observation.fit(new)
-    if fit.bic(n_eff) - best.fit.bic(n_eff) > TIE_BIC:
+    # On exact data what is left is misfit: a tenth of it more is no evidence.
+    same = (fit.chisqr < 1.1 * best.fit.chisqr if observation.is_exact
+            else fit.bic(n_eff) - best.fit.bic(n_eff) < TIE_BIC)
+    if not same:
         return best
     value = float(fit.values[-1])
     return replace(best, law=fit.law, fit=fit, text=to_text(formula), latex=to_latex(formula),
@@ -236,18 +241,16 @@ def _plan_ahead(observation, law, best, search):
     pool = _Pool(observation, declared, best, search)
     if not pool.laws:
         return best
-    sizes = range(len(found), min(len(found) + 2, MAX_SET) + 1)
-    sets = {size: pool.sets(size) for size in sizes}
+    sets = pool.sets(min(len(found) + 2, MAX_SET))
     size = _worthwhile(sets, len(found), pool.floor)
     if not sets.get(size) or (size == len(found) == 1):
         return best
     chosen = pool.simplest(sets[size])
     order = pool.by_gain(chosen)[: len(found)]
     planned = pool.attempt(order, best)
-    gain = best.fit.bic() - planned.fit.bic()
-    if size == len(found) and gain < REVISION_BIC_GAIN:
+    if size == len(found) and planned.fit.chisqr > REVISION_SHARE * best.fit.chisqr:
         planned = best
-    same = pool.equals(pool.all_sets(size), sets[size][0][0]) if size == len(found) else ()
+    same = pool.equals(size, sets[size][0][0]) if size == len(found) else ()
     return replace(planned, equivalents=tuple(same))
 
 
@@ -274,8 +277,7 @@ class _Pool:
         kinds = dict.fromkeys(term.kind for term in found)
         self.laws, columns = [], []
         for kind in kinds:
-            laws, matrix = law_pool(regression, search.masked, kind=kind,
-                                    is_left=wanted.__contains__, max_levels=search.max_levels)
+            laws, matrix = search.pool(kind, frozenset(wanted))
             self.laws += [(formula, complexity, kind) for formula, complexity in laws]
             columns.append(matrix)
         self.declared = ForceLaw(
@@ -288,23 +290,19 @@ class _Pool:
         self.matrix = matrix - q @ (q.T @ matrix)
         self.target = fit.residual - q @ (q.T @ fit.residual)
         self.floor = 0.5 * regression.n_rows
-        self._cache = {}
-
-    def all_sets(self, size):
-        """Best sets of this size, declared terms' freed numbers included."""
-        if size not in self._cache:
-            self._cache[size] = best_subsets(self.matrix, self.target, size)
-        return self._cache[size]
 
     def sets(self, size):
-        """Best sets of this size that leave the declared numbers alone."""
+        """Best sets of each size up to `size` that leave the declared numbers alone."""
         free = np.flatnonzero(~self.frozen)
         found = best_subsets(self.matrix[:, free], self.target, size)
-        return [(loss, tuple(int(free[k]) for k in chosen)) for loss, chosen in found]
+        return {
+            count: [(loss, tuple(int(free[k]) for k in chosen)) for loss, chosen in members]
+            for count, members in found.items()
+        }
 
     def simplest(self, sets):
         """Of the sets that fit practically as well as the best, the least complex."""
-        bar = max(sets[0][0], self.floor) * 1.2
+        bar = max(sets[0][0], self.floor) * SAME_LOSS
         near = [chosen for loss, chosen in sets if max(loss, self.floor) <= bar]
         return min(near, key=lambda chosen: round(sum(self.laws[k][1] for k in chosen), 6))
 
@@ -344,12 +342,11 @@ class _Pool:
             " + ".join(to_latex(t.formula) for t in new), new[-1].kind, replaces=tuple(gone),
         )
 
-    def equals(self, sets, best_loss):
-        """Texts of the sets that these data cannot tell from the best."""
-        bar = max(best_loss, self.floor)
-        n = self.observation.train_regression.n_rows
-        for loss, chosen in sets:
-            if n * np.log(max(loss, self.floor) / bar) < TIE_BIC:
+    def equals(self, size, best_loss):
+        """Texts of the sets that these data cannot tell from the best, freed numbers included."""
+        bar = max(best_loss, self.floor) * SAME_LOSS
+        for loss, chosen in best_subsets(self.matrix, self.target, size).get(size, ()):
+            if max(loss, self.floor) <= bar:
                 yield " + ".join(
                     f"c{n_} * {to_text(self.laws[k][0])}" for n_, k in enumerate(chosen, 1)
                 ) + (" (frees a declared number)" if self.frozen[list(chosen)].any() else "")

@@ -177,8 +177,10 @@ class ForceLaw:
         total = np.zeros(shape)
         for term in self.terms:
             if term.kind not in lookups:
-                lookups[term.kind] = law_inputs(term.kind, bodies, positions, velocities, times)
-            force = evaluate(term.acceleration_formula, lookups[term.kind], values[term.kind])
+                lookup = law_inputs(term.kind, bodies, positions, velocities, times)
+                lookups[term.kind] = (lookup, {})
+            lookup, cache = lookups[term.kind]
+            force = evaluate(term.acceleration_formula, lookup, values[term.kind], cache)
             total = total + settle(force, term, bodies, shape, self.is_per_entity(term))
         return total
 
@@ -190,7 +192,7 @@ class ForceLaw:
         """The law as text; with `digits`, constants are written as numbers."""
         values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
-        return " + ".join(parts) if parts else "0"
+        return " + ".join(parts).replace("+ -", "- ") if parts else "0"
 
     def latex(self, digits=True, units=None):
         """The law typeset as LaTeX."""

@@ -280,7 +280,8 @@ class _Problem:
             p, v = states[k]
             predicted, by_constant, by_state = self._derivatives(k, batch, x, p, v)
             mask = self.seen[k] * self.weight
-            residual = (self.observed[k] - predicted) * mask
+            # Shorter scenes are padded: the prediction has no number there.
+            residual = np.where(self.seen[k], self.observed[k] - predicted, 0.0) * self.weight
             chisqr += self._sum(k, predicted)
             n_scenes = residual.shape[1]
             flat = np.moveaxis(residual, 1, 0).reshape(n_scenes, -1)

@@ -464,10 +464,16 @@ class _Exhaustive:
         laws, columns = [], []
         for family, directed in self._directions(families):
             for block in self._blocks(families[family]):
-                lefts = [a for a, e in enumerate(block.left.entries) if is_left(e.formula)]
-                for a, b in itertools.product(lefts, range(len(block.right.entries))):
+                lefts = [
+                    (a, match)
+                    for a, entry in enumerate(block.left.entries)
+                    for match in (entry, *entry.ties)
+                    if is_left(match.formula)
+                ]
+                for (a, match), b in itertools.product(lefts, range(len(block.right.entries))):
                     if block.allowed[a, b]:
-                        _, rest = split_linear(block.formulas(a, b, directed, most=0)[0])
+                        formula = block.formula_of(match, block.right.entries[b], directed)
+                        _, rest = split_linear(formula)
                         column = self.regression.column(Term(rest, self.kind))[0][:, 0]
                         laws.append((rest, block.left.complexity[a] + block.right.complexity[b]
                                      + block.cost + directed.complexity))
@@ -555,10 +561,10 @@ class _Block:
             options.append((sum(part.complexity for part in choice), len(options), choice))
         lead, *rest = options
         rest = heapq.nsmallest(most, rest)
-        return [self._formula(*choice) for _, _, choice in (lead, *rest)]
+        return [self.formula_of(*choice) for _, _, choice in (lead, *rest)]
 
-    def _formula(self, left, right, directed):
-        """constant * (left op right) * direction [* condition]."""
+    def formula_of(self, left, right, directed):
+        """Law of one choice: constant * (left op right) * direction [* condition]."""
         coefficient = _combine(right.operator, left, right)
         body = directed.direction if coefficient is None else Call("mul", coefficient, directed.direction)
         if directed.condition is not None:

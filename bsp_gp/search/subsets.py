@@ -11,11 +11,11 @@ import numpy as np
 
 __all__ = ["best_subsets"]
 
-EXTENSIONS = 300
+EXTENSIONS = 150
 """Best columns by which every set of the beam is extended."""
 
 
-def best_subsets(columns, target, size, *, beam=3000, keep=40):
+def best_subsets(columns, target, size, *, beam=1000, keep=40):
     """Find sets of columns that explain most of a target, refitted jointly.
 
     Parameters
@@ -25,36 +25,39 @@ def best_subsets(columns, target, size, *, beam=3000, keep=40):
     target : ndarray, shape (n,)
         Likewise.
     size : int
-        Number of columns in a set. All single columns are scored and the best `beam` sets of
-        each size are extended by every column; sets of two are exhaustive up to the beam.
+        Greatest number of columns in a set. All single columns are scored; the best `beam` sets
+        of each size are extended by their `EXTENSIONS` best columns.
     keep : int
-        Sets returned.
+        Sets returned of each size.
 
     Returns
     -------
-    list of (loss, tuple of int)
-        Half the residual sum of squares of each set, lowest first; indices ascending.
+    dict of int to list of (loss, tuple of int)
+        For each size, half the residual sum of squares of the best sets, lowest first; indices
+        ascending.
     """
     norms = np.linalg.norm(columns, axis=0)
-    live = np.flatnonzero(norms > 0)
+    live = np.flatnonzero((norms > 0) & np.isfinite(norms))
     unit = columns[:, live] / norms[live]
     gram = unit.T @ unit
     dots = unit.T @ target
-    total = float(target @ target)
     sets = np.zeros((1, 0), dtype=int)
-    gains = np.zeros(1)
-    for _ in range(size):
-        sets, gains = _extend(gram, dots, sets, beam)
+    out = {}
+    for count in range(1, size + 1):
+        sets = _extend(gram, dots, sets, beam)
         if not len(sets):
-            return []
+            break
+        out[count] = _exact_losses(unit, target, sets[: 4 * keep], live)[:keep]
+    return out
+
+
+def _exact_losses(unit, target, sets, live):
     out = []
-    for chosen in sets[: 4 * keep]:
-        index = live[chosen]
+    for chosen in sets:
         coefficients, *_ = np.linalg.lstsq(unit[:, chosen], target, rcond=None)
         residual = target - unit[:, chosen] @ coefficients
-        out.append((min(0.5 * float(residual @ residual), 0.5 * total), tuple(sorted(index.tolist()))))
-    out.sort()
-    return out[:keep]
+        out.append((0.5 * float(residual @ residual), tuple(sorted(live[chosen].tolist()))))
+    return sorted(out)
 
 
 def _extend(gram, dots, sets, beam):
@@ -82,4 +85,4 @@ def _extend(gram, dots, sets, beam):
         order = order[: 4 * beam]
     unique, first = np.unique(all_sets[order], axis=0, return_index=True)
     rank = np.argsort(first)[:beam]
-    return unique[rank], all_gains[order][first[rank]]
+    return unique[rank]
