@@ -1,1 +1,55 @@
-"""Measured motion in; a force law in symbols, with units and error bars, out."""
+"""Measured motion in; a force law in symbols, with units and error bars, out.
+
+Examples
+--------
+>>> import bsp_gp
+>>> bsp_gp.load_grammar("newtonian").count("Force", 5)
+75816
+"""
+
+import importlib
+
+_HOMES = {
+    "BspError": "bsp_gp.errors",
+    "Dataset": "bsp_gp.data.scene",
+    "Entity": "bsp_gp.data.scene",
+    "ForceLaw": "bsp_gp.physics.force",
+    "LawFit": "bsp_gp.loop.fitting",
+    "LoopReport": "bsp_gp.loop.outcome",
+    "Scene": "bsp_gp.data.scene",
+    "Term": "bsp_gp.physics.force",
+    "close_loop": "bsp_gp.loop.close",
+    "declared_law": "bsp_gp.loop.close",
+    "fit_law": "bsp_gp.loop.fitting",
+    "load_dataset": "bsp_gp.data.tables",
+    "load_grammar": "bsp_gp.language.grammar",
+    "parse_formula": "bsp_gp.language.parse",
+    "save_dataset": "bsp_gp.data.tables",
+    "search_exhaustive": "bsp_gp.search.exhaustive",
+    "simulate_law": "bsp_gp.loop.simulation",
+    "summary_text": "bsp_gp.report.summary",
+    "write_report": "bsp_gp.report.folder",
+}
+"""Where the public names live; they are imported when first asked for (PEP 562)."""
+
+__all__ = [*_HOMES, "__version__"]
+
+
+def __getattr__(name):
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            value = version("bsp_gp")
+        except PackageNotFoundError:  # a source tree that is not installed
+            value = "0+source"
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'bsp_gp' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted({*globals(), *__all__})

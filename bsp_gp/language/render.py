@@ -167,7 +167,9 @@ def _latex_input(node):
         return _LATEX_INPUTS[node.name]
     stem, _, role = node.name.rpartition("_")
     column = property_of(node.name)
-    stem = _GREEK.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem.replace('_', chr(92) + ' ')}}}")
+    if len(stem) > 1:
+        words = stem.replace("_", "\\ ")
+        stem = _GREEK.get(stem, rf"\mathrm{{{words}}}")
     return rf"{stem}_{role}" if column else node.name
 
 

@@ -46,7 +46,8 @@ def world(rng, n_dims=2, with_walls=False, masses=None):
             properties["mass"] = masses[k]
         crew.append(Entity(f"d{k}", "disc", radius=rng.uniform(0.5, 2), properties=properties))
     if with_walls:
-        properties = {"mass": 3.0, "friction": 0.3, "charge": 1.0, "stiffness": 1.0, "rest_length": 1.0}
+        properties = {name: 0.3 for name in ("friction", "charge", "stiffness", "rest_length")}
+        properties["mass"] = 3.0
         crew += [
             Entity("w", "rect_wall", width=3.0, height=1.0, is_static=True, properties=properties),
             Entity("m", "rect_mat", width=4.0, height=4.0, is_static=True, properties=properties),

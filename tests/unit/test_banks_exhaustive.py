@@ -13,7 +13,7 @@ from bsp_gp.language.expression import Expression, to_formula
 from bsp_gp.language.grammar import load_grammar, read_grammar
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.language.render import to_text
-from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.banks import Banks, Rows
 from bsp_gp.search.exhaustive import plan_of, search_exhaustive
@@ -224,7 +224,9 @@ def test_complexity_is_that_of_a_derivation():
         assert candidate.complexity == pytest.approx(cheapest[to_text(candidate.formula)], abs=1e-9)
 
 
-@pytest.mark.parametrize(("text", "method"), [(MIXED, "one_step"), (SPLIT, "one_step"), (SPLIT, "gls")])
+@pytest.mark.parametrize(
+    ("text", "method"), [(MIXED, "one_step"), (SPLIT, "one_step"), (SPLIT, "gls")]
+)
 def test_joint_refit_is_least_squares_with_all_columns(text, method):
     grammar = grammar_of(text)
     regression = regression_of(method=method)
@@ -257,11 +259,10 @@ def test_what_the_law_already_says_is_no_candidate():
     assert again.best.total == pytest.approx(2 * first.loss, rel=1e-10)
 
 
-@pytest.mark.parametrize("method", ["one_step", "gls"])
-@pytest.mark.parametrize("text", [MIXED, SPLIT])
+@pytest.mark.parametrize(
+    ("text", "method"), [(MIXED, "one_step"), (SPLIT, "one_step"), (SPLIT, "gls")]
+)
 def test_groups_have_constants_of_their_own(text, method):
-    if text is MIXED and method == "gls":
-        pytest.skip("this grammar is scored under independent errors only")
     grammar = grammar_of(text)
     regression = regression_of(method=method)
     target = regression.target()
@@ -301,10 +302,7 @@ def test_gls_equals_direct_generalised_least_squares():
     assert len(result.candidates) == 30
     for candidate in result.candidates:
         name, rest = split_linear(candidate.formula)
-        law = exhaustive.Term(rest, "pair")
-        from bsp_gp.physics.force import ForceLaw
-
-        x = regression.predict(batch, ForceLaw([law]))[:, 0]
+        x = regression.predict(batch, ForceLaw([Term(rest, "pair")]))[:, 0]
         xx = xy = 0.0
         for axis, sigma in enumerate((0.5, 2.0)):
             for body in range(3):
@@ -356,8 +354,9 @@ def test_null_targets_are_searched_as_if_alone(text, method):
     assert plain.null_gains == ()
 
 
-def test_ties_are_reported_and_the_simplest_leads():
-    """Bodies of one mass: m_i, m_j and their sum cannot be told apart, products neither."""
+@pytest.fixture(scope="module")
+def alike():
+    """Bodies of one mass, which nothing tells apart: result, loss by text of every law."""
     rng = np.random.default_rng(8)
     crew = tuple(Entity(n, "disc", radius=0.5, properties={"mass": 2.0}) for n in "abc")
     scene = Scene("s", 0.1 * np.arange(12), rng.uniform(-3, 3, (12, 3, 2)), crew)
@@ -365,29 +364,44 @@ def test_ties_are_reported_and_the_simplest_leads():
     grammar = grammar_of(SPLIT)
     result = search_exhaustive(regression, grammar, kind="pair", top_k=1000)
     truth = brute_force(regression, grammar, "pair", 8)
-    by_text = {to_text(to_formula(e, grammar)): loss for e, (loss, _) in truth.items()}
+    losses = {to_text(to_formula(e, grammar)): loss for e, (loss, _) in truth.items()}
+    return result, losses
+
+
+def test_ties_are_equal_on_the_data_and_listed_once(alike):
+    result, losses = alike
     listed = []
     for candidate in result.candidates:
         group = [to_text(f) for f in (candidate.formula, *candidate.ties)]
-        listed.extend(group)
-        assert len(set(group)) == len(group)
         for text in group:
-            assert by_text[text] == pytest.approx(candidate.loss, rel=1e-9)
+            assert losses[text] == pytest.approx(candidate.loss, rel=1e-9)
+        listed.extend(group)
     assert len(set(listed)) == len(listed)
-    leads = [to_text(c.formula) for c in result.candidates]
-    assert any("m_i * norm(v_i) * normalize(v_i)" in text for text in listed)
-    # 1 and motions alone differ; properties are all one: 4 motions (1 included), 2 directions.
-    assert len(leads) == 4 * 2
-    return listed, by_text
+    tied = next(c for c in result.candidates if "norm(v_i) * normalize(v_i)" in to_text(c.formula))
+    assert to_text(tied.formula) == "c1 * (norm(v_i) * normalize(v_i))"  # the least complex leads
+    assert "c1 * (m_i * norm(v_i) * normalize(v_i))" in [to_text(f) for f in tied.ties]
+
+
+@pytest.mark.xfail(
+    reason="_two_banks forbids 1 x 1, and with it m_i x 1 where all masses are equal", strict=True
+)
+def test_nothing_is_missed_where_bodies_are_alike(alike):
+    result, losses = alike
+    found = np.array([c.loss for c in result.candidates])
+    for text, loss in losses.items():
+        assert np.min(np.abs(found - loss)) < 1e-9 * loss, text
 
 
 @pytest.mark.xfail(
     reason="Banks drops derivations of equal value (m_j beside m_i) without listing them as ties",
     strict=True,
 )
-def test_every_law_that_cannot_be_told_apart_is_listed():
-    listed, by_text = test_ties_are_reported_and_the_simplest_leads()
-    assert set(listed) == set(by_text)
+def test_every_law_that_cannot_be_told_apart_is_listed(alike):
+    result, losses = alike
+    for candidate in result.candidates:
+        group = {to_text(f) for f in (candidate.formula, *candidate.ties)}
+        equal = {t for t, loss in losses.items() if abs(loss - candidate.loss) < 1e-9 * loss}
+        assert group == equal
 
 
 def test_banks_hold_every_distinct_value_once():
@@ -429,7 +443,8 @@ def _value_on(rows, formula):
 
 
 def test_values_that_are_not_finite_are_counted_and_left_out():
-    text = SPLIT.replace("| norm(v_i)\"\nDirection", "| norm(v_i) | inverse(sub(m_i, m_i))\"\nDirection")
+    end = "| norm(v_i)\"\nDirection"
+    text = SPLIT.replace(end, "| inverse(sub(m_i, m_i)) " + end)
     assert text != SPLIT
     regression = regression_of()
     plain = search_exhaustive(regression, grammar_of(SPLIT), kind="pair")
@@ -478,12 +493,12 @@ def test_plans_of_the_papers_grammar():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("mul(Const, mul(Coeff, Direction)) |", "mul(Const, add(Direction, Direction)) |"), "is none"),
-        (("mul(Const, mul(Coeff, Direction)) |", "mul(Coeff, Direction) |"), "is not"),
+        ("mul(Const, add(Direction, Direction)) |", "is none"),
+        ("mul(Coeff, Direction) |", "is not"),
     ],
 )
 def test_grammars_that_are_no_products_are_named(change, message):
-    grammar = grammar_of(MIXED.replace(*change))
+    grammar = grammar_of(MIXED.replace("mul(Const, mul(Coeff, Direction)) |", change))
     with pytest.raises(GrammarError, match=message):
         search_exhaustive(regression_of(), grammar, kind="pair")
 

@@ -180,8 +180,7 @@ def test_gls_whitens_what_a_gap_leaves():
         assert not block[~keep].any() and not block[:, ~keep].any()
         white = block @ covariance @ block.T
         np.testing.assert_allclose(white, np.diag(keep.astype(float)), atol=1e-9)
-    # Least squares of positions on either side of the gap... are joined by nothing else: the
-    # rows before and after share no position.
+    # The rows before and after the gap share no position: two fits with states of their own.
     force = law_of("c1 * norm(v_i) * v_i", c1=-0.3)
     accelerations = regression.predict(batch, force)[:, 0, 0]
     expected = 0.0
@@ -209,7 +208,8 @@ def test_an_axis_without_noise_estimate_is_left_out():
     assert regression.n_rows == 10 * 2
     residual = regression.residual(LAW).reshape(10, 2, 2)
     assert not residual[..., 0].any()
-    np.testing.assert_allclose(residual[..., 1], by_hand(scene)[..., 1] / 0.1, rtol=1e-9, atol=1e-10)
+    expected = by_hand(scene)[..., 1] / 0.1
+    np.testing.assert_allclose(residual[..., 1], expected, rtol=1e-9, atol=1e-10)
 
 
 def test_velocities_of_entities_that_stand_still_are_exactly_zero_and_of_moving_ones_are_not():

@@ -80,11 +80,13 @@ def test_values(name, args, expected):
 
 
 def test_every_operator_is_tested_here():
-    listed = {mark.args[1][k][0] for mark in test_values.pytestmark for k in range(len(mark.args[1]))}
+    listed = {case[0] for mark in test_values.pytestmark for case in mark.args[1]}
     assert listed | {"does_collide", "is_on"} == set(OPERATORS)
 
 
-@pytest.mark.parametrize("divisor", [GUARD, np.nextafter(GUARD, 0), 1e-12, 0.0, -0.0, -1e-12, -1, -1e300])
+@pytest.mark.parametrize(
+    "divisor", [GUARD, np.nextafter(GUARD, 0), 1e-12, 0.0, -0.0, -1e-12, -1, -1e300]
+)
 @pytest.mark.parametrize("numerator", [3.0, -3.0, [1.0, -2.0]])
 def test_guarded_division_is_zero_at_and_below_the_guard(divisor, numerator):
     assert not np.any(value("div_guarded", numerator, divisor))
@@ -95,7 +97,8 @@ def test_guarded_division_divides_above_the_guard():
 
 
 @pytest.mark.parametrize(
-    "name", ["div_guarded", "norm", "normalize", "dot", "along", "project_abs", "perp", "abs", "square"]
+    "name",
+    ["div_guarded", "norm", "normalize", "dot", "along", "project_abs", "perp", "abs", "square"],
 )
 def test_finite_on_zeros_and_negatives(name):
     """What the paper's grammar uses must never lose a row to a zero or a sign."""

@@ -1,0 +1,365 @@
+"""The command ``bsp-gp``: parse, call, print. Results go to stdout, the rest to stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+
+from bsp_gp.cli_inputs import (
+    excluded_inputs,
+    masked_grammar,
+    read_constants,
+    read_dataset,
+    read_laws,
+    unit_of_length,
+)
+from bsp_gp.cli_options import build_parser, joined
+from bsp_gp.errors import BspError, OutputError
+
+__all__ = ["main"]
+
+QUIET_S = 1.0
+"""Work that is done within this time shows no progress."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def main(argv=None):
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Without the name of the program; by default those of the process.
+
+    Returns
+    -------
+    int
+        0 done, 2 bad input or usage, 130 interrupted.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
+        for name in _THREADS:
+            os.environ.setdefault(name, "1")
+    with contextlib.suppress(AttributeError, ValueError):
+        sys.stdout.reconfigure(errors="replace")
+    written = []
+    try:
+        args = build_parser().parse_args(joined(argv))
+        args.argv, args.written = argv, written
+        _COMMANDS[args.command](args)
+        sys.stdout.flush()
+    except SystemExit as stop:  # --help and --version
+        return stop.code or 0
+    except KeyboardInterrupt:
+        _say(f"interrupted; the result is in {written[0]}" if written
+             else "interrupted; nothing was written")
+        return 130
+    except BrokenPipeError:  # the reader, such as head, has had enough
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except BspError as error:
+        _say(f"error: {error}")
+        return 2
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _say(f"error: {where}{error.strerror or error}")
+        return 2
+    except MemoryError:
+        _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
+        return 2
+    return 0
+
+
+def _say(text):
+    """One line on stderr, whatever is in the text."""
+    text = "".join(c if c.isprintable() else " " for c in text)
+    with contextlib.suppress(BrokenPipeError):
+        print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)
+
+
+class _Progress:
+    """Stages of long work on stderr: one changing line on a terminal, else one line each."""
+
+    def __init__(self, quiet=False):
+        self.quiet = quiet
+        self.started = time.perf_counter()
+        self.held = []
+        self.bar = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self.bar is not None:
+            self.bar.close()
+
+    def __call__(self, text):
+        if self.quiet:
+            return
+        if sys.stderr.isatty():
+            self._on_terminal(text)
+            return
+        seconds = time.perf_counter() - self.started
+        self.held.append(f"{seconds:5.0f} s  {text}")
+        if seconds > QUIET_S:
+            print(*self.held, sep="\n", file=sys.stderr, flush=True)
+            self.held.clear()
+
+    def _on_terminal(self, text):
+        if self.bar is None:
+            from tqdm import tqdm
+
+            self.bar = tqdm(bar_format="{desc} [{elapsed}]", leave=False, file=sys.stderr)
+        self.bar.set_description_str(text, refresh=True)
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+def _close(args):
+    out = _target(args, f"{_data_name(args.data)}-report")
+    with _Progress(args.quiet) as progress:
+        report, settings = _run_loop(args, progress)
+        from bsp_gp.report.folder import write_report
+
+        progress("writing the report")
+        run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
+        args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
+    if not args.json:
+        from bsp_gp.report.summary import summary_text
+
+        print(summary_text(report))
+    _finish(args, out)
+
+
+def _run_loop(args, progress):
+    """The report of the loop, and the settings that it ran with."""
+    from bsp_gp.language.grammar import load_grammar
+
+    grammar = load_grammar(args.grammar)
+    declared = read_laws(args)
+    dataset = read_dataset(args)
+    settings = {
+        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
+        "n_null": max(299, round(1 / args.alpha)),
+        "per_entity": {"auto": "auto", "yes": True, "no": False}[args.per_entity],
+        "exclude": excluded_inputs(args, grammar, dataset), "seed": args.seed,
+    }  # fmt: skip
+    import numpy as np
+
+    from bsp_gp.loop.close import close_loop, declared_law
+
+    law = declared_law(dataset, declared)
+    with _pool(args.workers) as pool:
+        report = close_loop(dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar,
+                            workers=pool, progress=progress, **settings)
+    return report, {"grammar": args.grammar, "search": args.search, "workers": args.workers,
+                    **settings}
+
+
+def _fit(args):
+    if not args.declare and not args.model:
+        _close(args)
+        return
+    out = _free_folder(args.out, args.overwrite, ("fit.json", "fit.txt")) if args.out else None
+    laws = read_laws(args)
+    dataset = read_dataset(args)
+    import json
+
+    import numpy as np
+
+    from bsp_gp.loop.fitting import fit_law
+
+    with _Progress(args.quiet) as progress:
+        progress("fitting")
+        fit = fit_law(dataset, laws, rng=np.random.default_rng(args.seed))
+    text = fit.text()
+    data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
+    if out is not None:
+        _write_folder(out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
+        args.written.append(out)
+    print(data if args.json else text)
+    if out is not None:
+        print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
+def _simulate(args):
+    names = ("trajectories.csv", "entities.csv", "dataset.toml")
+    out = _free_folder(args.out, args.overwrite, names)
+    laws = read_laws(args)
+    values = read_constants(args.set)
+    dataset = read_dataset(args)
+    import numpy as np
+
+    from bsp_gp.data.tables import save_dataset
+    from bsp_gp.loop.fitting import simulate_law
+
+    with _Progress(args.quiet) as progress:
+        progress("simulating")
+        made = simulate_law(
+            dataset, laws, constants=values, rng=np.random.default_rng(args.seed),
+            noise=[sigma * unit_of_length(dataset) for sigma in args.noise],
+            integrator=args.integrator, substeps=args.substeps,
+        )  # fmt: skip
+        args.written.append(save_dataset(made, out, overwrite=args.overwrite))
+    print(f"Data set: {out}")
+
+
+def _grammar(args):
+    from bsp_gp.language.grammar import load_grammar
+
+    grammar, missing = load_grammar(args.name), ()
+    if args.data:
+        from bsp_gp.data.tables import load_dataset
+
+        dataset = load_dataset(args.data)
+        grammar, missing = masked_grammar(grammar, dataset)
+    print(f"grammar {grammar.name}, fingerprint {grammar.fingerprint}")
+    if args.action == "show":
+        _show(grammar)
+    else:
+        kinds = grammar.start
+        print("levels  " + "  ".join(f"{f'{k} ({s})':>24}" for k, s in kinds.items()))
+        for level in range(1, args.levels + 1):
+            counts = (_count_text(grammar.count(symbol, level)) for symbol in kinds.values())
+            print(f"{level:>6}  " + "  ".join(f"{count:>24}" for count in counts))
+    if args.data:
+        print(f"not sayable on {args.data} for want of: {', '.join(missing) or 'nothing'}")
+
+
+def _show(grammar):
+    for kind, symbol in grammar.start.items():
+        print(f"start symbol of {kind} laws: {symbol}")
+    width = max(map(len, (*grammar.types, *grammar.inputs)))
+    print("inputs:")
+    for name, type_ in grammar.inputs.items():
+        print(f"  {name:<{width}}  {type_}")
+    if grammar.constants:
+        print(f"constants: {', '.join(grammar.constants)}")
+    for name, meaning in grammar.operators.items():
+        print(f"operator {name} means {meaning}")
+    print("rules:")
+    for name, rules in grammar.rules_of.items():
+        print(f"  {name:<{width}}  ({grammar.types[name]})")
+        for rule in rules:
+            print(f"  {'':<{width}}    {rule.text}")
+        if not rules:
+            print(f"  {'':<{width}}    (none: not sayable on these data)")
+
+
+def _count_text(count):
+    if count < 10**18:
+        return f"{count:,}"
+    exponent = (count.bit_length() - 1) * 30103 // 100000  # floor(log10), or one too small
+    exponent += count >= 10 ** (exponent + 1)
+    return f"{count // 10 ** (exponent - 5) / 10**5:.4f}e{exponent}"
+
+
+def _demo(args):
+    if args.out is None:
+        args.overwrite = True  # only ever a report of ours is replaced
+    out = _target(args, "demo-report")
+    from bsp_gp.demo import run_demo
+
+    with _Progress(args.quiet) as progress:
+        path = run_demo(out, overwrite=args.overwrite, seed=args.seed, progress=progress)
+        args.written.append(path)
+    _finish(args, out)
+
+
+def _finish(args, out):
+    """The last line: where the report is; report.json before it where asked."""
+    if args.json:
+        print((out / "report.json").read_text(encoding="utf-8"), end="")
+    print(f"Report: {out / 'report.html'}", file=sys.stderr if args.json else sys.stdout)
+
+
+_COMMANDS = {"close": _close, "fit": _fit, "simulate": _simulate, "grammar": _grammar,
+             "demo": _demo}
+
+
+# --- work and output ------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _pool(n_workers):
+    """An executor of so many processes, or None for one; stopped at once when interrupted."""
+    if n_workers == 1:
+        yield None
+        return
+    import multiprocessing
+    import signal
+    from concurrent.futures import ProcessPoolExecutor
+
+    pool = ProcessPoolExecutor(
+        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _data_name(data):
+    from pathlib import Path
+
+    path = Path(data)
+    return path.stem if path.is_file() else path.resolve().name or "data"
+
+
+def _target(args, default):
+    """The folder of the report, checked before any work."""
+    from bsp_gp.report.folder import check_target
+
+    return check_target(args.out or default, args.overwrite)
+
+
+def _free_folder(folder, overwrite, names):
+    """The folder of a result of these files, checked before any work."""
+    from pathlib import Path
+
+    folder = Path(folder).expanduser().resolve()
+    if not folder.parent.is_dir():
+        raise OutputError(f"{folder}: there is no folder {folder.parent}")
+    if not os.access(folder.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: {folder.parent} is not writable; choose another --out")
+    if not folder.exists():
+        return folder
+    if not folder.is_dir() or Path.cwd().is_relative_to(folder):
+        raise OutputError(f"{folder}: is no folder of its own; choose another --out")
+    present = {path.name for path in folder.iterdir()}
+    if not present <= set(names):
+        raise OutputError(f"{folder}: holds other files, never overwritten; choose another --out")
+    if not overwrite:
+        raise OutputError(f"{folder}: exists already; pass --overwrite or choose another --out")
+    return folder
+
+
+def _write_folder(folder, files):
+    """Write texts as the files of a folder, whole or not at all."""
+    import shutil
+    import tempfile
+    from pathlib import Path
+
+    fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        for name, text in files.items():
+            (fresh / name).write_text(text, encoding="utf-8")
+        fresh.chmod(0o755)
+        if folder.exists():
+            old = fresh.with_name(f"{fresh.name}-old")
+            folder.rename(old)
+            fresh.rename(folder)
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            fresh.rename(folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)

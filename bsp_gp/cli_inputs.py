@@ -1,0 +1,123 @@
+"""From the arguments of the command line to data sets, laws and values."""
+
+from __future__ import annotations
+
+import re
+
+from bsp_gp.errors import LawError, SettingsError
+
+__all__ = [
+    "excluded_inputs", "masked_grammar", "read_constants", "read_dataset", "read_laws",
+    "unit_of_length",
+]
+
+
+def read_dataset(args):
+    """The data set with the options that stand in for dataset.toml."""
+    from dataclasses import replace
+
+    from bsp_gp.data.tables import load_dataset
+
+    dataset = load_dataset(
+        args.data, units=_mapping("--units", args.units), fps=args.fps, dt=args.dt,
+        columns=_mapping("--columns", args.columns), train=args.train, test=args.test,
+    )  # fmt: skip
+    if args.up is not None:
+        axes = "xyz"[: dataset.n_dims]
+        if args.up[-1] not in axes:
+            raise SettingsError(f"--up is {args.up}, but the data have the axes {', '.join(axes)}")
+        dataset = replace(dataset, up=args.up)
+    if args.command != "simulate" and args.noise is not None:
+        if len(args.noise) not in (1, dataset.n_dims):
+            raise SettingsError(
+                f"--noise must be one number or one per axis ({dataset.n_dims}), "
+                f"got {len(args.noise)}"
+            )
+        dataset = replace(dataset, noise=tuple(s * unit_of_length(dataset) for s in args.noise))
+    return dataset
+
+
+def _mapping(option, pairs):
+    out = {}
+    for key, value in pairs or ():
+        if out.setdefault(key, value) != value:
+            raise SettingsError(f"{option} gives {key!r} twice: {out[key]!r} and {value!r}")
+    return out or None
+
+
+def unit_of_length(dataset):
+    """How long the data's unit of length is, in the numbers of the data set."""
+    from bsp_gp.data.conversion import Conversion
+
+    declared = dict(dataset.units.declared)
+    return Conversion(declared, declared).length("x")
+
+
+def read_laws(args):
+    """Texts of --declare, or those of the model file."""
+    if not args.model:
+        return tuple(args.declare or ())
+    import tomllib
+
+    try:
+        with open(args.model, "rb") as file:
+            content = tomllib.load(file)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise LawError(f"{args.model}: this is not valid TOML: {error}") from None
+    unknown = sorted(set(content) - {"declare"})
+    if unknown:
+        raise LawError(f"{args.model}: unknown key {unknown[0]!r}; allowed is declare")
+    laws = content.get("declare")
+    if not isinstance(laws, list) or not laws or not all(isinstance(law, str) for law in laws):
+        raise LawError(
+            f'{args.model}: declare must be a list of laws: declare = ["9.81 [m/s^2] * m_i * down"]'
+        )
+    return tuple(laws)
+
+
+def read_constants(pairs):
+    """Values of --set in SI."""
+    from bsp_gp.units import parse_unit
+
+    values = {}
+    for name, text in (_mapping("--set", pairs) or {}).items():
+        match = re.fullmatch(r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?", text)
+        try:
+            value = float(match[1]) * parse_unit(match[2] or "1")[0]
+        except (TypeError, ValueError):
+            raise LawError(f'--set {name}={text}: expected a number, as in "c1=3 [g/s]"') from None
+        if not abs(value) < float("inf"):
+            raise LawError(f"--set {name}={text}: the number must be finite")
+        values[name] = value
+    return values
+
+
+def excluded_inputs(args, grammar, dataset):
+    """Names of inputs that the search may not use, every spelling of each."""
+    from bsp_gp.language.inputs import ALIASES, SHORT, property_of
+    from bsp_gp.physics.bodies import dataset_types
+
+    known = {*grammar.inputs, *dataset_types(dataset)}
+    names = [] if args.allow_time else ["t"]
+    for name in args.exclude:
+        if name not in known:
+            raise SettingsError(
+                f"--exclude {name}: there is no such input; present are {', '.join(sorted(known))}"
+            )
+        column, _, role = name.rpartition("_")
+        column = ALIASES.get(column, column)
+        spellings = (f"{SHORT.get(column, column)}_{role}", f"{column}_{role}")
+        names += [s for s in (spellings if property_of(name) else (name,)) if s not in names]
+    return tuple(names)
+
+
+def masked_grammar(grammar, dataset):
+    """The grammar as the loop masks it to a data set, and the inputs that are missing."""
+    from bsp_gp.language.inputs import property_of
+    from bsp_gp.physics.bodies import dataset_types
+
+    types = dataset_types(dataset)
+    columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
+    vectors = {name for name, t in columns.items() if t.shape == "vector"}
+    units = {name: t.unit for name, t in columns.items() if t.shape == "scalar"}
+    return grammar.for_properties(units, vectors).masked(types, dataset.n_dims)

@@ -1,0 +1,255 @@
+"""What the command line takes: commands, options, checks of single values. Nothing heavy here."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+
+from bsp_gp.errors import SettingsError
+
+__all__ = ["build_parser", "joined"]
+
+MAX_LEVELS, MAX_COUNTED_LEVELS, MAX_ROUNDS, MAX_WORKERS = 20, 16, 100, 256
+MIN_ALPHA = 1e-4
+_OPTION = re.compile(r"-h|--|--[a-z][a-z-]*(=.*)?", re.DOTALL)
+_TAKES_DASH = ("--declare", "--law", "--up", "--set")
+_LAW_HELP = """\
+A law is one force, with v_i, p_j, m_i, norm(...), normalize(...), up, down, e_x, ...:
+  --declare "9.81 [m/s^2] * m_i * down" --declare="-c1 * v_i"
+A number carries its unit in brackets and is fixed; a name that is no property is fitted."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complaints are one line, as of every other bad input."""
+
+    def __init__(self, *args, **kwargs):
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def error(self, message):
+        raise SettingsError(f"{message}; see {self.prog} --help")
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings, dest, **kwargs):
+        super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from bsp_gp import __version__
+
+        print(f"bsp-gp {__version__}")
+        parser.exit()
+
+
+def joined(argv):
+    """Arguments with values that begin with "-" tied to their options: ``--law=-c1 * v_i``.
+
+    argparse would take such a value for an option.
+    """
+    out, rest = [], list(argv)
+    while rest:
+        word = rest.pop(0)
+        if word == "--":
+            return [*out, word, *rest]
+        if word in _TAKES_DASH and rest and rest[0][:1] == "-" and not _OPTION.fullmatch(rest[0]):
+            word = f"{word}={rest.pop(0)}"
+        out.append(word)
+    return out
+
+
+def _integer(low, high):
+    def read(text):
+        try:
+            value = int(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"must be a whole number from {low} to {high}, got {text[:60]!r}"
+            )
+        return value
+
+    return read
+
+
+def _number(low, high, ends="()"):
+    """Reader of finite numbers of an interval; square brackets include its ends."""
+
+    def read(text):
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        above = value >= low if ends[0] == "[" else value > low
+        below = value <= high if ends[1] == "]" else value < high
+        if not (above and below and math.isfinite(value)):
+            span = f"from {low:g} to {high:g}" if high < math.inf else (
+                "not negative" if ends[0] == "[" else "positive"
+            )
+            raise argparse.ArgumentTypeError(f"must be a finite number, {span}, got {text[:60]!r}")
+        return value
+
+    return read
+
+
+def _pair(text):
+    key, equals, value = text.partition("=")
+    if not (equals and key.strip() and value.strip()):
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {text[:60]!r}")
+    return key.strip(), value.strip()
+
+
+def build_parser():
+    """Build the parser of ``bsp-gp``."""
+    parser = _Parser(
+        prog="bsp-gp",
+        description="Measured motion in; a force law in symbols, with units and error bars, out.",
+        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted.",
+    )
+    parser.add_argument("--version", action=_Version)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_close(commands)
+    _add_fit(commands)
+    _add_simulate(commands)
+    _add_grammar(commands)
+    _add_demo(commands)
+    return parser
+
+
+def _add(commands, name, help_, epilog=None):
+    return commands.add_parser(name, help=help_, description=f"{help_}.", epilog=epilog)
+
+
+def _add_close(commands):
+    parser = _add(
+        commands, "close",
+        "find what a declared model lacks, add it, and report the error before and after",
+        _LAW_HELP,
+    )  # fmt: skip
+    _data(parser)
+    model = parser.add_mutually_exclusive_group(required=True)
+    model.add_argument("--declare", action="append", metavar="LAW",
+                       help="a force of the declared model; repeat for more")
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _loop(parser)
+    _output(parser, "folder of the report (default: NAME-report here)")
+
+
+def _add_fit(commands):
+    parser = _add(
+        commands, "fit",
+        "fit the constants of a law; without a law, search one from no force at all",
+        _LAW_HELP.replace("--declare", "--law"),
+    )  # fmt: skip
+    _data(parser)
+    model = parser.add_mutually_exclusive_group()
+    model.add_argument("--law", "--declare", dest="declare", action="append", metavar="LAW",
+                       help="a force; repeat for more")
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _loop(parser)
+    _output(parser, "folder for fit.json and fit.txt (with a law; default: print only), or of "
+                    "the report (default: NAME-report here)")
+
+
+def _add_simulate(commands):
+    parser = _add(
+        commands, "simulate",
+        "roll a law out from the initial states of a data set; write the motion as a data set",
+        _LAW_HELP.replace("--declare", "--law"),
+    )  # fmt: skip
+    _data(parser, with_noise=False)
+    model = parser.add_mutually_exclusive_group(required=True)
+    model.add_argument("--law", "--declare", dest="declare", action="append", metavar="LAW",
+                       help="a force; repeat for more")
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    parser.add_argument("--set", action="extend", nargs="+", type=_pair, default=[],
+                        metavar="NAME=VALUE", help="values of named constants, SI or with a "
+                        "[unit]: c1=0.2 \"c2=3 [g/s]\"")
+    parser.add_argument("--noise", nargs="+", type=_number(0, math.inf, "[)"), default=[0.0],
+                        metavar="SIGMA", help="noise to add to positions, one or one per axis, in "
+                        "the data's unit of length (default 0)")
+    parser.add_argument("--integrator", choices=("euler", "leapfrog", "rk4"),
+                        help="default: rk4, or euler for laws with contacts")
+    parser.add_argument("--substeps", type=_integer(1, 1000), help="steps per row (default: many)")
+    _seed(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the new data set")
+    _common(parser)
+
+
+def _add_grammar(commands):
+    parser = _add(commands, "grammar", "show what may be said, and count it")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    show = _add(actions, "show", "print a grammar: types, inputs, rules")
+    show.add_argument("name", metavar="NAME", help="newtonian, physics, ... or a .toml file")
+    count = _add(actions, "count", "print the number of derivations, level by level")
+    count.add_argument("name", metavar="NAME", help="newtonian, physics, ... or a .toml file")
+    count.add_argument("--levels", type=_integer(1, MAX_COUNTED_LEVELS), default=6, metavar="N",
+                       help="up to this many levels (default 6)")
+    for each in (show, count):
+        each.add_argument("--data", metavar="DATA", help="only what can be said on this data set")
+
+
+def _add_demo(commands):
+    parser = _add(commands, "demo", "close the loop on data sets that come with the package")
+    _seed(parser)
+    _output(parser, "folder of the report (default: demo-report here, replaced if it is an older "
+                    "one)")
+
+
+def _data(parser, with_noise=True):
+    parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    group = parser.add_argument_group("data (in place of dataset.toml)")
+    group.add_argument("--units", action="extend", nargs="+", type=_pair, metavar="KIND=UNIT",
+                       help="units of the numbers: length=m time=s mass=kg")
+    group.add_argument("--columns", action="extend", nargs="+", type=_pair, metavar="OURS=THEIRS",
+                       help="names of columns: x=X_cm")
+    group.add_argument("--up", choices=("x", "y", "z", "-x", "-y", "-z"),
+                       help="axis that points up")
+    clock = group.add_mutually_exclusive_group()
+    clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
+    clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help="time per frame")
+    for side, what in (("train", "scenes to train on"), ("test", "scenes held out")):
+        group.add_argument(f"--{side}", action="extend", nargs="+", metavar="SCENES",
+                           help=f"{what}: names, globs, ranges a..b")
+    if with_noise:
+        group.add_argument("--noise", nargs="+", type=_number(0, math.inf, "[)"), metavar="SIGMA",
+                           help="standard deviation of positions, one or one per axis, in the "
+                           "data's unit of length; 0 = exact (default: estimated)")
+
+
+def _loop(parser):
+    group = parser.add_argument_group("search")
+    group.add_argument("--grammar", default="physics", metavar="NAME",
+                       help="what may be missing: a name or a .toml file (default physics)")
+    group.add_argument("--search", choices=("exhaustive",), default="exhaustive",
+                       help="how it is searched (default exhaustive)")
+    group.add_argument("--max-levels", type=_integer(1, MAX_LEVELS), default=8, metavar="N",
+                       help="bound of the search, in levels of a derivation (default 8)")
+    group.add_argument("--max-rounds", type=_integer(1, MAX_ROUNDS), default=5, metavar="N",
+                       help="(default 5)")
+    group.add_argument("--alpha", type=_number(MIN_ALPHA, 1, "[)"), default=0.01,
+                       help="level of the tests (default 0.01)")
+    group.add_argument("--exclude", action="extend", nargs="+", default=[], metavar="INPUT",
+                       help="inputs that the search may not use, such as v_i (t is always one)")
+    group.add_argument("--allow-time", action="store_true", help="let the search use t")
+    group.add_argument("--per-entity", choices=("auto", "yes", "no"), default="auto",
+                       help="whether an effect may have a constant for every body (default auto)")
+    group.add_argument("--workers", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
+                       help="processes; the answer does not depend on it (default 1)")
+    _seed(parser)
+
+
+def _seed(parser):
+    parser.add_argument("--seed", type=_integer(0, 2**63 - 1), default=0, help="(default 0)")
+
+
+def _output(parser, help_):
+    parser.add_argument("--out", metavar="DIR", help=help_)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON to stdout")
+    _common(parser)
+
+
+def _common(parser):
+    parser.add_argument("--overwrite", action="store_true", help="replace an older result in --out")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
