@@ -212,16 +212,18 @@ def _grammar(args):
     from bsp_gp.language.grammar import load_grammar
 
     grammar, missing = load_grammar(args.name), ()
+    kinds = dict(grammar.start)
     if args.data:
         from bsp_gp.data.tables import load_dataset
 
         dataset = load_dataset(args.data)
         grammar, missing = masked_grammar(grammar, dataset)
+        if all(len(scene.entities) == 1 for scene in dataset.scenes):
+            kinds.pop("pair", None)
     print(f"grammar {grammar.name}, fingerprint {grammar.fingerprint}")
     if args.action == "show":
         _show(grammar)
     else:
-        kinds = grammar.start
         print("levels  " + "  ".join(f"{f'{k} ({s})':>24}" for k, s in kinds.items()))
         for level in range(1, args.levels + 1):
             counts = (_count_text(grammar.count(symbol, level)) for symbol in kinds.values())

@@ -28,6 +28,7 @@ _DIMENSION = {
     "[luminosity]": 6,
 }
 _ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ0-9_^*/().\-+ ]{1,60}")
+_TOWER = re.compile(r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*")
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,13 @@ def parse_unit(text):
         raise UnitError(
             f"unit must be a product of powers of units such as m/s^2, got {text!r:.80}"
         )
+    if _TOWER.search(clean):
+        raise UnitError(f"unit {clean!r}: a power must be one number of at most two digits")
     if re.search(r"\b(px|pixels?)\b", clean):
         raise UnitError("a pixel has no length in SI; give the length of one, such as '0.17 um'")
     base = _in_base_units(clean)
+    if not 0 < float(base.magnitude) < float("inf"):
+        raise UnitError(f"unit {clean!r} is too large or too small to be used")
     exponents = [Fraction(0)] * len(BASE)
     for dimension, power in base.dimensionality.items():
         if dimension not in _DIMENSION:
@@ -157,7 +162,7 @@ def _in_base_units(text):
             raise UnitError(f"unit {text!r} has an offset; use a unit such as kelvin")
         return _registry().Quantity(1.0, unit).to_base_units()
     except (pint.PintError, AttributeError, ValueError, TypeError, SyntaxError, AssertionError,
-            TokenError, KeyError) as error:
+            TokenError, KeyError, ArithmeticError) as error:
         # pint's parser lets these through for malformed text.
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 

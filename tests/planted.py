@@ -10,10 +10,10 @@ G = 1.0
 SI = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
 
 
-def orbit_scene(name, rng, *, drag=0.0, n_light=3, n_times=50, dt=0.2, sigma=0.01):
+def orbit_scene(name, rng, *, drag=0.0, n_light=2, n_times=40, dt=0.15, sigma=0.01):
     """A heavy central body with light ones around it, gravity and linear drag -drag * v."""
     masses = np.array([1000.0, *rng.uniform(1.0, 5.0, n_light)])
-    radii = np.linspace(12.0, 30.0, n_light) * rng.uniform(0.95, 1.05, n_light)
+    radii = np.linspace(15.0, 30.0, n_light) * rng.uniform(0.95, 1.05, n_light)
     angles = rng.uniform(0, 2 * np.pi, n_light)
     positions = np.zeros((n_light + 1, 2))
     velocities = np.zeros((n_light + 1, 2))
@@ -31,7 +31,9 @@ def orbit_scene(name, rng, *, drag=0.0, n_light=3, n_times=50, dt=0.2, sigma=0.0
 
     times = dt * np.arange(n_times)
     start = np.concatenate([positions.ravel(), velocities.ravel()])
-    track = solve_ivp(motion, (0, times[-1]), start, method="DOP853", t_eval=times, rtol=1e-10, atol=1e-10)
+    track = solve_ivp(
+        motion, (0, times[-1]), start, method="DOP853", t_eval=times, rtol=1e-10, atol=1e-10
+    )
     p = track.y.T.reshape(n_times, 2, -1, 2)[:, 0]
     p = p + sigma * rng.standard_normal(p.shape)
     entities = [Entity(f"body{k}", properties={"mass": m}) for k, m in enumerate(masses)]

@@ -58,6 +58,11 @@ def _declared(dataset):
             "every scene is declared as test, so nothing is left to train on",
             remedy="name fewer scenes in test",
         )
+    if not test:
+        raise DataError(
+            "every scene is declared as train, so nothing is held out",
+            remedy="name fewer scenes in train",
+        )
     note = f"declared split: {len(train)} scenes to train on, {len(test)} held out"
     return Split(dataset.select(train), dataset.select(test), note)
 

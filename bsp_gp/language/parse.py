@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from bsp_gp.errors import LawError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
-from bsp_gp.language.inputs import ALIASES, property_of
+from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.units import parse_unit
 
@@ -210,6 +210,8 @@ class _Builder:
             self.fail("e_z does not exist in two dimensions")
         if name == "p_c":
             self.fail("p_c needs entities with an extent (disc, rect_wall, rect_mat)")
+        if name in STATE_INPUTS:
+            self.fail(f"{name!r} needs a second body, and every scene of the data has one only")
         if name in OPERATORS:
             self.fail(f"{name!r} is a function and needs arguments")
         self._reject_near_property(name)

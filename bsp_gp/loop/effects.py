@@ -18,9 +18,9 @@ from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
 __all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "describe", "fresh_name"]
 
-SHORTLIST = 12
-SHORTLIST_NATS = 25.0
-"""Proposals whose evidence is within this of the best are refitted to whole tracks."""
+SHORTLIST = 6
+SHORTLIST_NATS = 12.0
+"""Proposals whose evidence is within this of the best are fitted jointly, to whole tracks."""
 COLLINEAR = 1e-6
 """A term whose acceleration is parallel to a declared one to this part is that term, freed."""
 
@@ -227,7 +227,7 @@ class EffectSearch:
         proposals = self._flag_declared(proposals, law, outcomes[0][3])
         proposals.sort(key=lambda p: (-p.evidence, p.complexity))
         return Proposals(
-            tuple(_shortlist(proposals, law)),
+            tuple(_shortlist(proposals, self.observation.is_exact)),
             p_value(observed, null),
             tuple(r.certificate.text() for r, *_ in outcomes),
             sum(r.n_evaluated for r, *_ in outcomes),
@@ -263,17 +263,23 @@ class EffectSearch:
         return out
 
 
-def _shortlist(proposals, law):
-    """The best by evidence, with equal-valued forms nearest to the declared law first."""
+def _shortlist(proposals, is_exact):
+    """The best by evidence and the simplest of those near it; at least two.
+
+    On exact data near means within a tenth of the sum of squares left: what remains there is
+    misfit, and evidence in nats says nothing of it.
+    """
     if not proposals:
         return []
-    best = proposals[0].evidence
-    near = [p for p in proposals if p.evidence >= best - max(SHORTLIST_NATS, 0.02 * abs(best))]
+    best = proposals[0]
+    if is_exact:
+        near = [p for p in proposals if 1 - p.share <= 1.1 * (1 - best.share) + 1e-12]
+    else:
+        near = [p for p in proposals if p.evidence >= best.evidence - SHORTLIST_NATS]
     simple = sorted(near, key=lambda p: p.complexity)[: SHORTLIST // 2]
-    out = near[: SHORTLIST // 2]
+    out = near[: SHORTLIST - SHORTLIST // 2]
     out += [p for p in simple if p not in out]
-    rest = [p for p in proposals if p not in out]
-    return out + rest[: max(0, 6 - len(out))]
+    return out if len(out) > 1 else proposals[:2]
 
 
 def _masses_known(entities):

@@ -98,7 +98,7 @@ class LawFit:
             f"    one-step nrmse     = {e.one_step_nrmse:.4g} {e.unit}",
             f"    residual accel.    = {e.residual_acceleration:.4g} {e.acceleration_unit}",
             "[[Variables]] (± half of the 90 % interval)",
-            *(_variables(self.constants) or ["    none: every number of the law is given"]),
+            *(list(_variables(self.constants)) or ["    none: every number of the law is given"]),
         ]  # fmt: skip
         pairs = self.correlations()
         if pairs:

@@ -24,6 +24,7 @@ REVISION_SHARE = 0.5
 SAME_LOSS = 1.2
 """On exact data, sets whose losses differ by less than this factor fit practically equally."""
 TIE_BIC = 2.0
+MAX_RIVALS = 8
 MAX_SET = 4
 """Largest set of found terms that is chosen as a whole."""
 MIN_SHARE = 0.5
@@ -533,7 +534,7 @@ def _rivals(observation, model, chosen, attempts):
     n_eff = chosen.fit.n_effective
     out, seen = [], {chosen.text}
     for attempt in sorted(attempts, key=lambda a: a.score(n_eff)):
-        if attempt.text in seen:
+        if attempt.text in seen or len(out) >= MAX_RIVALS:
             continue
         seen.add(attempt.text)
         delta = attempt.fit.bic(n_eff) - chosen.fit.bic(n_eff)

@@ -230,6 +230,13 @@ def unknown_receivers(term, bodies):
     -------
     ndarray of bool, shape (S, R)
     """
+    kept = bodies.__dict__.setdefault("_unknown", {})
+    if term.acceleration_formula not in kept:
+        kept[term.acceleration_formula] = _unknown_receivers(term, bodies)
+    return kept[term.acceleration_formula]
+
+
+def _unknown_receivers(term, bodies):
     unknown = np.zeros((bodies.n_scenes, len(bodies.receivers)), dtype=bool)
     for name in term.acceleration_formula.inputs:
         known = property_of(name)

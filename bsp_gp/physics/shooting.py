@@ -19,7 +19,10 @@ from bsp_gp.physics.dynamics import rollout
 __all__ = ["RolloutFit", "cut_segments", "fit_rollout", "guess_state", "parameter_list", "predict"]
 
 MAX_ITERATIONS = 40
-TOLERANCE = 1e-9
+TOLERANCE = 1e-5
+DESCENT = 1e-4
+"""A fit has converged when chi-squared falls by less than this (a hundredth of a sigma), or by
+less than `TOLERANCE` of itself where the law does not fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +202,7 @@ class _Problem:
     def solve(self, max_iterations):
         states = [guess_state(batch) for batch in self.batches]
         x = np.clip(_get(self.law, self.parameters), self.low, self.high)
-        damping, converged = 1e-3, False
+        damping, converged = 1e-7, False
         blocks, chisqr, predicted = self._linearise(x, states)
         for _ in range(max_iterations):
             if not np.isfinite(chisqr) or not self._has_unknowns():
@@ -220,7 +223,7 @@ class _Problem:
             if not accepted:
                 converged = True  # no descent left at working precision
                 break
-            done = chisqr - value <= TOLERANCE * max(chisqr, 1e-300) + 1e-9
+            done = chisqr - value <= TOLERANCE * chisqr + DESCENT
             x, states = new_x, new_states
             damping *= 0.2
             blocks, chisqr, predicted = self._linearise(x, states)

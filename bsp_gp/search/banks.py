@@ -8,7 +8,7 @@ millions of derivations.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from bsp_gp.physics.bodies import law_inputs
 
 __all__ = ["Banks", "Entry", "Rows", "distinct_directions", "fingerprints", "merge_proportional"]
 
+MOST_TIES = 60
+"""Entries remembered as merged into one."""
 DIGITS = 11
 """Values that agree to this many digits (of their norm) are one value."""
 
@@ -39,8 +41,8 @@ class Entry:
         On the rows, flat: (P,) or (P, d).
     operator : str
         How it enters as a right-hand factor: "mul", or the grammar's division.
-    ties : tuple of Entry
-        Merged entries that are proportional on the data.
+    ties : list of Entry
+        Merged entries that are equal or proportional on the data, without their values.
     """
 
     formula: object
@@ -49,7 +51,11 @@ class Entry:
     levels: int
     value: np.ndarray
     operator: str = "mul"
-    ties: tuple = ()
+    ties: list = field(default_factory=list)
+
+    def family(self):
+        """The entry and all that were merged into it."""
+        return [self, *self.ties]
 
 
 class Rows:
@@ -174,7 +180,7 @@ class Banks:
 
     def _new_entries(self, nonterminal, level):
         found = {}
-        seen = self._seen.setdefault(nonterminal, set())
+        seen = self._seen.setdefault(nonterminal, {})
         for rule in self.grammar.rules_of[nonterminal]:
             for children in self._child_tuples(rule, level):
                 entry = self._build(rule, children)
@@ -182,9 +188,14 @@ class Banks:
                     continue
                 key = self._key(entry.value)
                 if key in seen:
-                    continue
-                if key not in found or entry.complexity < found[key].complexity:
+                    _remember(seen[key], entry)
+                elif key not in found:
                     found[key] = entry
+                elif entry.complexity < found[key].complexity:
+                    _remember(entry, found[key])
+                    found[key] = entry
+                else:
+                    _remember(found[key], entry)
         seen.update(found)
         return list(found.values())
 
@@ -230,6 +241,13 @@ class Banks:
 
     def _key(self, value):
         return fingerprints([value], self._weights, merge_scale=False)[0]
+
+
+def _remember(lead, other):
+    """Note that `other` was merged into `lead`."""
+    for entry in other.family():
+        if len(lead.ties) < MOST_TIES and entry.formula != lead.formula:
+            lead.ties.append(replace(entry, value=None, ties=[]))
 
 
 class _Overlay(dict):
@@ -291,7 +309,10 @@ def merge_proportional(entries, weights, preferred=()):
             # An object of the left bank stays the same object, with its ties from there.
             out.append(lead)
         else:
-            out.append(replace(lead, ties=tuple(members[1:])))
+            lead = replace(lead, ties=list(lead.ties))
+            for other in members[1:]:
+                _remember(lead, other)
+            out.append(lead)
     return out
 
 
@@ -313,7 +334,9 @@ def distinct_directions(directions, conditions, masses, weights):
             if condition is not None:
                 value = value * condition.value[:, None]
                 complexity += condition.complexity
-            combined.append(Directed(direction.formula, condition and condition.formula, value, complexity))
+            combined.append(
+                Directed(direction.formula, condition and condition.formula, value, complexity)
+            )
     keys = fingerprints([item.value for item in combined], weights, merge_scale=True)
     classes = {}
     for item, key in zip(combined, keys, strict=True):

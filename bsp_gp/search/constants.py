@@ -114,12 +114,16 @@ def fit_constants(regression, law, *, starts=1):
 def _least_squares(matrix, y):
     if not matrix.shape[1]:
         return np.zeros(0), np.zeros((0, 0)), y
-    size = np.linalg.norm(matrix, axis=0)
+    top = np.max(np.abs(matrix), axis=0)
+    top = np.where(top > 0, top, 1.0)
+    size = np.linalg.norm(matrix / top, axis=0) * top  # columns beyond 1e154 do not overflow
     scaled = matrix / np.where(size > 0, size, 1.0)
     values, *_ = np.linalg.lstsq(scaled, y, rcond=1e-13)
     covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     unscale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
-    return values * unscale, covariance * np.outer(unscale, unscale), y - scaled @ values
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = covariance * np.outer(unscale, unscale)
+    return values * unscale, covariance, y - scaled @ values
 
 
 def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
@@ -134,8 +138,6 @@ def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
 
 
 def _fit_nonlinear(regression, law, starts):
-    from scipy.optimize import minimize
-
     names = law.names
     first = np.array([law.constants[n] for n in names], dtype=float)
     nonlinear = _nonlinear_names(law)
@@ -144,25 +146,10 @@ def _fit_nonlinear(regression, law, starts):
     for scale in START_SCALES[:starts]:
         x0 = np.array([v * scale if n in nonlinear else v for n, v in zip(names, first, strict=True)])
         try:
-            x0 = _solve_linear(regression, law, names, x0, nonlinear)
-            value, _ = _value_and_gradient(regression, law, names, x0)
+            value, x = _descend(regression, law, names, x0, nonlinear)
         except EvaluationError:
             failed += 1
             continue
-        unit = np.where(x0 != 0, np.abs(x0), 1.0)
-
-        def scaled(z, unit=unit, top=max(value, 1e-300)):
-            try:
-                value, gradient = _value_and_gradient(regression, law, names, z * unit)
-            except EvaluationError:
-                return 1e300, np.zeros(len(z))
-            return value / top, gradient * unit / top
-
-        result = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B",
-                          options={"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12})
-        x = result.x * unit
-        x = _solve_linear(regression, law, names, x, nonlinear)
-        value, _ = _value_and_gradient(regression, law, names, x)
         if best is None or value < best[0]:
             best = (value, x)
     if best is None:
@@ -172,6 +159,28 @@ def _fit_nonlinear(regression, law, starts):
     jacobian = _jacobian(regression, law, names)
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     return _fit(law, tuple((n, "") for n in names), x, covariance, regression.residual(law), jacobian, False)
+
+
+def _descend(regression, law, names, x0, nonlinear):
+    """L-BFGS-B from one start, the linear constants solved before and after."""
+    from scipy.optimize import minimize
+
+    x0 = _solve_linear(regression, law, names, x0, nonlinear)
+    value, _ = _value_and_gradient(regression, law, names, x0)
+    unit = np.where(x0 != 0, np.abs(x0), 1.0)
+    top = max(value, 1e-300)
+
+    def scaled(z):
+        try:
+            value, gradient = _value_and_gradient(regression, law, names, z * unit)
+        except EvaluationError:
+            return 1e300, np.zeros(len(z))  # a wall for the line search, not a fit
+        return value / top, gradient * unit / top
+
+    result = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B",
+                      options={"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12})
+    x = _solve_linear(regression, law, names, result.x * unit, nonlinear)
+    return _value_and_gradient(regression, law, names, x)[0], x
 
 
 def _nonlinear_names(law):

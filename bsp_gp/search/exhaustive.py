@@ -412,7 +412,7 @@ class _Exhaustive:
         if not value.any():
             return None
         return Entry(entry.formula, entry.expression, entry.complexity, entry.levels, value, operator,
-                     tuple(replace(tie, operator=operator) for tie in entry.ties))
+                     [replace(tie, operator=operator) for tie in entry.ties])
 
     def _two_banks(self, plans, plan):
         """left x right, with 1 in either bank where the grammar allows a factor alone."""
@@ -428,13 +428,14 @@ class _Exhaustive:
         left = self._side(with_one(plan.left, plan.right[0]) + self.banks.bank(*plan.left))
         right = self._side(with_one(plan.right, plan.left[0]) + self.banks.bank(*plan.right))
         allowed = np.ones((len(left.entries), len(right.entries)), dtype=bool)
-        none = [p for p in plans if p.left is None]
-        one_left = [k for k, e in enumerate(left.entries) if e.expression is None]
-        one_right = [k for k, e in enumerate(right.entries) if e.expression is None]
-        if one_left and one_right and not none:
-            allowed[one_left[0], one_right[0]] = False
+        needs_factor = not any(p.left is None for p in plans)
+        for a, one in enumerate(left.entries):
+            for b, other in enumerate(right.entries):
+                if needs_factor and one.expression is other.expression is None:
+                    # 1 * 1 stands for itself alone, or for factors that are constant here.
+                    allowed[a, b] = bool(one.ties or other.ties)
         self.parts.append(f"{len(left.entries)} x {len(right.entries)} coefficients")
-        return _Block(left, right, allowed, cost, plan.constant)
+        return _Block(left, right, allowed, cost, plan.constant, needs_factor)
 
     def _score(self, block, directed):
         self.n_scored += int(block.allowed.sum())
@@ -467,7 +468,7 @@ class _Exhaustive:
                 lefts = [
                     (a, match)
                     for a, entry in enumerate(block.left.entries)
-                    for match in (entry, *entry.ties)
+                    for match in entry.family()
                     if is_left(match.formula)
                 ]
                 for (a, match), b in itertools.product(lefts, range(len(block.right.entries))):
@@ -485,9 +486,9 @@ class _Exhaustive:
     def candidates(self):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""
         rescored = []
-        for _, complexity, (block, directed), a, b in self.kept.items():
-            ties = block.formulas(a, b, directed)
-            rescored.append(self.rescore(ties[0], complexity, tuple(ties[1:])))
+        for _, _, (block, directed), a, b in self.kept.items():
+            (complexity, formula), *ties = block.formulas(a, b, directed)
+            rescored.append(self.rescore(formula, complexity, tuple(law for _, law in ties)))
         return _merge_equal(rescored)
 
     def rescore(self, formula, complexity, ties=()):
@@ -540,6 +541,7 @@ class _Block:
     allowed: np.ndarray
     cost: float
     constant: str
+    needs_factor: bool = False
 
     def is_static(self, rows):
         """Whether the left factors depend on properties only."""
@@ -552,16 +554,24 @@ class _Block:
         return self._static
 
     def formulas(self, a, b, directed, most=60):
-        """The law of this product and those merged into it, simplest first (at most `most`)."""
+        """The law of this product and those merged into it.
+
+        Returns
+        -------
+        list of (complexity, Formula)
+            Simplest first, at most `most` + 1.
+        """
         left, right = self.left.entries[a], self.right.entries[b]
         options = []
         for choice in itertools.islice(
-            itertools.product((left, *left.ties), (right, *right.ties), (directed, *directed.ties)), 4000
+            itertools.product(left.family(), right.family(), (directed, *directed.ties)), 4000
         ):
-            options.append((sum(part.complexity for part in choice), len(options), choice))
-        lead, *rest = options
-        rest = heapq.nsmallest(most, rest)
-        return [self.formula_of(*choice) for _, _, choice in (lead, *rest)]
+            if self.needs_factor and choice[0].expression is choice[1].expression is None:
+                continue  # 1 * 1: not in the grammar, though equal to a law that is
+            complexity = self.cost + sum(part.complexity for part in choice)
+            options.append((complexity, len(options), choice))
+        best = heapq.nsmallest(most + 1, options)
+        return [(complexity, self.formula_of(*choice)) for complexity, _, choice in best]
 
     def formula_of(self, left, right, directed):
         """Law of one choice: constant * (left op right) * direction [* condition]."""

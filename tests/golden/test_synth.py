@@ -162,11 +162,6 @@ def test_the_law_of_mats_is_named(synth):
     assert frozenset({"mu_j", "m_i", "m_j", "v_i", "s_i", "p_i", "s_j", "p_j"}) in kinds
 
 
-@pytest.mark.xfail(
-    reason="Banks drops derivations of equal value (m_i beside m_i m_j, where m_j = 1) "
-    "without listing them as ties",
-    strict=True,
-)
 def test_the_papers_law_of_mats_is_listed(synth):
     dataset = synth("mat")
     result = search(dataset, scenes_of(dataset, [1, 2]))

@@ -382,9 +382,6 @@ def test_ties_are_equal_on_the_data_and_listed_once(alike):
     assert "c1 * (m_i * norm(v_i) * normalize(v_i))" in [to_text(f) for f in tied.ties]
 
 
-@pytest.mark.xfail(
-    reason="_two_banks forbids 1 x 1, and with it m_i x 1 where all masses are equal", strict=True
-)
 def test_nothing_is_missed_where_bodies_are_alike(alike):
     result, losses = alike
     found = np.array([c.loss for c in result.candidates])
@@ -392,10 +389,6 @@ def test_nothing_is_missed_where_bodies_are_alike(alike):
         assert np.min(np.abs(found - loss)) < 1e-9 * loss, text
 
 
-@pytest.mark.xfail(
-    reason="Banks drops derivations of equal value (m_j beside m_i) without listing them as ties",
-    strict=True,
-)
 def test_every_law_that_cannot_be_told_apart_is_listed(alike):
     result, losses = alike
     for candidate in result.candidates:

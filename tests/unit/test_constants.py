@@ -143,10 +143,6 @@ def test_nonlinear_constants_are_recovered_from_several_starts(name, start):
     assert fit.loss < 1e-9 * np.square(regression.target()).sum()
 
 
-@pytest.mark.xfail(
-    reason="constants._least_squares warns of overflow for columns beyond 1e154",
-    strict=True, raises=RuntimeWarning,
-)  # fmt: skip
 def test_starts_far_off_overflow_silently():
     text, c1, c2 = NONLINEAR["power"]
     true = law_of(text, c1=c1, c2=c2)
