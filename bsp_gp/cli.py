@@ -16,7 +16,7 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
-from bsp_gp.errors import BspError, OutputError
+from bsp_gp.errors import BspError, OutputError, SettingsError
 
 __all__ = ["main"]
 
@@ -46,6 +46,8 @@ def main(argv=None):
         sys.stdout.reconfigure(errors="replace")
     written = []
     try:
+        if any("\0" in word for word in argv):
+            raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
         _COMMANDS[args.command](args)
@@ -128,10 +130,7 @@ def _close(args):
         progress("writing the report")
         run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
-    if not args.json:
-        from bsp_gp.report.summary import summary_text
-
-        print(summary_text(report))
+    _summary(args, report)
     _finish(args, out)
 
 
@@ -257,7 +256,7 @@ def _count_text(count):
         return f"{count:,}"
     exponent = (count.bit_length() - 1) * 30103 // 100000  # floor(log10), or one too small
     exponent += count >= 10 ** (exponent + 1)
-    return f"{count // 10 ** (exponent - 5) / 10**5:.4f}e{exponent}"
+    return f"{count // 10 ** (exponent - 4) / 10**4:.4f}e{exponent}"
 
 
 def _demo(args):
@@ -266,10 +265,20 @@ def _demo(args):
     out = _target(args, "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress:
-        path = run_demo(out, overwrite=args.overwrite, seed=args.seed, progress=progress)
-        args.written.append(path)
+    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+        run_info = {"argv": ["bsp-gp", *args.argv]}
+        report, folder = run_demo(out, overwrite=args.overwrite, seed=args.seed, workers=pool,
+                                  progress=progress, run_info=run_info)
+        args.written.append(folder)
+    _summary(args, report)
     _finish(args, out)
+
+
+def _summary(args, report):
+    if not args.json:
+        from bsp_gp.report.summary import summary_text
+
+        print(summary_text(report))
 
 
 def _finish(args, out):

@@ -191,7 +191,8 @@ def _add_grammar(commands):
 
 
 def _add_demo(commands):
-    parser = _add(commands, "demo", "close the loop on data sets that come with the package")
+    parser = _add(commands, "demo", "close the loop on the motion of Mercury (JPL ephemeris)")
+    _workers(parser)
     _seed(parser)
     _output(parser, "folder of the report (default: demo-report here, replaced if it is an older "
                     "one)")
@@ -235,9 +236,13 @@ def _loop(parser):
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument("--per-entity", choices=("auto", "yes", "no"), default="auto",
                        help="whether an effect may have a constant for every body (default auto)")
-    group.add_argument("--workers", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
-                       help="processes; the answer does not depend on it (default 1)")
+    _workers(parser)
     _seed(parser)
+
+
+def _workers(parser):
+    parser.add_argument("--workers", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
+                        help="processes; the answer does not depend on it (default 1)")
 
 
 def _seed(parser):

@@ -269,17 +269,20 @@ def _shortlist(proposals, is_exact):
     On exact data near means within a tenth of the sum of squares left: what remains there is
     misfit, and evidence in nats says nothing of it.
     """
-    if not proposals:
-        return []
-    best = proposals[0]
+    able = [p for p in proposals if not p.redoes_declared]
+    if not able:
+        return proposals[:2]
+    best = able[0]
     if is_exact:
-        near = [p for p in proposals if 1 - p.share <= 1.1 * (1 - best.share) + 1e-12]
+        near = [p for p in able if 1 - p.share <= 1.1 * (1 - best.share) + 1e-12]
     else:
-        near = [p for p in proposals if p.evidence >= best.evidence - SHORTLIST_NATS]
+        near = [p for p in able if p.evidence >= best.evidence - SHORTLIST_NATS]
     simple = sorted(near, key=lambda p: p.complexity)[: SHORTLIST // 2]
     out = near[: SHORTLIST - SHORTLIST // 2]
     out += [p for p in simple if p not in out]
-    return out if len(out) > 1 else proposals[:2]
+    out = out if len(out) > 1 else able[:2]
+    freed = [p for p in proposals if p.redoes_declared and p.evidence >= best.evidence]
+    return out + sorted(freed, key=lambda p: p.complexity)[:1]
 
 
 def _masses_known(entities):
@@ -434,7 +437,9 @@ def _phrase(direction, condition, powers, value):
         if extension and not distance:
             return f"spring towards the other body{where}"
         return verb + _scaling(powers) + where
-    return f"force along {text or 'a fixed direction'}" + _scaling(powers) + where
+    inner = text.removeprefix("normalize(").removesuffix(")")
+    along = _DIRECTIONS.get(inner, text or "a fixed direction")
+    return f"force along the {along}" + _scaling(powers) + where
 
 
 _WORDS = {"norm(p_i - p_j)": "distance", "norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}

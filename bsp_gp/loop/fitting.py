@@ -200,7 +200,9 @@ def fit_law(dataset, laws, *, rng, noise=None):
 def _correlation(covariance):
     sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     sizes = np.where(sizes > 0, sizes, np.inf)
-    return covariance / np.outer(sizes, sizes) + np.diag(np.isinf(sizes) * 1.0)
+    correlation = covariance / np.outer(sizes, sizes)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
 
 
 def _convergence(observation, fit, is_linear):

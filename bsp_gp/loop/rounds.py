@@ -24,6 +24,8 @@ REVISION_SHARE = 0.5
 SAME_LOSS = 1.2
 """On exact data, sets whose losses differ by less than this factor fit practically equally."""
 TIE_BIC = 2.0
+MAX_BLUR = 10.0
+"""Growth of the relative error of an adopted constant at which a further term is refused."""
 MAX_RIVALS = 8
 MAX_SET = 4
 """Largest set of found terms that is chosen as a whole."""
@@ -416,6 +418,11 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             f"the best term removes only {max(share, 0):.0%} of the held-out error above the noise "
             f"floor, less than {MIN_SHARE:.0%}: the cause is not among the laws that were tried"
         )
+    blurred = _blurred(model.fit, after.fit)
+    if blurred:
+        return False, "seen, not adopted", (
+            f"beside it {blurred}: these data hardly tell the two terms apart"
+        )
     if not observation.is_exact and not ratio.high < 1:
         return False, "seen, not adopted", (
             f"the held-out error does not fall for sure: ratio {ratio.value:.2f} "
@@ -426,6 +433,25 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
         f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted, and "
         f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
     )
+
+
+def _blurred(before, after):
+    """Which constant loses its meaning when a term is added; "" if none does.
+
+    A term that nearly repeats one of the law's inflates that one's error bar and may flip its
+    sign; it explains nothing that can be named.
+    """
+    widths = {
+        key: half / abs(value)
+        for key, value, half in zip(before.parameters, before.values, before.intervals, strict=True)
+        if value
+    }
+    for key, value, half in zip(after.parameters, after.values, after.intervals, strict=True):
+        if key in widths and value:
+            width = half / abs(value)
+            if width > MAX_BLUR * widths[key] and width > 0.03:
+                return (f"the relative error of {key[0]} grows from {widths[key]:.1g} to {width:.1g}")
+    return ""
 
 
 def _explained(observation, before, after, floor):

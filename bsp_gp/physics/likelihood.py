@@ -216,10 +216,15 @@ def build_regression(
     Raises
     ------
     DataError
-        If no row is left.
+        If there is no scene, or no row is left.
     """
     if method not in METHODS:
         raise SettingsError(f"likelihood must be one of {', '.join(METHODS)}, got {method!r}")
+    if not scenes:
+        raise DataError(
+            "no scene is left to score a law on: the tracks are too short to hold a part out",
+            remedy="record longer tracks or more scenes, or declare which are train and test",
+        )
     n_dims = scenes[0].n_dims
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"

@@ -48,14 +48,22 @@ def _ended(text):
     return text if not text or text[-1] in ".!?" else text + "."
 
 
-def _finding(effect):
-    if effect.kind == "hidden_body":
-        return f"an unseen body acts on these ({effect.name})"
-    if effect.kind == "measurement":
-        return f"the measurement distorts the motion ({effect.name})"
-    if effect.kind == "declared_term_change":
-        return f"a declared term has to change ({effect.name})"
-    return f"the declared model lacks {effect.name}"
+_FINDINGS = {
+    "hidden_body": "an unseen body acts on these ({})",
+    "measurement": "the measurement distorts the motion ({})",
+    "declared_term_change": "a declared term has to change ({})",
+}
+
+
+def _findings(effects):
+    """What was found, effects of one kind told together."""
+    groups = {}
+    for effect in effects:
+        groups.setdefault(_FINDINGS.get(effect.kind, "the declared model lacks {}"), []).append(effect)
+    return _joined(
+        sentence.format(_joined(effect.name for effect in members))
+        for sentence, members in groups.items()
+    )
 
 
 def verdict_sentence(report):
@@ -74,7 +82,7 @@ def verdict_parts(report):
     adopted = adopted_rounds(report)
     last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:
-        text = _joined(_finding(r.effect) for r in adopted)
+        text = _findings([r.effect for r in adopted])
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "nothing missing":
         text = "Nothing is missing from the declared model: what it leaves unexplained is noise."

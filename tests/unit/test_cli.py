@@ -301,28 +301,29 @@ def test_demo_is_handed_over(tmp_path, monkeypatch, capsys):
 
     class Demo:
         @staticmethod
-        def run_demo(out, *, overwrite, seed, progress):
-            calls.append((out, overwrite, seed))
+        def run_demo(out, *, overwrite, seed, progress, workers, run_info):
+            calls.append((out, overwrite, seed, workers, run_info["argv"]))
             progress("working")
-            return out
+            return "the report", out
 
     monkeypatch.setitem(sys.modules, "bsp_gp.demo", Demo)
+    monkeypatch.setattr("bsp_gp.report.summary.summary_text", str)
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--seed", "3"]) == 0
     out = tmp_path / "demo-report"
-    assert calls == [(out, True, 3)]
-    assert capsys.readouterr().out == f"Report: {out / 'report.html'}\n"
+    assert calls == [(out, True, 3, None, ["bsp-gp", "demo", "--seed", "3"])]
+    assert capsys.readouterr().out == f"the report\nReport: {out / 'report.html'}\n"
 
 
 def test_a_closed_pipe_is_no_error(data):
     run = subprocess.run(
         f"'{sys.executable}' -m bsp_gp grammar show physics; echo $? >&2",
-        shell=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False,
+        shell=True, capture_output=True, check=False,
     )  # fmt: skip
     assert run.stderr == b"0\n"
     run = subprocess.run(
         f"('{sys.executable}' -m bsp_gp grammar show physics; echo $? >&2) | true",
-        shell=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False,
+        shell=True, capture_output=True, check=False,
     )  # fmt: skip
     assert run.stderr == b"0\n"
 
