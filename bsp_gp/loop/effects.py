@@ -9,6 +9,7 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors, walk
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.denoise import states_of
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
@@ -113,6 +114,7 @@ class EffectSearch:
         grammar = self.grammar.for_properties(columns, vectors)
         available = set(types) - set(self.exclude) - self._unknown_inputs(dataset)
         self.masked, self.missing = grammar.masked(available, dataset.n_dims)
+        self._states = {}
         self.pooled_scenes = [s for s in map(_without_unknown_masses, self.observation.train) if s]
         self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
         if self.per_entity == "auto":
@@ -150,6 +152,7 @@ class EffectSearch:
         -------
         Proposals
         """
+        self._states = states_of(fit.whole, self.observation.train) if fit.whole else {}
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
@@ -208,7 +211,19 @@ class EffectSearch:
         return build_regression(
             scenes, method=observation.method, sigma=observation.regression_sigma,
             up=observation.dataset.up, sources=observation.sources,
+            states=self._states_for(scenes),
         )
+
+    def _states_for(self, scenes):
+        """Denoised states, with bodies left out that are no receivers in these scenes."""
+        by_name = {scene.name: scene for scene in self.observation.train}
+        out = {}
+        for scene in scenes:
+            if scene.name in self._states:
+                p, v = self._states[scene.name]
+                kept = np.isin(by_name[scene.name].dynamic, scene.dynamic)
+                out[scene.name] = (p[:, kept], v[:, kept])
+        return out
 
     def _left(self, regression, law):
         """Residual of the fitted law, and the columns of its free constants."""

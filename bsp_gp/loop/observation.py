@@ -57,6 +57,8 @@ class Fit:
         Of the regression, for joint refits.
     residual : ndarray
         Whitened residual of the regression.
+    whole : RolloutFit or None
+        The fit to whole tracks, on noisy data.
     """
 
     law: ForceLaw
@@ -69,6 +71,7 @@ class Fit:
     jacobian: np.ndarray
     residual: np.ndarray
     is_exact: bool = False
+    whole: object = None
 
     def bic(self, n_effective=None):
         """Bayesian information criterion with the noise level profiled out, nats times two.
@@ -135,7 +138,7 @@ class Observation:
         inflation = misfit * (max(whole.n_rows / n_eff, 1.0) if misfit > 1.5 else 1.0)
         residual = self.train_regression.residual(whole.law)
         return Fit(whole.law, whole.parameters, whole.values, whole.covariance * inflation,
-                   whole.chisqr, whole.n_rows, n_eff, first.jacobian, residual)
+                   whole.chisqr, whole.n_rows, n_eff, first.jacobian, residual, whole=whole)
 
     def _effective(self, regression, residual):
         """Number of rows discounted for lag-one autocorrelation of the whitened residual."""

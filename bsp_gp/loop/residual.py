@@ -16,6 +16,8 @@ POWER_Z = 1.6448536269514722  # 95 % power
 def examine_residual(observation, fit, alpha):
     """Test the whitened residual of the fitted model against noise.
 
+    On noisy data the residual is that of whole tracks (positions), otherwise of accelerations.
+
     Two tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
     noise level, an F test against an estimated one, whose own uncertainty counts) and its
     autocorrelation along tracks (Ljung-Box).
@@ -32,15 +34,20 @@ def examine_residual(observation, fit, alpha):
     """
     from scipy import stats
 
-    regression = observation.train_regression
-    dof = max(regression.n_rows - len(fit.parameters), 1)
-    size = float(fit.residual @ fit.residual) / dof
+    if fit.whole is not None:
+        size = fit.whole.chisqr
+        dof = max(fit.whole.n_rows - fit.whole.n_free, 1)
+        p_lag = _ljung_box_of_tracks(observation, fit.whole)
+    else:
+        size = float(fit.residual @ fit.residual)
+        dof = max(observation.train_regression.n_rows - len(fit.parameters), 1)
+        p_lag = ljung_box(observation.train_regression, fit.residual)
+    size /= dof
     n_noise = _noise_dof(observation)
     if np.isfinite(n_noise):
         p_size = float(stats.f.sf(size, dof, n_noise))
     else:
         p_size = float(stats.chi2.sf(size * dof, dof))
-    p_lag = ljung_box(regression, fit.residual)
     p_value = min(1.0, 2 * min(p_size, p_lag))
     return Missing(
         statistic=size,
@@ -65,23 +72,46 @@ def ljung_box(regression, residual, lags=LAGS):
 
     The statistic of Ljung and Box (1978), with products pooled over tracks and axes.
     """
+    parts, start, n = [], 0, 0
+    for batch in regression.batches:
+        parts.append(residual[start : start + batch.target.size].reshape(batch.target.shape))
+        start += batch.target.size
+        n += int(batch.valid.sum())
+    return _pooled_ljung_box(parts, n, lags)
+
+
+def _ljung_box_of_tracks(observation, whole, lags=LAGS):
+    """The same for the position residuals of a fit to whole tracks."""
+    parts = []
+    for batch, predicted in zip(whole.batches, whole.predicted, strict=True):
+        left = batch.positions[:, :, batch.bodies.receivers] - predicted
+        with np.errstate(invalid="ignore"):
+            parts.append(np.nan_to_num(left / observation.sigma))
+    n_states = whole.n_free / max(whole.n_rows, 1)
+    return _pooled_ljung_box(parts, whole.n_rows, lags, n_states)
+
+
+def _pooled_ljung_box(parts, n, lags, fitted=0.0):
+    """Ljung-Box over tracks that all start anew; `fitted` is the share of fitted parameters.
+
+    Fitted initial states make residuals slightly anticorrelated: the expectation of every
+    lagged product under the null is subtracted, -1/T of the sum of squares per parameter.
+    """
     from scipy import stats
 
-    tops, bottom, n = np.zeros(lags), 0.0, 0
-    start = 0
-    for batch in regression.batches:
-        part = residual[start : start + batch.target.size].reshape(batch.target.shape)
-        start += batch.target.size
+    tops, counts, bottom = np.zeros(lags), np.zeros(lags), 0.0
+    for part in parts:
         bottom += float((part * part).sum())
-        n += int(batch.valid.sum())
         for lag in range(1, lags + 1):
             if len(part) > lag:
-                tops[lag - 1] += float((part[lag:] * part[:-lag]).sum())
-    if bottom <= 0 or n <= 3 * lags:
+                product = part[lag:] * part[:-lag]
+                tops[lag - 1] += float(product.sum())
+                counts[lag - 1] += int(np.count_nonzero(product))
+    if bottom <= 0 or n <= 3 * lags or not counts.all():
         return 1.0
-    rho = tops / bottom
-    statistic = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, lags + 1))))
-    return float(stats.chi2.sf(statistic, lags))
+    variance = bottom / n
+    z = (tops / variance + fitted * counts) / np.sqrt(counts)
+    return float(stats.chi2.sf(float(z @ z), lags))
 
 
 def _detectable(observation, fit, alpha):

@@ -29,7 +29,7 @@ MAX_BLUR = 10.0
 MAX_RIVALS = 8
 MAX_SET = 4
 """Largest set of found terms that is chosen as a whole."""
-MIN_SHARE = 0.5
+MIN_SHARE = 0.6
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 

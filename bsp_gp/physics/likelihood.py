@@ -194,7 +194,7 @@ def checked(values, batch):
 
 
 def build_regression(
-    scenes, *, method="one_step", sigma=None, up=None, velocity="ignore", sources=True
+    scenes, *, method="one_step", sigma=None, up=None, velocity="ignore", sources=True, states=None
 ):
     """Read accelerations off measured tracks.
 
@@ -212,6 +212,10 @@ def build_regression(
         "measured" to use the velocity columns; needed by ``derivative``.
     sources : bool
         Whether laws may name other bodies: then rows where any of them is lost are left out.
+    states : mapping of str to (ndarray, ndarray), optional
+        Scene name -> positions and velocities (T, R, d) of the receivers at which laws are
+        evaluated in the place of the measured ones (``gls``); the accelerations to be explained
+        stay those of the measured positions.
 
     Raises
     ------
@@ -229,7 +233,8 @@ def build_regression(
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"
     batches = [
-        _regression_batch(batch, method, sigma, sources) for batch in stack(scenes, up, measured)
+        _regression_batch(batch, method, sigma, sources, states or {})
+        for batch in stack(scenes, up, measured)
     ]
     regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
     if not regression.n_rows:
@@ -240,13 +245,13 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources):
+def _regression_batch(batch, method, sigma, sources, given):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
     else:
         state, target, whitener, scale = _from_positions(batch, method, sigma)
-    times, positions, velocities = state
+    times, positions, velocities = _replaced(state, batch, given)
     target = target[:, :, bodies.receivers]
     valid = np.isfinite(target) & np.isfinite(sigma)
     own = np.isfinite(velocities[:, :, bodies.receivers]).all(axis=-1)
@@ -262,6 +267,23 @@ def _regression_batch(batch, method, sigma, sources):
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
     )
+
+
+def _replaced(state, batch, given):
+    """States with those of the receivers replaced where others are given."""
+    times, positions, velocities = state
+    if not any(scene.name in given for scene in batch.scenes):
+        return state
+    positions, velocities = positions.copy(), velocities.copy()
+    for s, scene in enumerate(batch.scenes):
+        if scene.name in given:
+            p, v = given[scene.name]
+            rows = slice(0, len(p) - 2)
+            for r, index in enumerate(batch.bodies.receivers):
+                seen = np.isfinite(positions[rows, s, index])
+                positions[rows, s, index] = np.where(seen, p[1:-1, r], np.nan)
+                velocities[rows, s, index] = np.where(seen, v[1:-1, r], np.nan)
+    return times, positions, velocities
 
 
 def _steps(times):
