@@ -55,8 +55,11 @@ def main(argv=None):
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
     except KeyboardInterrupt:
-        _say(f"interrupted; the result is in {written[0]}" if written
-             else "interrupted; nothing was written")
+        _say(
+            f"interrupted; the result is in {written[0]}"
+            if written
+            else "interrupted; nothing was written"
+        )
         return 130
     except BrokenPipeError:  # the reader, such as head, has had enough
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -153,10 +156,21 @@ def _run_loop(args, progress):
 
     law = declared_law(dataset, declared)
     with _pool(args.workers) as pool:
-        report = close_loop(dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar,
-                            workers=pool, progress=progress, **settings)
-    return report, {"grammar": args.grammar, "search": args.search, "workers": args.workers,
-                    **settings}
+        report = close_loop(
+            dataset,
+            law,
+            rng=np.random.default_rng(args.seed),
+            grammar=grammar,
+            workers=pool,
+            progress=progress,
+            **settings,
+        )
+    return report, {
+        "grammar": args.grammar,
+        "search": args.search,
+        "workers": args.workers,
+        **settings,
+    }
 
 
 def _fit(args):
@@ -267,8 +281,14 @@ def _demo(args):
 
     with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv]}
-        report, folder = run_demo(out, overwrite=args.overwrite, seed=args.seed, workers=pool,
-                                  progress=progress, run_info=run_info)
+        report, folder = run_demo(
+            out,
+            overwrite=args.overwrite,
+            seed=args.seed,
+            workers=pool,
+            progress=progress,
+            run_info=run_info,
+        )
         args.written.append(folder)
     _summary(args, report)
     _finish(args, out)
@@ -288,8 +308,13 @@ def _finish(args, out):
     print(f"Report: {out / 'report.html'}", file=sys.stderr if args.json else sys.stdout)
 
 
-_COMMANDS = {"close": _close, "fit": _fit, "simulate": _simulate, "grammar": _grammar,
-             "demo": _demo}
+_COMMANDS = {
+    "close": _close,
+    "fit": _fit,
+    "simulate": _simulate,
+    "grammar": _grammar,
+    "demo": _demo,
+}
 
 
 # --- work and output ------------------------------------------------------------------------------

@@ -7,7 +7,11 @@ import re
 from bsp_gp.errors import LawError, SettingsError
 
 __all__ = [
-    "excluded_inputs", "masked_grammar", "read_constants", "read_dataset", "read_laws",
+    "excluded_inputs",
+    "masked_grammar",
+    "read_constants",
+    "read_dataset",
+    "read_laws",
     "unit_of_length",
 ]
 

@@ -84,8 +84,10 @@ def _number(low, high, ends="()"):
         above = value >= low if ends[0] == "[" else value > low
         below = value <= high if ends[1] == "]" else value < high
         if not (above and below and math.isfinite(value)):
-            span = f"from {low:g} to {high:g}" if high < math.inf else (
-                "not negative" if ends[0] == "[" else "positive"
+            span = (
+                f"from {low:g} to {high:g}"
+                if high < math.inf
+                else ("not negative" if ends[0] == "[" else "positive")
             )
             raise argparse.ArgumentTypeError(f"must be a finite number, {span}, got {text[:60]!r}")
         return value
@@ -129,8 +131,12 @@ def _add_close(commands):
     )  # fmt: skip
     _data(parser)
     model = parser.add_mutually_exclusive_group(required=True)
-    model.add_argument("--declare", action="append", metavar="LAW",
-                       help="a force of the declared model; repeat for more")
+    model.add_argument(
+        "--declare",
+        action="append",
+        metavar="LAW",
+        help="a force of the declared model; repeat for more",
+    )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     _loop(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
@@ -144,12 +150,21 @@ def _add_fit(commands):
     )  # fmt: skip
     _data(parser)
     model = parser.add_mutually_exclusive_group()
-    model.add_argument("--law", "--declare", dest="declare", action="append", metavar="LAW",
-                       help="a force; repeat for more")
+    model.add_argument(
+        "--law",
+        "--declare",
+        dest="declare",
+        action="append",
+        metavar="LAW",
+        help="a force; repeat for more",
+    )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     _loop(parser)
-    _output(parser, "folder for fit.json and fit.txt (with a law; default: print only), or of "
-                    "the report (default: NAME-report here)")
+    _output(
+        parser,
+        "folder for fit.json and fit.txt (with a law; default: print only), or of "
+        "the report (default: NAME-report here)",
+    )
 
 
 def _add_simulate(commands):
@@ -160,17 +175,38 @@ def _add_simulate(commands):
     )  # fmt: skip
     _data(parser, with_noise=False)
     model = parser.add_mutually_exclusive_group(required=True)
-    model.add_argument("--law", "--declare", dest="declare", action="append", metavar="LAW",
-                       help="a force; repeat for more")
+    model.add_argument(
+        "--law",
+        "--declare",
+        dest="declare",
+        action="append",
+        metavar="LAW",
+        help="a force; repeat for more",
+    )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
-    parser.add_argument("--set", action="extend", nargs="+", type=_pair, default=[],
-                        metavar="NAME=VALUE", help="values of named constants, SI or with a "
-                        "[unit]: c1=0.2 \"c2=3 [g/s]\"")
-    parser.add_argument("--noise", nargs="+", type=_number(0, math.inf, "[)"), default=[0.0],
-                        metavar="SIGMA", help="noise to add to positions, one or one per axis, in "
-                        "the data's unit of length (default 0)")
-    parser.add_argument("--integrator", choices=("euler", "leapfrog", "rk4"),
-                        help="default: rk4, or euler for laws with contacts")
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        default=[],
+        metavar="NAME=VALUE",
+        help='values of named constants, SI or with a [unit]: c1=0.2 "c2=3 [g/s]"',
+    )
+    parser.add_argument(
+        "--noise",
+        nargs="+",
+        type=_number(0, math.inf, "[)"),
+        default=[0.0],
+        metavar="SIGMA",
+        help="noise to add to positions, one or one per axis, in "
+        "the data's unit of length (default 0)",
+    )
+    parser.add_argument(
+        "--integrator",
+        choices=("euler", "leapfrog", "rk4"),
+        help="default: rk4, or euler for laws with contacts",
+    )
     parser.add_argument("--substeps", type=_integer(1, 1000), help="steps per row (default: many)")
     _seed(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the new data set")
@@ -184,8 +220,13 @@ def _add_grammar(commands):
     show.add_argument("name", metavar="NAME", help="newtonian, physics, ... or a .toml file")
     count = _add(actions, "count", "print the number of derivations, level by level")
     count.add_argument("name", metavar="NAME", help="newtonian, physics, ... or a .toml file")
-    count.add_argument("--levels", type=_integer(1, MAX_COUNTED_LEVELS), default=6, metavar="N",
-                       help="up to this many levels (default 6)")
+    count.add_argument(
+        "--levels",
+        type=_integer(1, MAX_COUNTED_LEVELS),
+        default=6,
+        metavar="N",
+        help="up to this many levels (default 6)",
+    )
     for each in (show, count):
         each.add_argument("--data", metavar="DATA", help="only what can be said on this data set")
 
@@ -194,55 +235,112 @@ def _add_demo(commands):
     parser = _add(commands, "demo", "close the loop on the motion of Mercury (JPL ephemeris)")
     _workers(parser)
     _seed(parser)
-    _output(parser, "folder of the report (default: demo-report here, replaced if it is an older "
-                    "one)")
+    _output(
+        parser, "folder of the report (default: demo-report here, replaced if it is an older one)"
+    )
 
 
 def _data(parser, with_noise=True):
     parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
     group = parser.add_argument_group("data (in place of dataset.toml)")
-    group.add_argument("--units", action="extend", nargs="+", type=_pair, metavar="KIND=UNIT",
-                       help="units of the numbers: length=m time=s mass=kg")
-    group.add_argument("--columns", action="extend", nargs="+", type=_pair, metavar="OURS=THEIRS",
-                       help="names of columns: x=X_cm")
-    group.add_argument("--up", choices=("x", "y", "z", "-x", "-y", "-z"),
-                       help="axis that points up")
+    group.add_argument(
+        "--units",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        metavar="KIND=UNIT",
+        help="units of the numbers: length=m time=s mass=kg",
+    )
+    group.add_argument(
+        "--columns",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        metavar="OURS=THEIRS",
+        help="names of columns: x=X_cm",
+    )
+    group.add_argument(
+        "--up", choices=("x", "y", "z", "-x", "-y", "-z"), help="axis that points up"
+    )
     clock = group.add_mutually_exclusive_group()
     clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
     clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help="time per frame")
     for side, what in (("train", "scenes to train on"), ("test", "scenes held out")):
-        group.add_argument(f"--{side}", action="extend", nargs="+", metavar="SCENES",
-                           help=f"{what}: names, globs, ranges a..b")
+        group.add_argument(
+            f"--{side}",
+            action="extend",
+            nargs="+",
+            metavar="SCENES",
+            help=f"{what}: names, globs, ranges a..b",
+        )
     if with_noise:
-        group.add_argument("--noise", nargs="+", type=_number(0, math.inf, "[)"), metavar="SIGMA",
-                           help="standard deviation of positions, one or one per axis, in the "
-                           "data's unit of length; 0 = exact (default: estimated)")
+        group.add_argument(
+            "--noise",
+            nargs="+",
+            type=_number(0, math.inf, "[)"),
+            metavar="SIGMA",
+            help="standard deviation of positions, one or one per axis, in the "
+            "data's unit of length; 0 = exact (default: estimated)",
+        )
 
 
 def _loop(parser):
     group = parser.add_argument_group("search")
-    group.add_argument("--grammar", default="physics", metavar="NAME",
-                       help="what may be missing: a name or a .toml file (default physics)")
-    group.add_argument("--search", choices=("exhaustive",), default="exhaustive",
-                       help="how it is searched (default exhaustive)")
-    group.add_argument("--max-levels", type=_integer(1, MAX_LEVELS), default=8, metavar="N",
-                       help="bound of the search, in levels of a derivation (default 8)")
-    group.add_argument("--max-rounds", type=_integer(1, MAX_ROUNDS), default=5, metavar="N",
-                       help="(default 5)")
-    group.add_argument("--alpha", type=_number(MIN_ALPHA, 1, "[)"), default=0.01,
-                       help="level of the tests (default 0.01)")
-    group.add_argument("--exclude", action="extend", nargs="+", default=[], metavar="INPUT",
-                       help="inputs that the search may not use, such as v_i (t is always one)")
+    group.add_argument(
+        "--grammar",
+        default="physics",
+        metavar="NAME",
+        help="what may be missing: a name or a .toml file (default physics)",
+    )
+    group.add_argument(
+        "--search",
+        choices=("exhaustive",),
+        default="exhaustive",
+        help="how it is searched (default exhaustive)",
+    )
+    group.add_argument(
+        "--max-levels",
+        type=_integer(1, MAX_LEVELS),
+        default=8,
+        metavar="N",
+        help="bound of the search, in levels of a derivation (default 8)",
+    )
+    group.add_argument(
+        "--max-rounds", type=_integer(1, MAX_ROUNDS), default=5, metavar="N", help="(default 5)"
+    )
+    group.add_argument(
+        "--alpha",
+        type=_number(MIN_ALPHA, 1, "[)"),
+        default=0.01,
+        help="level of the tests (default 0.01)",
+    )
+    group.add_argument(
+        "--exclude",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="INPUT",
+        help="inputs that the search may not use, such as v_i (t is always one)",
+    )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
-    group.add_argument("--per-entity", choices=("auto", "yes", "no"), default="auto",
-                       help="whether an effect may have a constant for every body (default auto)")
+    group.add_argument(
+        "--per-entity",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="whether an effect may have a constant for every body (default auto)",
+    )
     _workers(parser)
     _seed(parser)
 
 
 def _workers(parser):
-    parser.add_argument("--workers", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
-                        help="processes; the answer does not depend on it (default 1)")
+    parser.add_argument(
+        "--workers",
+        type=_integer(1, MAX_WORKERS),
+        default=1,
+        metavar="N",
+        help="processes; the answer does not depend on it (default 1)",
+    )
 
 
 def _seed(parser):

@@ -1,4 +1,4 @@
-"""The main job's embedded default: what does Newton's gravity lack at Mercury?
+"""The main job's embedded default: what Newton's gravity lacks at Mercury.
 
 Motion from the JPL ephemeris DE421; declared is Newtonian gravity among all bodies with the
 ephemeris' own GM as fixed numbers. Nothing here tells the loop what is missing: it searches the
@@ -45,12 +45,21 @@ ORBITS = 12
 # with what was found: name, text of the motion, and the speed of light that its coefficient a
 # (acceleration = a * motion) implies, given GM.
 _KNOWN_FORMS = (
-    ("1/r^3 along the line to the Sun", lambda r, v: r / np.linalg.norm(r) ** 4,
-     lambda a, gm: np.sqrt(4 * gm**2 / a)),
-    ("v^2/r^2 along the line to the Sun", lambda r, v: r * (v @ v) / np.linalg.norm(r) ** 3,
-     lambda a, gm: np.sqrt(-gm / a)),
-    ("v_r v/r^2 along the velocity", lambda r, v: v * (v @ r) / np.linalg.norm(r) ** 3,
-     lambda a, gm: np.sqrt(4 * gm / a)),
+    (
+        "1/r^3 along the line to the Sun",
+        lambda r, v: r / np.linalg.norm(r) ** 4,
+        lambda a, gm: np.sqrt(4 * gm**2 / a),
+    ),
+    (
+        "v^2/r^2 along the line to the Sun",
+        lambda r, v: r * (v @ v) / np.linalg.norm(r) ** 3,
+        lambda a, gm: np.sqrt(-gm / a),
+    ),
+    (
+        "v_r v/r^2 along the velocity",
+        lambda r, v: v * (v @ r) / np.linalg.norm(r) ** 3,
+        lambda a, gm: np.sqrt(4 * gm / a),
+    ),
 )
 
 
@@ -64,21 +73,31 @@ def solar_system(receivers=("mercury",), years=(TRAIN_YEAR, *TEST_YEARS)):
     years : tuple of int
     """
     scenes = tuple(
-        load_ephemeris(receivers=tuple(receivers), start_jd=J2000 + (year - 2000) * YEAR,
-                       n_days=366, step_days=STEP_DAYS, name=str(year))
+        load_ephemeris(
+            receivers=tuple(receivers),
+            start_jd=J2000 + (year - 2000) * YEAR,
+            n_days=366,
+            step_days=STEP_DAYS,
+            name=str(year),
+        )
         for year in years
     )
     return Dataset(
-        "Solar System, DE421", scenes, train=(str(years[0]),),
-        test=tuple(str(year) for year in years[1:]), velocity="measured",
+        "Solar System, DE421",
+        scenes,
+        train=(str(years[0]),),
+        test=tuple(str(year) for year in years[1:]),
+        velocity="measured",
         units=UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"}),
         provenance={
             "source": "JPL ephemeris DE421 (Folkner, Williams & Boggs 2009, IPN Progress Report "
-                      "42-178), PyPI package de421",
+            "42-178), PyPI package de421",
             "masses": "GM of DE421 itself, divided by G = 6.67430e-11 m^3/kg/s^2",
         },
-        notes=("an ephemeris is a model that was fitted to observations: what is found here is "
-               "what its makers put into their equations of motion, not a new measurement",),
+        notes=(
+            "an ephemeris is a model that was fitted to observations: what is found here is "
+            "what its makers put into their equations of motion, not a new measurement",
+        ),
     )
 
 
@@ -106,8 +125,14 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
     check_target(Path(out), overwrite)
     progress("reading DE421")
     dataset = solar_system()
-    report = close_loop(dataset, [GRAVITY], rng=np.random.default_rng(seed), seed=seed,
-                        workers=workers, progress=progress)
+    report = close_loop(
+        dataset,
+        [GRAVITY],
+        rng=np.random.default_rng(seed),
+        seed=seed,
+        workers=workers,
+        progress=progress,
+    )
     progress("what the found law implies")
     extras = [_headline(report)]
     extras += _implied(dataset, report, progress)
@@ -120,8 +145,10 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
 
 def _headline(report):
     before = report.total["before"].residual_acceleration
-    rows = [["model", "rms residual acceleration, m/s^2", "of the declared model's"],
-            ["declared", f"{before:.3e}", "100 %"]]
+    rows = [
+        ["model", "rms residual acceleration, m/s^2", "of the declared model's"],
+        ["declared", f"{before:.3e}", "100 %"],
+    ]
     for r in report.rounds:
         if r.adopted:
             left = r.after.residual_acceleration
@@ -183,26 +210,36 @@ def _implied(dataset, report, progress):
         matched += 1
         with np.errstate(invalid="ignore"):
             light = float(speed(coefficient, gm))
-        expected = {0: 4 * gm**2, 1: -gm, 2: 4 * gm}[[f[0] for f in _KNOWN_FORMS].index(name)] / LIGHT**2
-        rows.append([name, f"{coefficient:.5e}", f"{expected:.5e}", f"{light:.5e}",
-                     f"{light / LIGHT - 1:+.3%}"])
+        expected = {0: 4 * gm**2, 1: -gm, 2: 4 * gm}[
+            [f[0] for f in _KNOWN_FORMS].index(name)
+        ] / LIGHT**2
+        rows.append(
+            [
+                name,
+                f"{coefficient:.5e}",
+                f"{expected:.5e}",
+                f"{light:.5e}",
+                f"{light / LIGHT - 1:+.3%}",
+            ]
+        )
     text = (
         "General relativity adds three terms to the acceleration of a light body near the Sun: "
         "4 G²M²/c² over r³ and −GM/c² times v²/r² along the line to the Sun, and 4 GM/c² times "
         "v_r v/r² along the velocity. Read as these, the coefficients found imply the speed of "
         f"light beside them; in truth it is {LIGHT:,.0f} m/s."
-        if matched else
-        "None of the terms found is one of general relativity's, so no speed of light follows."
+        if matched
+        else "None of the terms found is one of general relativity's, so no speed of light follows."
     )
-    sections = [{"title": "The speed of light that the law implies", "paragraphs": [text],
-                 "table": rows}]
+    sections = [
+        {"title": "The speed of light that the law implies", "paragraphs": [text], "table": rows}
+    ]
     progress("integrating the perihelion")
     sections.append(_perihelion(report, r, v, entities))
     return sections
 
 
 def _match(acceleration, r, v):
-    """Known form that an acceleration is proportional to at several states, with its coefficient."""
+    """Known form that an acceleration is proportional to at several states; its coefficient."""
     states = [(r, v), (1.3 * r, 0.8 * v), (0.7 * r + 0.2 * np.linalg.norm(r), 1.1 * v[::-1])]
     for form in _KNOWN_FORMS:
         pattern = np.concatenate([form[1](*state) for state in states])
@@ -217,8 +254,9 @@ def _perihelion(report, r, v, entities):
     declared = ForceLaw([t for t in report.law.terms if t.is_declared], {})
     turns = []
     for law in (declared, report.law):
-        turn, period = _turn_per_orbit(_acceleration_of(law, entities), r, v,
-                                       6.67430e-11 * (entities[0].mass))
+        turn, period = _turn_per_orbit(
+            _acceleration_of(law, entities), r, v, 6.67430e-11 * (entities[0].mass)
+        )
         turns.append(turn)
     orbits = 36525.0 * 86400.0 / period
     advance = np.degrees(turns[1] - turns[0]) * 3600 * orbits
@@ -226,12 +264,15 @@ def _perihelion(report, r, v, entities):
         "title": "The advance of Mercury's perihelion",
         "paragraphs": [
             f"Sun and Mercury alone, integrated over {ORBITS} orbits under the declared and under "
-            f"the adopted law: the adopted terms turn the orbit forward by {advance:.2f} arcseconds "
-            f"a century. General relativity gives {KNOWN_ADVANCE:.2f}, the famous 43."
+            f"the adopted law: the adopted terms turn the orbit forward by {advance:.2f} "
+            f"arcseconds a century. General relativity gives {KNOWN_ADVANCE:.2f}, the famous 43."
         ],
-        "table": [["law", "advance, arcsec per century"],
-                  ["declared", f"{np.degrees(turns[0]) * 3600 * orbits:+.4f}"],
-                  ["adopted", f"{advance:.3f}"], ["general relativity", f"{KNOWN_ADVANCE:.2f}"]],
+        "table": [
+            ["law", "advance, arcsec per century"],
+            ["declared", f"{np.degrees(turns[0]) * 3600 * orbits:+.4f}"],
+            ["adopted", f"{advance:.3f}"],
+            ["general relativity", f"{KNOWN_ADVANCE:.2f}"],
+        ],
         "values": {"arcsec_per_century": float(advance)},
     }
 
@@ -250,8 +291,15 @@ def _turn_per_orbit(acceleration, r, v, gm):
         return state[:3] @ state[3:]
 
     passes_perihelion.direction = 1.0
-    track = solve_ivp(motion, (0, (ORBITS + 1.2) * period), np.concatenate([r, v]), method="DOP853",
-                      rtol=1e-13, atol=1e-6, events=passes_perihelion)
+    track = solve_ivp(
+        motion,
+        (0, (ORBITS + 1.2) * period),
+        np.concatenate([r, v]),
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-6,
+        events=passes_perihelion,
+    )
     places, moments = track.y_events[0], track.t_events[0]
     if len(places) < ORBITS + 1:
         raise EvaluationError("the orbit under the adopted law does not return to its perihelion")
@@ -275,8 +323,8 @@ def _freed_mass(report):
         "paragraphs": [
             f"Freed in the place of any new term, {rival.reason.split(';')[0]}. That leaves "
             f"{rival.held_out_ratio:.0%} of the held-out residual: a shift of GM imitates "
-            f"{1 - rival.held_out_ratio:.0%} of the effect. But the published error of the Sun's GM "
-            f"is {GM_SUN_ERROR:.1e} of its value (IAU 2009), so a shift of that size is excluded; "
+            f"{1 - rival.held_out_ratio:.0%} of the effect. But the published error of the Sun's "
+            f"GM is {GM_SUN_ERROR:.1e} of its value (IAU 2009), so such a shift is excluded; "
             "GM stays as declared."
         ],
         "table": None,
@@ -284,7 +332,7 @@ def _freed_mass(report):
 
 
 def _other_planets(report):
-    """Do Venus and Mars tell apart the sets of terms that Mercury cannot?"""
+    """Sets of terms that Mercury cannot tell apart, fitted to Venus and Mars as well."""
     found = [term for term in report.law.terms if not term.is_declared]
     last = [r for r in report.rounds if r.adopted]
     if len(found) < 2 or not last or last[-1].effect is None:
@@ -303,10 +351,12 @@ def _other_planets(report):
     for text in dict.fromkeys([own, *texts]):
         plain = text.replace(" (frees a declared number)", "")
         law = declared
-        for part in declared_law(dataset, plain.split(" + c")[:1] + [
-            "c" + rest for rest in plain.split(" + c")[1:]
-        ]).terms:
-            law = law.plus(replace(part, is_declared=False), {n: 0.0 for n in part.formula.constants})
+        for part in declared_law(
+            dataset, plain.split(" + c")[:1] + ["c" + rest for rest in plain.split(" + c")[1:]]
+        ).terms:
+            law = law.plus(
+                replace(part, is_declared=False), {n: 0.0 for n in part.formula.constants}
+            )
         fitted = fit_constants(regression, law)
         rows.append([text, f"{residual_acceleration(held_out, fitted.law) / base:.3%}"])
     return {

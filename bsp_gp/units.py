@@ -28,7 +28,10 @@ _DIMENSION = {
     "[luminosity]": 6,
 }
 _ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ0-9_^*/().\-+ ]{1,60}")
-_TOWER = re.compile(r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*")
+_TOWER = re.compile(
+    r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*"
+)
+"""Towers of powers and powers of three digits, which pint would compute at any cost."""
 
 
 @dataclass(frozen=True)
@@ -161,8 +164,17 @@ def _in_base_units(text):
         if not all(_registry()._units[str(name)].is_multiplicative for name in unit._units):
             raise UnitError(f"unit {text!r} has an offset; use a unit such as kelvin")
         return _registry().Quantity(1.0, unit).to_base_units()
-    except (pint.PintError, AttributeError, ValueError, TypeError, SyntaxError, AssertionError,
-            TokenError, KeyError, ArithmeticError) as error:
+    except (
+        pint.PintError,
+        AttributeError,
+        ValueError,
+        TypeError,
+        SyntaxError,
+        AssertionError,
+        TokenError,
+        KeyError,
+        ArithmeticError,
+    ) as error:
         # pint's parser lets these through for malformed text.
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 

@@ -48,7 +48,11 @@ def orbit_dataset(seed, *, n_train=4, n_test=6, **options):
     ]
     names = [scene.name for scene in scenes]
     return Dataset(
-        f"orbits {seed}", scenes, train=tuple(names[:n_train]), test=tuple(names[n_train:]), units=SI
+        f"orbits {seed}",
+        scenes,
+        train=tuple(names[:n_train]),
+        test=tuple(names[n_train:]),
+        units=SI,
     )
 
 

@@ -320,9 +320,21 @@ class Dataset:
     def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
         return (
             Dataset,
-            (self.name, self.scenes, self.train, self.test, self.units, dict(self.property_units),
-             self.up, self.noise, self.velocity, self.latents, self.evaluation,
-             dict(self.provenance), self.notes),
+            (
+                self.name,
+                self.scenes,
+                self.train,
+                self.test,
+                self.units,
+                dict(self.property_units),
+                self.up,
+                self.noise,
+                self.velocity,
+                self.latents,
+                self.evaluation,
+                dict(self.provenance),
+                self.notes,
+            ),
         )
 
     @property

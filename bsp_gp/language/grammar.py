@@ -187,8 +187,18 @@ class Grammar:
         return self.masked(set(self.inputs) - set(names))[0]
 
     def _with_enabled(self, enabled):
-        return Grammar(self.name, self.start, self.types, self.inputs, self.constants, self.rules,
-                       self.operators, self.fingerprint, self.source, tuple(enabled))
+        return Grammar(
+            self.name,
+            self.start,
+            self.types,
+            self.inputs,
+            self.constants,
+            self.rules,
+            self.operators,
+            self.fingerprint,
+            self.source,
+            tuple(enabled),
+        )
 
     def for_properties(self, property_units, vectors=()):
         """Repeat the ``[each_property]`` rules for further property columns of a data set.
@@ -336,8 +346,17 @@ class _Reader:
             for text in _alternatives(bodies):
                 body, children = self.body(nonterminal, text)
                 inputs = frozenset(_leaves(body, Input))
-                rules.append(Rule(len(rules), nonterminal, text, body, children, inputs,
-                                  frozenset(_operators_of(body))))
+                rules.append(
+                    Rule(
+                        len(rules),
+                        nonterminal,
+                        text,
+                        body,
+                        children,
+                        inputs,
+                        frozenset(_operators_of(body)),
+                    )
+                )
         return tuple(rules)
 
     def body(self, nonterminal, text):

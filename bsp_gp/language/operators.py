@@ -209,7 +209,10 @@ def _infer_perp(a):
 def _infer_contact(name):
     def infer(shape_i, point_i, shape_j, point_j):
         if (shape_i.shape, point_i.shape, shape_j.shape, point_j.shape) != (
-            "shape", "point", "shape", "point",
+            "shape",
+            "point",
+            "shape",
+            "point",
         ):
             raise UnitError(f"{name} takes (s_i, p_i, s_j, p_j)")
         return Type("bool", DIMENSIONLESS)
@@ -398,8 +401,12 @@ def _table():
         "sqrt": (np.sqrt, lambda a: 0.5 / np.sqrt(a), _power_of(0.5), r"\sqrt{{{0}}}"),
         "abs": (np.abs, np.sign, _same, r"\left|{0}\right|"),
         "square": (np.square, lambda a: 2 * np.asarray(a), _power_of(2), ""),
-        "inverse": (lambda a: 1.0 / np.asarray(a), lambda a: -1.0 / np.square(a),
-                    _power_of(-1), r"\frac{{1}}{{{0}}}"),
+        "inverse": (
+            lambda a: 1.0 / np.asarray(a),
+            lambda a: -1.0 / np.square(a),
+            _power_of(-1),
+            r"\frac{{1}}{{{0}}}",
+        ),
     }
     transcendental = {
         "exp": (np.exp, np.exp),
@@ -418,32 +425,85 @@ def _table():
         Operator("pow", 2, _infer_pow, lambda t, a, b: np.asarray(a, dtype=float) ** b, _d_pow),
         Operator("neg", 1, _infer_neg, lambda t, a: -np.asarray(a), _linear(lambda t, a: -a)),
         Operator("norm", 1, _infer_norm, _norm, _d_norm, r"\left\|{0}\right\|"),
-        Operator("normalize", 1, _infer_normalize, _normalize, _d_normalize,
-                 r"\widehat{{\left({0}\right)}}"),
-        Operator("dot", 2, _infer_product_of_vectors("dot"), _dot, _d_bilinear(_dot),
-                 r"\left({0}\right)\cdot\left({1}\right)"),
-        Operator("along", 2, _infer_along, _along, _d_along,
-                 r"\left({0}\right)\cdot\widehat{{\left({1}\right)}}"),
-        Operator("project_abs", 2, _infer_product_of_vectors("project_abs"), _project_abs,
-                 _d_project_abs, r"\operatorname{{project}}\left({0}, {1}\right)"),
+        Operator(
+            "normalize",
+            1,
+            _infer_normalize,
+            _normalize,
+            _d_normalize,
+            r"\widehat{{\left({0}\right)}}",
+        ),
+        Operator(
+            "dot",
+            2,
+            _infer_product_of_vectors("dot"),
+            _dot,
+            _d_bilinear(_dot),
+            r"\left({0}\right)\cdot\left({1}\right)",
+        ),
+        Operator(
+            "along",
+            2,
+            _infer_along,
+            _along,
+            _d_along,
+            r"\left({0}\right)\cdot\widehat{{\left({1}\right)}}",
+        ),
+        Operator(
+            "project_abs",
+            2,
+            _infer_product_of_vectors("project_abs"),
+            _project_abs,
+            _d_project_abs,
+            r"\operatorname{{project}}\left({0}, {1}\right)",
+        ),
         Operator("perp", 1, _infer_perp, _perp, _linear(_perp), r"{{\left({0}\right)}}_{{\perp}}"),
-        Operator("cross", 2, _infer_cross, _cross, _d_bilinear(_cross),
-                 r"\left({0}\right)\times\left({1}\right)"),
-        Operator("does_collide", 4, _infer_contact("does_collide"), _does_collide, None,
-                 r"\left[{0}\,{2}\ \mathrm{{touch}}\right]"),
-        Operator("is_on", 4, _infer_contact("is_on"), _is_on, None,
-                 r"\left[{0}\ \mathrm{{on}}\ {2}\right]"),
+        Operator(
+            "cross",
+            2,
+            _infer_cross,
+            _cross,
+            _d_bilinear(_cross),
+            r"\left({0}\right)\times\left({1}\right)",
+        ),
+        Operator(
+            "does_collide",
+            4,
+            _infer_contact("does_collide"),
+            _does_collide,
+            None,
+            r"\left[{0}\,{2}\ \mathrm{{touch}}\right]",
+        ),
+        Operator(
+            "is_on",
+            4,
+            _infer_contact("is_on"),
+            _is_on,
+            None,
+            r"\left[{0}\ \mathrm{{on}}\ {2}\right]",
+        ),
     ]
     for name, (function, slope, unit_of, latex) in plain.items():
         operators.append(
-            Operator(name, 1, _infer_unary(name, unit_of), lambda t, a, f=function: f(a),
-                     _d_scalar(slope), latex)
+            Operator(
+                name,
+                1,
+                _infer_unary(name, unit_of),
+                lambda t, a, f=function: f(a),
+                _d_scalar(slope),
+                latex,
+            )
         )
     for name, (function, slope) in transcendental.items():
         operators.append(
-            Operator(name, 1, _infer_unary(name, _dimensionless(name)),
-                     lambda t, a, f=function: f(a), _d_scalar(slope),
-                     rf"\operatorname{{{{{name}}}}}\left({{0}}\right)")
+            Operator(
+                name,
+                1,
+                _infer_unary(name, _dimensionless(name)),
+                lambda t, a, f=function: f(a),
+                _d_scalar(slope),
+                rf"\operatorname{{{{{name}}}}}\left({{0}}\right)",
+            )
         )
     return {operator.name: operator for operator in operators}
 

@@ -10,15 +10,28 @@ from bsp_gp.language.operators import OPERATORS
 __all__ = ["to_latex", "to_sympy", "to_text"]
 
 _INFIX = {
-    "add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "div_guarded": ("/", 2)
+    "add": ("+", 1),
+    "sub": ("-", 1),
+    "mul": ("*", 2),
+    "div": ("/", 2),
+    "div_guarded": ("/", 2),
 }
 _ATOM, _POWER, _NEGATIVE = 9, 4, 3
 _GREEK = {"mu": r"\mu", "friction": r"\mu"}
 _LATEX_INPUTS = {
-    "p_i": r"\mathbf{p}_i", "p_j": r"\mathbf{p}_j", "p_c": r"\mathbf{c}",
-    "v_i": r"\mathbf{v}_i", "v_j": r"\mathbf{v}_j", "s_i": "i", "s_j": "j", "t": "t",
-    "e_x": r"\hat{\mathbf{x}}", "e_y": r"\hat{\mathbf{y}}", "e_z": r"\hat{\mathbf{z}}",
-    "up": r"\hat{\mathbf{u}}", "down": r"\left(-\hat{\mathbf{u}}\right)",
+    "p_i": r"\mathbf{p}_i",
+    "p_j": r"\mathbf{p}_j",
+    "p_c": r"\mathbf{c}",
+    "v_i": r"\mathbf{v}_i",
+    "v_j": r"\mathbf{v}_j",
+    "s_i": "i",
+    "s_j": "j",
+    "t": "t",
+    "e_x": r"\hat{\mathbf{x}}",
+    "e_y": r"\hat{\mathbf{y}}",
+    "e_z": r"\hat{\mathbf{z}}",
+    "up": r"\hat{\mathbf{u}}",
+    "down": r"\left(-\hat{\mathbf{u}}\right)",
 }
 _NAMED_VECTORS = {
     ("p_i", "p_j"): r"\mathbf{r}_{ji}",
@@ -175,7 +188,7 @@ def _latex_input(node):
 
 def _latex_name(name):
     head = name.rstrip("0123456789")
-    digits = name[len(head):]
+    digits = name[len(head) :]
     head = head.strip("_").replace("_", "\\ ")
     head = head if len(head) == 1 else rf"\mathrm{{{head}}}"
     return f"{head}_{{{digits}}}" if digits else head
@@ -241,16 +254,28 @@ class _Sympy:
         if name == "cross" and len(self.axes) != 3:
             raise EvaluationError("cross needs three dimensions")
         table = {
-            "add": lambda: a + b, "sub": lambda: a - b, "mul": lambda: a * b,
-            "neg": lambda: -a, "pow": lambda: a**b, "square": lambda: a**2,
+            "add": lambda: a + b,
+            "sub": lambda: a - b,
+            "mul": lambda: a * b,
+            "neg": lambda: -a,
+            "pow": lambda: a**b,
+            "square": lambda: a**2,
             "inverse": lambda: 1 / a,
-            "sqrt": lambda: sp.sqrt(a), "abs": lambda: sp.Abs(a), "exp": lambda: sp.exp(a),
-            "log": lambda: sp.log(a), "sin": lambda: sp.sin(a), "cos": lambda: sp.cos(a),
-            "tanh": lambda: sp.tanh(a), "sign": lambda: sp.sign(a),
-            "norm": lambda: self.norm(a), "normalize": lambda: a / self.norm(a),
-            "dot": lambda: a.dot(b), "along": lambda: a.dot(b) / self.norm(b),
+            "sqrt": lambda: sp.sqrt(a),
+            "abs": lambda: sp.Abs(a),
+            "exp": lambda: sp.exp(a),
+            "log": lambda: sp.log(a),
+            "sin": lambda: sp.sin(a),
+            "cos": lambda: sp.cos(a),
+            "tanh": lambda: sp.tanh(a),
+            "sign": lambda: sp.sign(a),
+            "norm": lambda: self.norm(a),
+            "normalize": lambda: a / self.norm(a),
+            "dot": lambda: a.dot(b),
+            "along": lambda: a.dot(b) / self.norm(b),
             "project_abs": lambda: sum(sp.Abs(x * y) for x, y in zip(a, b, strict=True)),
-            "perp": lambda: sp.Matrix([-a[1], a[0]]), "cross": lambda: a.cross(b),
+            "perp": lambda: sp.Matrix([-a[1], a[0]]),
+            "cross": lambda: a.cross(b),
         }
         return table[name]()
 

@@ -110,9 +110,17 @@ def close_loop(
     """
     started = time.perf_counter()
     progress = progress or (lambda text: None)
-    _check(alpha, max_rounds, n_null)
+    _check(alpha, max_rounds, n_null, max_levels)
     law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
-    grammar = load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar
+    grammar = (
+        load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar
+    )
+    unknown = sorted(set(exclude) - set(grammar.inputs))
+    if unknown:
+        raise SettingsError(
+            f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; "
+            f"present are {', '.join(sorted(grammar.inputs))}"
+        )
     sources = max(len(scene.entities) for scene in dataset.scenes) > 1 and (
         "pair" in grammar.start or any(term.kind == "pair" for term in law.terms)
     )
@@ -125,20 +133,25 @@ def close_loop(
     first = model = evaluate(observation, law)
     rounds = []
     for number, round_rng in enumerate(round_rngs, 1):
-        done, model = run_round(number, observation, model, search, alpha, round_rng, progress, workers)
+        done, model = run_round(
+            number, observation, model, search, alpha, round_rng, progress, workers
+        )
         rounds.append(done)
         if not done.adopted:
             break
     progress("writing up")
-    return _report(observation, search, law, first, model, rounds, grammar, alpha, seed,
-                   final_rng, started)
+    return _report(
+        observation, search, law, first, model, rounds, grammar, alpha, seed, final_rng, started
+    )
 
 
-def _check(alpha, max_rounds, n_null):
+def _check(alpha, max_rounds, n_null, max_levels):
     if not 0 < alpha < 1:
         raise SettingsError(f"alpha must be between 0 and 1, got {alpha!r}")
     if max_rounds < 1:
         raise SettingsError(f"max_rounds must be at least 1, got {max_rounds!r}")
+    if max_levels < 1:
+        raise SettingsError(f"max_levels must be at least 1, got {max_levels!r}")
     if n_null < 1 / alpha - 1:
         raise SettingsError(
             f"n_null must be at least 1/alpha - 1 = {1 / alpha - 1:.0f} for a p-value to reach "
@@ -173,7 +186,9 @@ def _report(observation, search, law, first, model, rounds, grammar, alpha, seed
     units = {c.name: c.unit for c in constant_estimates(observation, model.fit) if not c.entity}
     return LoopReport(
         dataset=_about(observation),
-        declared=tuple({"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in law.terms),
+        declared=tuple(
+            {"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in law.terms
+        ),
         grammar={"name": grammar.name, "fingerprint": grammar.fingerprint},
         seed=seed,
         alpha=alpha,
@@ -212,7 +227,8 @@ def _caveats(observation, search):
     dataset = observation.dataset
     if dataset.units.symbols:
         yield (
-            "not calibrated: " + ", ".join(f"{v} stands for {k}" for k, v in dataset.units.symbols.items())
+            "not calibrated: "
+            + ", ".join(f"{v} stands for {k}" for k, v in dataset.units.symbols.items())
             + "; constants are in the data's own units"
         )
     if observation.noise.source == "estimated":
@@ -222,10 +238,14 @@ def _caveats(observation, search):
             f"tracks depend so strongly on their start that they were fitted in "
             f"{len(observation.segments)} segments"
         )
-    unknown = sorted({
-        e.name for s in dataset.scenes for e in s.entities
-        if not e.is_static and not np.isfinite(e.mass)
-    })
+    unknown = sorted(
+        {
+            e.name
+            for s in dataset.scenes
+            for e in s.entities
+            if not e.is_static and not np.isfinite(e.mass)
+        }
+    )
     if unknown:
         yield f"mass unknown: {', '.join(unknown)}; left out of laws for all bodies that need it"
     if search.per_entity:
@@ -274,20 +294,38 @@ def _overlays(observation, declared, adopted, most=12):
         for r, index in enumerate(scene.dynamic):
             if count < most:
                 count += 1
-                yield Overlay(scene.name, scene.names[index], scene.times, scene.positions[:, index],
-                              b[:, r], a[:, r], observation.n_initial(scene))
+                yield Overlay(
+                    scene.name,
+                    scene.names[index],
+                    scene.times,
+                    scene.positions[:, index],
+                    b[:, r],
+                    a[:, r],
+                    observation.n_initial(scene),
+                )
 
 
 def _residual_table(observation, declared, adopted):
-    columns = {name: [] for name in ("t", "speed", "distance", "before", "after",
-                                     "before_along", "after_along")}
+    columns = {
+        name: []
+        for name in ("t", "speed", "distance", "before", "after", "before_along", "after_along")
+    }
     labels = {"scene": [], "entity": [], "split": []}
-    for split, regression in (("train", observation.train_regression), ("test", observation.test_regression)):
-        raw = zip(regression.batches, regression.raw_residuals(declared),
-                  regression.raw_residuals(adopted), strict=True)
+    for split, regression in (
+        ("train", observation.train_regression),
+        ("test", observation.test_regression),
+    ):
+        raw = zip(
+            regression.batches,
+            regression.raw_residuals(declared),
+            regression.raw_residuals(adopted),
+            strict=True,
+        )
         for batch, before, after in raw:
             _add_rows(batch, before, after, split, columns, labels)
-    arrays = {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in columns.items()}
+    arrays = {
+        name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in columns.items()
+    }
     return ResidualTable(**labels, **arrays)
 
 
@@ -299,15 +337,27 @@ def _add_rows(batch, before, after, split, columns, labels):
             v = batch.velocities[seen, s, index]
             speed = np.linalg.norm(v, axis=-1)
             unit = v / np.where(speed > 0, speed, 1.0)[:, None]
-            gaps = np.delete(batch.positions[seen, s], index, axis=1) - batch.positions[seen, s, None, index]
-            distance = (np.linalg.norm(gaps, axis=-1).min(axis=1) if gaps.shape[1]
-                        else np.full(len(speed), np.nan))
+            gaps = (
+                np.delete(batch.positions[seen, s], index, axis=1)
+                - batch.positions[seen, s, None, index]
+            )
+            distance = (
+                np.linalg.norm(gaps, axis=-1).min(axis=1)
+                if gaps.shape[1]
+                else np.full(len(speed), np.nan)
+            )
             b, a = np.nan_to_num(before[seen, s, r]), np.nan_to_num(after[seen, s, r])
-            values = (batch.times[seen, s], speed, distance, np.linalg.norm(b, axis=-1),
-                      np.linalg.norm(a, axis=-1), (b * unit).sum(axis=-1), (a * unit).sum(axis=-1))
+            values = (
+                batch.times[seen, s],
+                speed,
+                distance,
+                np.linalg.norm(b, axis=-1),
+                np.linalg.norm(a, axis=-1),
+                (b * unit).sum(axis=-1),
+                (a * unit).sum(axis=-1),
+            )
             for name, value in zip(columns, values, strict=True):
                 columns[name].append(value)
             labels["scene"] += [scene] * len(speed)
             labels["entity"] += [batch.bodies.names[s][index]] * len(speed)
             labels["split"] += [split] * len(speed)
-

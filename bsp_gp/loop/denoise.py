@@ -41,13 +41,17 @@ def states_of(whole, scenes):
             if not np.isfinite(track).all():
                 continue  # a rollout that ran away; the measured states are kept
             positions, velocities = _denoised(scene.times, track, left)
-            pieces.setdefault(scene.name.partition("[")[0], []).append((scene.times[0], positions, velocities))
+            pieces.setdefault(scene.name.partition("[")[0], []).append(
+                (scene.times[0], positions, velocities)
+            )
     out = {}
     for scene in scenes:
         parts = sorted(pieces.get(scene.name.partition("[")[0], []), key=lambda part: part[0])
         if sum(len(p) for _, p, _ in parts) == len(scene.times):
-            out[scene.name] = (np.concatenate([p for _, p, _ in parts]),
-                               np.concatenate([v for _, _, v in parts]))
+            out[scene.name] = (
+                np.concatenate([p for _, p, _ in parts]),
+                np.concatenate([v for _, _, v in parts]),
+            )
     return out
 
 

@@ -17,7 +17,15 @@ from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
-__all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "describe", "fresh_name"]
+__all__ = [
+    "EffectSearch",
+    "Proposal",
+    "Proposals",
+    "allowed_sign",
+    "describe",
+    "fresh_name",
+    "sign_bounds",
+]
 
 SHORTLIST = 6
 SHORTLIST_NATS = 12.0
@@ -106,9 +114,12 @@ class EffectSearch:
     def __post_init__(self):
         dataset = self.observation.dataset
         types = dataset_types(dataset)
-        vectors = {property_of(n)[0] for n, t in types.items() if property_of(n) and t.shape == "vector"}
+        vectors = {
+            property_of(n)[0] for n, t in types.items() if property_of(n) and t.shape == "vector"
+        }
         columns = {
-            property_of(n)[0]: t.unit for n, t in types.items()
+            property_of(n)[0]: t.unit
+            for n, t in types.items()
             if property_of(n) and t.shape == "scalar"
         }
         grammar = self.grammar.for_properties(columns, vectors)
@@ -135,8 +146,12 @@ class EffectSearch:
         scenes = (*self.observation.train, *self.observation.test)
         single = all(len(scene.dynamic) == 1 for scene in scenes)
         names = [scene.names[scene.dynamic[0]] for scene in scenes] if single else []
-        test = {scene.names[scene.dynamic[0]] for scene in self.observation.test} if single else set()
-        train = {scene.names[scene.dynamic[0]] for scene in self.observation.train} if single else set()
+        test = (
+            {scene.names[scene.dynamic[0]] for scene in self.observation.test} if single else set()
+        )
+        train = (
+            {scene.names[scene.dynamic[0]] for scene in self.observation.train} if single else set()
+        )
         return single and len(set(names)) >= 2 and bool(test & train)
 
     def propose(self, fit, rng, progress=None):
@@ -160,11 +175,17 @@ class EffectSearch:
         null = null_targets(regression, null_rng, self.n_null)
         for kind in self.kinds:
             result = search_exhaustive(
-                regression, self.masked, kind=kind, target=residual, nuisance=jacobian,
-                max_levels=self.max_levels, missing_inputs=self.missing, null_targets=null,
+                regression,
+                self.masked,
+                kind=kind,
+                target=residual,
+                nuisance=jacobian,
+                max_levels=self.max_levels,
+                missing_inputs=self.missing,
+                null_targets=null,
                 progress=progress,
             )
-            outcomes.append((result, False, 1, regression, residual, jacobian))
+            outcomes.append((result, False, 1, regression))
         if self.per_entity:
             outcomes.append(self._own_constants(fit, own_rng, progress))
         return self._collect(outcomes, fit.law)
@@ -174,8 +195,11 @@ class EffectSearch:
         key = (kind, wanted)
         if key not in self._pools:
             self._pools[key] = law_pool(
-                self.observation.train_regression, self.masked, kind=kind,
-                is_left=wanted.__contains__, max_levels=self.max_levels,
+                self.observation.train_regression,
+                self.masked,
+                kind=kind,
+                is_left=wanted.__contains__,
+                max_levels=self.max_levels,
             )
         return self._pools[key]
 
@@ -189,12 +213,18 @@ class EffectSearch:
         residual, jacobian = self._left(regression, fit.law)
         groups = [column != 0 for column in self._groups(regression)]
         result = search_exhaustive(
-            regression, grammar.without_inputs({"m_i"}), kind="field", target=residual,
-            nuisance=jacobian, max_levels=self.max_levels, missing_inputs=self.missing,
-            groups=groups, null_targets=null_targets(regression, rng, self.n_null),
+            regression,
+            grammar.without_inputs({"m_i"}),
+            kind="field",
+            target=residual,
+            nuisance=jacobian,
+            max_levels=self.max_levels,
+            missing_inputs=self.missing,
+            groups=groups,
+            null_targets=null_targets(regression, rng, self.n_null),
             progress=progress,
         )
-        return result, True, len(groups), regression, residual, jacobian
+        return result, True, len(groups), regression
 
     def _groups(self, regression):
         columns = []
@@ -209,8 +239,11 @@ class EffectSearch:
     def _regression(self, scenes):
         observation = self.observation
         return build_regression(
-            scenes, method=observation.method, sigma=observation.regression_sigma,
-            up=observation.dataset.up, sources=observation.sources,
+            scenes,
+            method=observation.method,
+            sigma=observation.regression_sigma,
+            up=observation.dataset.up,
+            sources=observation.sources,
             states=self._states_for(scenes),
         )
 
@@ -228,11 +261,13 @@ class EffectSearch:
     def _left(self, regression, law):
         """Residual of the fitted law, and the columns of its free constants."""
         fitted = fit_constants(regression, law)
-        return regression.residual(law) if not self.observation.is_exact else fitted.residual, fitted.jacobian
+        return regression.residual(
+            law
+        ) if not self.observation.is_exact else fitted.residual, fitted.jacobian
 
     def _collect(self, outcomes, law):
         observed, null, proposals = [], [], []
-        for result, own, n_constants, regression, residual, jacobian in outcomes:
+        for result, own, n_constants, regression in outcomes:
             n = regression.n_rows
             for candidate in result.candidates:
                 proposals.append(self._proposal(candidate, own, n_constants, n))
@@ -251,31 +286,40 @@ class EffectSearch:
 
     def _proposal(self, candidate, own, n_constants, n_rows):
         name, _ = split_linear(candidate.formula)
-        return Proposal(candidate.formula, candidate.kind, name, own, candidate.complexity,
-                        candidate.share, float(log_evidence(candidate.share, n_rows, n_constants)),
-                        candidate.ties)
+        return Proposal(
+            candidate.formula,
+            candidate.kind,
+            name,
+            own,
+            candidate.complexity,
+            candidate.share,
+            float(log_evidence(candidate.share, n_rows, n_constants)),
+            candidate.ties,
+        )
 
     def _flag_declared(self, proposals, law, regression):
         """Mark proposals that only change the number of a declared term."""
         declared = []
         for term in law.terms:
             if term.is_declared and not term.formula.constants:
-                column = regression.column(term)[0][:, 0]
-                size = np.linalg.norm(column)
-                if size > 0:
-                    declared.append(column / size)
+                column = _unit(regression.column(term)[0][:, 0])
+                if column.any():
+                    declared.append(column)
         if not declared:
             return proposals
         out = []
         for proposal in proposals:
             rest = split_linear(proposal.formula)[1]
-            column = regression.column(Term(rest, proposal.kind))[0][:, 0]
-            size = np.linalg.norm(column)
-            parallel = size > 0 and any(
-                1 - (column @ d / size) ** 2 < COLLINEAR for d in declared
-            )
+            column = _unit(regression.column(Term(rest, proposal.kind))[0][:, 0])
+            parallel = any(1 - (column @ d) ** 2 < COLLINEAR for d in declared)
             out.append(replace(proposal, redoes_declared=bool(parallel)))
         return out
+
+
+def _unit(column):
+    """A column at unit length, whatever its size; zeros stay zeros."""
+    top = np.max(np.abs(column), initial=0.0)
+    return column / top / np.linalg.norm(column / top) if top > 0 else column
 
 
 def _shortlist(proposals, is_exact):
@@ -341,11 +385,38 @@ def rename_constant(formula, old, new):
     return formula
 
 
+def sign_bounds(observation, law):
+    """Intervals of the constants of all found terms, for which none pushes forward.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        Only constants that are bounded on a side.
+    """
+    kept = observation.__dict__.setdefault("_bounds", {})
+    out = {}
+    for term in law.terms:
+        name, _ = split_linear(term.formula)
+        if term.is_declared or name is None:
+            continue
+        if term.formula not in kept:
+            kept[term.formula] = allowed_sign(observation, term)
+        if kept[term.formula] != (-np.inf, np.inf):
+            out[name] = kept[term.formula]
+    return out
+
+
 def allowed_sign(observation, proposal):
     """Interval of the constant for which the term does not push forward.
 
     A term that is parallel to the velocity of its receiver wherever it acts can only brake: a
     friction or drag that drives a body on is the sign of another cause.
+
+    Parameters
+    ----------
+    observation : Observation
+    proposal : Proposal or Term
+        Anything with a `formula` (linear in one constant) and a `kind`.
 
     Returns
     -------
@@ -362,12 +433,10 @@ def allowed_sign(observation, proposal):
         along.append(np.einsum("...d,...d->...", value, velocity)[mask])
         size.append((np.linalg.norm(value, axis=-1) * np.linalg.norm(velocity, axis=-1))[mask])
     along, size = np.concatenate(along), np.concatenate(size)
-    acts = size > 1e-9 * (np.max(size) if len(size) else 0.0)
-    cosine = along[acts] / size[acts]
-    if len(cosine) and np.all(cosine > 0.999):
-        return -np.inf, 0.0
-    if len(cosine) and np.all(cosine < -0.999):
-        return 0.0, np.inf
+    total = float(size.sum())
+    # Noise turns the measured velocity of a body at rest about, so not every row has to agree.
+    if total > 0 and np.abs(along).sum() > 0.999 * total and abs(along.sum()) > 0.99 * total:
+        return (-np.inf, 0.0) if along.sum() > 0 else (0.0, np.inf)
     return -np.inf, np.inf
 
 
@@ -380,7 +449,9 @@ def _bare(term):
 # --- names in plain words -------------------------------------------------------------------------
 
 _DIRECTIONS = {
-    "v_i": "velocity", "v_i - v_j": "relative velocity", "p_i - p_j": "line to the other body",
+    "v_i": "velocity",
+    "v_i - v_j": "relative velocity",
+    "p_i - p_j": "line to the other body",
     "p_i - p_c": "line to the contact point",
 }
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}

@@ -104,8 +104,10 @@ class LawFit:
         if pairs:
             lines.append(f"[[Correlations]] (unreported correlations are < {MIN_CORRELATION:g})")
             width = max(len(a) + len(b) for a, b, _ in pairs)
-            lines += [f"    C({a}, {b}){' ' * (width - len(a) - len(b))} = {value:+.4f}"
-                      for a, b, value in pairs]
+            lines += [
+                f"    C({a}, {b}){' ' * (width - len(a) - len(b))} = {value:+.4f}"
+                for a, b, value in pairs
+            ]
         lines += [f"Note: {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -114,7 +116,8 @@ class LawFit:
         names = [_label(c) for c in self.constants]
         pairs = [
             (names[a], names[b], float(self.correlation[a, b]))
-            for a in range(len(names)) for b in range(a + 1, len(names))
+            for a in range(len(names))
+            for b in range(a + 1, len(names))
             if abs(self.correlation[a, b]) > MIN_CORRELATION
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
@@ -216,8 +219,12 @@ def _convergence(observation, fit, is_linear):
         flat = bool(np.all(np.abs(slope) <= _SAME_CHISQR * sizes)) or fit.chisqr < fit.n_rows
         return flat, len(fit.parameters), how
     again = fit_rollout(
-        observation.segments, fit.law, observation.sigma, integrator=observation.integrator,
-        substeps=observation.substeps, up=observation.dataset.up,
+        observation.segments,
+        fit.law,
+        observation.sigma,
+        integrator=observation.integrator,
+        substeps=observation.substeps,
+        up=observation.dataset.up,
     )
     change = abs(again.chisqr - fit.chisqr)
     same = change < _SAME_CHISQR * max(fit.chisqr, 1.0)

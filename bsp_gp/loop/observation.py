@@ -28,6 +28,8 @@ __all__ = ["Fit", "Observation", "observe"]
 
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the data count as exact."""
+RESOLUTION = 1e-7
+"""Part of the range to which exact positions of a continuous motion are fitted."""
 MAX_SUBSTEPS = 16
 CHECKED_ROWS = 250
 """First rows of every scene on which the step size is chosen."""
@@ -59,6 +61,7 @@ class Fit:
         Whitened residual of the regression.
     whole : RolloutFit or None
         The fit to whole tracks, on noisy data.
+    converged : bool
     """
 
     law: ForceLaw
@@ -72,6 +75,7 @@ class Fit:
     residual: np.ndarray
     is_exact: bool = False
     whole: object = None
+    converged: bool = True
 
     def bic(self, n_effective=None):
         """Bayesian information criterion with the noise level profiled out, nats times two.
@@ -109,6 +113,10 @@ class Observation:
     test_regression: object
     sources: bool
 
+    def __getstate__(self):
+        """What travels to workers: everything but what is kept for the running loop."""
+        return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
+
     # --- fitting ---------------------------------------------------------------------------------
 
     def fit(self, law, bounds=None, start=None):
@@ -125,11 +133,27 @@ class Observation:
             # Misfit per row, and fewer independent rows than rows.
             inflation = chisqr / max(n_rows - len(first.values), 1) * (n_rows / n_eff)
             # What exact data leave is misfit, not noise: every row counts in a comparison.
-            return Fit(first.law, first.parameters, first.values, first.covariance * inflation,
-                       chisqr, n_rows, float(n_rows), first.jacobian, first.residual, True)
-        whole = fit_rollout(self.segments, _clipped(start or first.law, bounds), self.sigma,
-                            integrator=self.integrator, substeps=self.substeps,
-                            up=self.dataset.up, bounds=bounds)
+            return Fit(
+                first.law,
+                first.parameters,
+                first.values,
+                first.covariance * inflation,
+                chisqr,
+                n_rows,
+                float(n_rows),
+                first.jacobian,
+                first.residual,
+                True,
+            )
+        whole = fit_rollout(
+            self.segments,
+            _clipped(start or first.law, bounds),
+            self.sigma,
+            integrator=self.integrator,
+            substeps=self.substeps,
+            up=self.dataset.up,
+            bounds=bounds,
+        )
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
         # Misfit beyond the noise counts against the constants, with as many independent rows
@@ -137,8 +161,19 @@ class Observation:
         misfit = max(whole.chisqr / dof, 1.0)
         inflation = misfit * (max(whole.n_rows / n_eff, 1.0) if misfit > 1.5 else 1.0)
         residual = self.train_regression.residual(whole.law)
-        return Fit(whole.law, whole.parameters, whole.values, whole.covariance * inflation,
-                   whole.chisqr, whole.n_rows, n_eff, first.jacobian, residual, whole=whole)
+        return Fit(
+            whole.law,
+            whole.parameters,
+            whole.values,
+            whole.covariance * inflation,
+            whole.chisqr,
+            whole.n_rows,
+            n_eff,
+            first.jacobian,
+            residual,
+            whole=whole,
+            converged=whole.converged,
+        )
 
     def _effective(self, regression, residual):
         """Number of rows discounted for lag-one autocorrelation of the whitened residual."""
@@ -191,8 +226,16 @@ class Observation:
         return self._predict(law, scenes)
 
     def _predict(self, law, scenes):
-        return predict(scenes, law, self.sigma, n_initial=self.n_initial, integrator=self.integrator,
-                       substeps=self.substeps, up=self.dataset.up, velocity=self.velocity)
+        return predict(
+            scenes,
+            law,
+            self.sigma,
+            n_initial=self.n_initial,
+            integrator=self.integrator,
+            substeps=self.substeps,
+            up=self.dataset.up,
+            velocity=self.velocity,
+        )
 
     def errors(self, law, scenes=None):
         """Errors of a law on held-out scenes, and the sums behind them.
@@ -208,8 +251,11 @@ class Observation:
         total = sum(row["sum_squares"] for row in per_scene)
         count = sum(row["n"] for row in per_scene)
         ends = [end for row in per_scene for end in row["endpoints"]]
-        regression = (self.test_regression if scenes is self.test else
-                      self._regression(scenes, self.regression_sigma))
+        regression = (
+            self.test_regression
+            if scenes is self.test
+            else self._regression(scenes, self.regression_sigma)
+        )
         units = self.dataset.units
         return Errors(
             residual_acceleration=residual_acceleration(regression, law),
@@ -236,7 +282,9 @@ class Observation:
     def headline_rollout(self, law):
         """Root mean square rollout error on the training scenes."""
         rows = self._score(law, self.train)
-        return float(np.sqrt(sum(r["sum_squares"] for r in rows) / max(sum(r["n"] for r in rows), 1)))
+        return float(
+            np.sqrt(sum(r["sum_squares"] for r in rows) / max(sum(r["n"] for r in rows), 1))
+        )
 
     def _score(self, law, scenes):
         return [
@@ -261,8 +309,9 @@ class Observation:
         }
 
     def _regression(self, scenes, sigma):
-        return build_regression(scenes, method=self.method, sigma=sigma, up=self.dataset.up,
-                                sources=self.sources)
+        return build_regression(
+            scenes, method=self.method, sigma=sigma, up=self.dataset.up, sources=self.sources
+        )
 
     def floor(self, law, rng):
         """Errors that a perfect model would still make.
@@ -297,11 +346,20 @@ class Observation:
         units = self.dataset.units
         position = float(np.sqrt(np.nansum(self.sigma**2)))
         steps = [np.median(np.diff(s.times)) for s in self.test]
-        acceleration = (float(np.sqrt(np.nansum(self.regression_sigma**2)))
-                        if self.method == "derivative"
-                        else position * np.sqrt(6.0) / float(np.median(steps)) ** 2)
-        return Errors(acceleration, position, position, position, units.text(Unit.of(m=1)),
-                      position, units.text(ACCELERATION))
+        acceleration = (
+            float(np.sqrt(np.nansum(self.regression_sigma**2)))
+            if self.method == "derivative"
+            else position * np.sqrt(6.0) / float(np.median(steps)) ** 2
+        )
+        return Errors(
+            acceleration,
+            position,
+            position,
+            position,
+            units.text(Unit.of(m=1)),
+            position,
+            units.text(ACCELERATION),
+        )
 
     def _noisy(self, states, scenes, rng):
         """Scenes as a law would have made them: its rollouts from fitted states, and noise."""
@@ -321,8 +379,15 @@ class Observation:
         """Best whole-track predictions of a law (initial states fitted on all rows)."""
         if self.velocity == "measured":
             return self.predictions(law, scenes)
-        fit = fit_rollout(scenes, law, self.sigma, free=(), integrator=self.integrator,
-                          substeps=self.substeps, up=self.dataset.up)
+        fit = fit_rollout(
+            scenes,
+            law,
+            self.sigma,
+            free=(),
+            integrator=self.integrator,
+            substeps=self.substeps,
+            up=self.dataset.up,
+        )
         found = {}
         for batch, predicted in zip(fit.batches, fit.predicted, strict=True):
             for s, scene in enumerate(batch.scenes):
@@ -335,6 +400,7 @@ class Observation:
         Five or more held-out scenes: resampling of whole scenes. Fewer: parametric, from
         simulated copies of the held-out data; exact data have no noise to simulate.
         """
+
         def value(rows_after, rows_before):
             top = sum(row["sum_squares"] for row in rows_after)
             bottom = sum(row["sum_squares"] for row in rows_before)
@@ -353,8 +419,11 @@ class Observation:
                 _, rows_after = self.errors(law_after, list(copy))
                 _, rows_before = self.errors(law_before, list(copy))
                 # The copies carry the noise of the adopted law; its misfit is carried over.
-                extra = max(sum(r["sum_squares"] for r in after)
-                            - np.mean([sum(r["sum_squares"] for r in rows_after)]), 0.0)
+                extra = max(
+                    sum(r["sum_squares"] for r in after)
+                    - np.mean([sum(r["sum_squares"] for r in rows_after)]),
+                    0.0,
+                )
                 top = sum(r["sum_squares"] for r in rows_after) + extra
                 bottom = sum(r["sum_squares"] for r in rows_before)
                 draws.append(float(np.sqrt(top / bottom)) if bottom > 0 else float("nan"))
@@ -408,14 +477,33 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     )
     extent = _extent(dataset)
     is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    if is_exact and not measured and not _made_in_steps(train, law, dataset.up, sources):
+        is_exact = False
+        sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)
+        note += (
+            f"; the positions are exact and the motion looks continuous: they are fitted to "
+            f"{RESOLUTION:g} of their range"
+        )
     method = "derivative" if measured else "one_step" if is_exact else "gls"
     regression_sigma = _acceleration_sigma(train, dataset.up) if measured else sigma
     integrator = "euler" if _touches(law) or method == "one_step" else "rk4"
     common = {"method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources}
     observation = Observation(
-        dataset, tuple(train), tuple(test), note, estimate, sigma, is_exact, method,
-        np.asarray(regression_sigma), integrator, 1, tuple(train),
-        build_regression(train, **common), build_regression(test, **common), sources,
+        dataset,
+        tuple(train),
+        tuple(test),
+        note,
+        estimate,
+        sigma,
+        is_exact,
+        method,
+        np.asarray(regression_sigma),
+        integrator,
+        1,
+        tuple(train),
+        build_regression(train, **common),
+        build_regression(test, **common),
+        sources,
     )
     if measured and integrator == "rk4":
         # Steps must be finer than what a wrong law does to a track, not than the noise.
@@ -426,8 +514,28 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
         return observation
     start = fit_constants(observation.train_regression, law).law
     if integrator == "rk4":
-        observation = replace(observation, substeps=_substeps(observation, start, observation.sigma))
+        observation = replace(
+            observation, substeps=_substeps(observation, start, observation.sigma)
+        )
     return replace(observation, segments=tuple(_segments(observation, start)))
+
+
+def _made_in_steps(scenes, law, up, sources):
+    """Whether exact positions come from steps of the paper's kind rather than from a smooth motion.
+
+    Under the law the step with the backward velocity is compared with the one with the central
+    velocity, which is a step order better for smooth motion. Where the law cannot tell, bodies
+    that can touch decide: contacts are impulses of one step.
+    """
+    misfits = []
+    for method in ("one_step", "central"):
+        regression = build_regression(scenes, method=method, up=up, sources=sources)
+        misfits.append(fit_constants(regression, law).loss)
+    if max(misfits) > 2 * min(misfits):
+        return misfits[0] < misfits[1]
+    bodies = [e for scene in scenes for e in scene.entities]
+    can_touch = sum(e.shape != "point" for e in bodies) > sum(1 for _ in scenes)
+    return can_touch or _touches(law)
 
 
 def _extent(dataset):
@@ -436,17 +544,17 @@ def _extent(dataset):
 
 
 def _touches(law):
-    return any(
-        node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c")
-    )
+    return any(node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c"))
 
 
 def _with_usable_masses(dataset):
     """Where no dynamic entity has a mass, every mass is one: constants are per unit mass."""
     dynamic = [e for s in dataset.scenes for e in s.entities if not e.is_static]
     if not dynamic:
-        raise DataError("no entity is dynamic: there is no motion to explain",
-                        remedy="set dynamic to 1 for the bodies that move")
+        raise DataError(
+            "no entity is dynamic: there is no motion to explain",
+            remedy="set dynamic to 1 for the bodies that move",
+        )
     if any(np.isfinite(e.mass) for e in dynamic):
         return dataset
     scenes = [
@@ -460,8 +568,15 @@ def _with_usable_masses(dataset):
 def _unit_mass(entity):
     if entity.is_static or np.isfinite(entity.mass):
         return entity
-    return Entity(entity.name, entity.shape, entity.radius, entity.width, entity.height,
-                  entity.is_static, {**entity.properties, "mass": 1.0})
+    return Entity(
+        entity.name,
+        entity.shape,
+        entity.radius,
+        entity.width,
+        entity.height,
+        entity.is_static,
+        {**entity.properties, "mass": 1.0},
+    )
 
 
 def _acceleration_sigma(scenes, up):
@@ -472,8 +587,14 @@ def _acceleration_sigma(scenes, up):
         for s in range(batch.target.shape[1]):
             n = int(np.isfinite(batch.times[:, s]).sum())
             names = batch.bodies.receiver_names[s]
-            series.append(Scene(f"{s}", batch.times[:n, s], batch.target[:n, s],
-                                tuple(Entity(name) for name in names)))
+            series.append(
+                Scene(
+                    f"{s}",
+                    batch.times[:n, s],
+                    batch.target[:n, s],
+                    tuple(Entity(name) for name in names),
+                )
+            )
     return np.array(estimate_noise(series).sigma)
 
 
@@ -503,10 +624,17 @@ def _segments(observation, law):
     for batch in stack(observation.train, observation.dataset.up):
         p, v = guess_state(batch)
         step = 1e-6 * (np.nanmax(np.abs(batch.positions)) or 1.0)
-        base = rollout(law, batch, p, v, substeps=observation.substeps,
-                       integrator=observation.integrator)
-        moved = rollout(law, batch, p + step, v, substeps=observation.substeps,
-                        integrator=observation.integrator)
+        base = rollout(
+            law, batch, p, v, substeps=observation.substeps, integrator=observation.integrator
+        )
+        moved = rollout(
+            law,
+            batch,
+            p + step,
+            v,
+            substeps=observation.substeps,
+            integrator=observation.integrator,
+        )
         growth = np.linalg.norm(moved - base, axis=-1) / step
         running = np.isfinite(batch.times)[..., None]
         grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))

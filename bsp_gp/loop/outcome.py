@@ -10,8 +10,18 @@ import math
 from dataclasses import dataclass, field
 
 __all__ = [
-    "SCHEMA", "VERDICTS", "ConstantEstimate", "Effect", "Errors", "LoopReport", "Missing",
-    "Overlay", "Ratio", "ResidualTable", "Rival", "Round",
+    "SCHEMA",
+    "VERDICTS",
+    "ConstantEstimate",
+    "Effect",
+    "Errors",
+    "LoopReport",
+    "Missing",
+    "Overlay",
+    "Ratio",
+    "ResidualTable",
+    "Rival",
+    "Round",
 ]
 
 SCHEMA = "bsp_gp/report/1"
@@ -79,7 +89,7 @@ class ConstantEstimate:
 
 @dataclass(frozen=True)
 class Missing:
-    """Question 1: is anything left above the noise?
+    """Question 1, answered: what is left above the noise.
 
     Attributes
     ----------
@@ -298,8 +308,11 @@ class LoopReport:
                 "alpha": self.alpha,
                 "noise": self.noise,
                 "rounds": list(self.rounds),
-                "law": {"text": self.law_text, "latex": self.law_latex,
-                        "constants": list(self.constants)},
+                "law": {
+                    "text": self.law_text,
+                    "latex": self.law_latex,
+                    "constants": list(self.constants),
+                },
                 "total": self.total,
                 "verdict": self.verdict,
                 "stop_reason": self.stop_reason,
@@ -318,8 +331,9 @@ class LoopReport:
         for r in self.rounds:
             for label, errors in (("before", r.before), ("after", r.after), ("floor", r.floor)):
                 if errors is not None:
-                    rows.append({"round": r.number, "model": label, "adopted": r.adopted,
-                                 **_plain(errors)})
+                    rows.append(
+                        {"round": r.number, "model": label, "adopted": r.adopted, **_plain(errors)}
+                    )
         return pd.DataFrame(rows)
 
 

@@ -1,4 +1,4 @@
-"""Question 1: is anything left above the noise?"""
+"""Question 1 of the loop: whether anything is left above the noise."""
 
 from __future__ import annotations
 
@@ -122,7 +122,11 @@ def _detectable(observation, fit, alpha):
     from scipy import stats
 
     regression = observation.train_regression
-    q = np.linalg.qr(_live(fit.jacobian))[0] if fit.jacobian.size else np.zeros((len(fit.residual), 0))
+    q = (
+        np.linalg.qr(_live(fit.jacobian))[0]
+        if fit.jacobian.size
+        else np.zeros((len(fit.residual), 0))
+    )
     worst = 0.0
     scale = np.sqrt(max(float(fit.residual @ fit.residual) / max(regression.n_rows, 1), 1.0))
     for axis in range(regression.sigma.shape[0]):

@@ -10,7 +10,7 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Number, factors, product
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.loop.effects import COLLINEAR, allowed_sign, describe, fresh_name, rename_constant
+from bsp_gp.loop.effects import COLLINEAR, describe, fresh_name, rename_constant, sign_bounds
 from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
@@ -115,17 +115,27 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     after = evaluate(observation, chosen.law, chosen.fit)
     floor, copies = observation.floor(after.law, floor_rng)
     ratio = observation.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
-    adopted, verdict, reason = _verdict(observation, model, after, chosen, attempts, floor, ratio,
-                                        proposals.p_value, alpha)
+    adopted, verdict, reason = _verdict(
+        observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
+    )
     effect = _effect(observation, chosen, proposals.p_value)
     rivals = _rivals(observation, model, chosen, attempts)
     rivals += _freed_numbers(observation, model, chosen)
     done = Round(
-        number=number, missing=missing, effect=effect, rivals=tuple(rivals), adopted=adopted,
-        reason=reason, before=model.errors, after=after.errors, floor=floor, ratio=ratio,
+        number=number,
+        missing=missing,
+        effect=effect,
+        rivals=tuple(rivals),
+        adopted=adopted,
+        reason=reason,
+        before=model.errors,
+        after=after.errors,
+        floor=floor,
+        ratio=ratio,
         held_out=tuple(_held_out(model.rows, after.rows)),
         certificate="; ".join(proposals.certificates),
-        seconds=time.perf_counter() - started, verdict=verdict,
+        seconds=time.perf_counter() - started,
+        verdict=verdict,
     )
     return done, (after if adopted else model)
 
@@ -147,21 +157,32 @@ def _attempt(job):
     start = 0.0
     if proposal.per_entity:
         start = dict.fromkeys(observation.train_regression.receiver_names(), 0.0)
-    bounds = {name: allowed_sign(observation, proposal)}
     new = law.plus(Term(formula, proposal.kind), {name: start})
+    bounds = sign_bounds(observation, new)
+    low, high = bounds.get(name, (-np.inf, np.inf))
     fit = observation.fit(new, bounds=bounds)
     reason = ""
-    values = np.array([v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name])
-    if observation.is_exact and not all(bounds[name][0] <= v <= bounds[name][1] for v in values):
+    values = np.array(
+        [v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name]
+    )
+    if observation.is_exact and not all(low <= v <= high for v in values):
         reason = "it would push forward along the velocity: the sign of another cause"
     elif not np.any(values):
         reason = "its sign would push forward: held at zero"
     if proposal.redoes_declared:
         reason = "it only changes the number of a declared term, which is declared as fixed"
-    return Attempt(fit.law, fit, proposal.complexity, describe(formula, _typical(values)),
-                   to_text(formula), to_latex(formula), proposal.kind, proposal.share,
-                   tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties),
-                   reason)
+    return Attempt(
+        fit.law,
+        fit,
+        proposal.complexity,
+        describe(formula, _typical(values)),
+        to_text(formula),
+        to_latex(formula),
+        proposal.kind,
+        proposal.share,
+        tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties),
+        reason,
+    )
 
 
 def _typical(values):
@@ -193,7 +214,11 @@ def _declared_pair(law):
 
 
 def _is_property(formula):
-    return bool(formula.inputs) and all(property_of(n) for n in formula.inputs) and not formula.constants
+    return (
+        bool(formula.inputs)
+        and all(property_of(n) for n in formula.inputs)
+        and not formula.constants
+    )
 
 
 def _with_properties(formula, properties):
@@ -221,15 +246,25 @@ def _like_declared(observation, law, best, n_eff):
         return best
     name = split_linear(formula)[0]
     new = law.plus(Term(formula, "pair"), {name: 0.0})
-    fit = observation.fit(new)
+    fit = observation.fit(new, bounds=sign_bounds(observation, new))
     # On exact data what is left is misfit: a tenth of it more is no evidence.
-    same = (fit.chisqr < 1.1 * best.fit.chisqr if observation.is_exact
-            else fit.bic(n_eff) - best.fit.bic(n_eff) < TIE_BIC)
+    same = (
+        fit.chisqr < 1.1 * best.fit.chisqr
+        if observation.is_exact
+        else fit.bic(n_eff) - best.fit.bic(n_eff) < TIE_BIC
+    )
     if not same:
         return best
     value = float(fit.values[-1])
-    return replace(best, law=fit.law, fit=fit, text=to_text(formula), latex=to_latex(formula),
-                   name=describe(formula, value), ties=(best.text, *best.ties))
+    return replace(
+        best,
+        law=fit.law,
+        fit=fit,
+        text=to_text(formula),
+        latex=to_latex(formula),
+        name=describe(formula, value),
+        ties=(best.text, *best.ties),
+    )
 
 
 def _plan_ahead(observation, law, best, search):
@@ -331,7 +366,9 @@ class _Pool:
             law = law.plus(Term(Call("mul", Constant(name), formula), kind), {name: 0.0})
             complexity += cost
         fit = self.observation.fit(law)
-        old = {to_text(split_linear(t.formula)[1]): t for t in best.law.terms[:-1] if not t.is_declared}
+        old = {
+            to_text(split_linear(t.formula)[1]): t for t in best.law.terms[:-1] if not t.is_declared
+        }
         terms = [t for t in fit.law.terms if not t.is_declared]
         texts = [to_text(split_linear(t.formula)[1]) for t in terms]
         new = [t for t, text in zip(terms, texts, strict=True) if text not in old]
@@ -339,10 +376,14 @@ class _Pool:
         gone = [describe(t.formula) for text, t in old.items() if text not in texts]
         constants = fit.law.constants
         return Attempt(
-            fit.law, fit, complexity,
+            fit.law,
+            fit,
+            complexity,
             " and ".join(describe(t.formula, constants[split_linear(t.formula)[0]]) for t in new),
             " + ".join(to_text(t.formula) for t in new),
-            " + ".join(to_latex(t.formula) for t in new), new[-1].kind, replaces=tuple(gone),
+            " + ".join(to_latex(t.formula) for t in new),
+            new[-1].kind,
+            replaces=tuple(gone),
         )
 
     def equals(self, size, best_loss):
@@ -402,36 +443,61 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
     gain = model.fit.bic(n_eff) - chosen.fit.bic(n_eff)
     share = _explained(observation, model.errors, after.errors, floor)
     if p_value > alpha:
-        return False, "cannot tell", (
-            f"something is left, but no law of the grammar explains more of it than noise alone "
-            f"would let the best of all laws explain (p = {p_value:.3g}, alpha = {alpha:g})"
+        return (
+            False,
+            "cannot tell",
+            (
+                "something is left, but no law of the grammar explains more of it than noise alone "
+                f"would let the best of all laws explain (p = {p_value:.3g}, alpha = {alpha:g})"
+            ),
         )
     if gain < MIN_BIC_GAIN:
-        return False, "seen, not adopted", (
-            f"the evidence for it is weak: BIC falls by {gain:.1f}, less than {MIN_BIC_GAIN:g}"
+        return (
+            False,
+            "seen, not adopted",
+            (f"the evidence for it is weak: BIC falls by {gain:.1f}, less than {MIN_BIC_GAIN:g}"),
         )
     if not share >= MIN_SHARE:
-        rivals = [a for a in attempts if not a.reason and a.name != chosen.name
-                  and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < TIE_BIC]
+        rivals = [
+            a
+            for a in attempts
+            if not a.reason
+            and a.name != chosen.name
+            and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < TIE_BIC
+        ]
         verdict = "cannot tell" if rivals else "seen, not adopted"
-        return False, verdict, (
-            f"the best term removes only {max(share, 0):.0%} of the held-out error above the noise "
-            f"floor, less than {MIN_SHARE:.0%}: the cause is not among the laws that were tried"
+        return (
+            False,
+            verdict,
+            (
+                f"the best term removes only {max(share, 0):.0%} of the held-out error above the "
+                f"noise floor, less than {MIN_SHARE:.0%}: the cause is not among the laws tried"
+            ),
         )
     blurred = _blurred(model.fit, after.fit)
     if blurred:
-        return False, "seen, not adopted", (
-            f"beside it {blurred}: these data hardly tell the two terms apart"
+        return (
+            False,
+            "seen, not adopted",
+            (f"beside it {blurred}: these data hardly tell the two terms apart"),
         )
     if not observation.is_exact and not ratio.high < 1:
-        return False, "seen, not adopted", (
-            f"the held-out error does not fall for sure: ratio {ratio.value:.2f} "
-            f"[{ratio.low:.2f}, {ratio.high:.2f}]"
+        return (
+            False,
+            "seen, not adopted",
+            (
+                f"the held-out error does not fall for sure: ratio {ratio.value:.2f} "
+                f"[{ratio.low:.2f}, {ratio.high:.2f}]"
+            ),
         )
     extra = f"; it takes the place of {', '.join(chosen.replaces)}" if chosen.replaces else ""
-    return True, "effect adopted", (
-        f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted, and "
-        f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
+    return (
+        True,
+        "effect adopted",
+        (
+            f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted, and "
+            f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
+        ),
     )
 
 
@@ -450,7 +516,7 @@ def _blurred(before, after):
         if key in widths and value:
             width = half / abs(value)
             if width > MAX_BLUR * widths[key] and width > 0.03:
-                return (f"the relative error of {key[0]} grows from {widths[key]:.1g} to {width:.1g}")
+                return f"the relative error of {key[0]} grows from {widths[key]:.1g} to {width:.1g}"
     return ""
 
 
@@ -468,23 +534,55 @@ def _explained(observation, before, after, floor):
 
 def _quiet_round(number, missing, model, floor, started):
     return Round(
-        number, missing, None, (), False,
+        number,
+        missing,
+        None,
+        (),
+        False,
         "the residual is as large and as uncorrelated as the noise: nothing is missing that these "
-        "data could show", model.errors, None, floor, None, (), "", time.perf_counter() - started,
+        "data could show",
+        model.errors,
+        None,
+        floor,
+        None,
+        (),
+        "",
+        time.perf_counter() - started,
         "nothing missing",
     )
 
 
 def _empty_round(number, missing, model, floor, proposals, attempts, started):
     rivals = tuple(
-        Rival(a.name, a.kind, a.text, a.latex, float("nan"), a.share, float("nan"), a.complexity, a.reason)
+        Rival(
+            a.name,
+            a.kind,
+            a.text,
+            a.latex,
+            float("nan"),
+            a.share,
+            float("nan"),
+            a.complexity,
+            a.reason,
+        )
         for a in attempts
     )
     return Round(
-        number, missing, None, rivals, False,
+        number,
+        missing,
+        None,
+        rivals,
+        False,
         "something is left, but every law that was tried is ruled out by its sign or is only a "
-        "change of a declared number", model.errors, None, floor, None, (),
-        "; ".join(proposals.certificates), time.perf_counter() - started, "seen, not adopted",
+        "change of a declared number",
+        model.errors,
+        None,
+        floor,
+        None,
+        (),
+        "; ".join(proposals.certificates),
+        time.perf_counter() - started,
+        "seen, not adopted",
     )
 
 
@@ -502,8 +600,11 @@ def constant_estimates(observation, fit):
         unit = units.get(name, "")
         if entity and _mass_unknown(observation, entity) and unit:
             unit = f"{unit} per unit mass"
-        out.append(ConstantEstimate(name, float(value), float(value - half), float(value + half),
-                                    unit, entity))
+        out.append(
+            ConstantEstimate(
+                name, float(value), float(value - half), float(value + half), unit, entity
+            )
+        )
     return tuple(out)
 
 
@@ -516,15 +617,18 @@ def _mass_unknown(observation, entity):
 def _effect(observation, chosen, p_value):
     names = {split_linear(t.formula)[0] for t in chosen.law.terms if not t.is_declared}
     estimates = tuple(c for c in constant_estimates(observation, chosen.fit) if c.name in names)
-    entities = tuple(dict.fromkeys(
-        e for e in observation.train_regression.receiver_names()
-    ))
+    entities = tuple(dict.fromkeys(e for e in observation.train_regression.receiver_names()))
     zero = {c.entity for c in estimates if c.entity and c.value == 0.0}
     equivalents = (*chosen.equivalents, *chosen.ties)
     return Effect(
-        name=chosen.name, kind=chosen.kind, law=chosen.text, latex=chosen.latex,
-        entities=tuple(e for e in entities if e not in zero), constants=estimates,
-        p_value=p_value, equivalents=tuple(dict.fromkeys(equivalents)),
+        name=chosen.name,
+        kind=chosen.kind,
+        law=chosen.text,
+        latex=chosen.latex,
+        entities=tuple(e for e in entities if e not in zero),
+        constants=estimates,
+        p_value=p_value,
+        equivalents=tuple(dict.fromkeys(equivalents)),
         separated_by=_separated_by(chosen.text, equivalents),
     )
 
@@ -550,8 +654,9 @@ def _separated_by(text, equivalents):
         columns = sorted({property_of(p)[0] for p in properties})
         parts.append(f"bodies that differ in {' and '.join(columns)}")
     if motions or (equivalents and not properties):
-        parts.append("tracks on which speed and distance vary independently "
-                     "(another start, another orbit)")
+        parts.append(
+            "tracks on which speed and distance vary independently (another start, another orbit)"
+        )
     return "; ".join(parts)
 
 
@@ -566,12 +671,24 @@ def _rivals(observation, model, chosen, attempts):
         delta = attempt.fit.bic(n_eff) - chosen.fit.bic(n_eff)
         reason = attempt.reason
         if not reason and delta < TIE_BIC:
-            reason = "fits as well" + ("; less simple" if attempt.complexity > chosen.complexity else "")
+            reason = "fits as well" + (
+                "; less simple" if attempt.complexity > chosen.complexity else ""
+            )
         elif not reason:
             reason = f"fits worse: BIC higher by {delta:.1f}"
-        out.append(Rival(attempt.name, attempt.kind, attempt.text, attempt.latex, float(delta),
-                         attempt.share, _ratio_of(observation, attempt.fit.law, model.errors),
-                         attempt.complexity, reason))
+        out.append(
+            Rival(
+                attempt.name,
+                attempt.kind,
+                attempt.text,
+                attempt.latex,
+                float(delta),
+                attempt.share,
+                _ratio_of(observation, attempt.fit.law, model.errors),
+                attempt.complexity,
+                reason,
+            )
+        )
     return out
 
 
@@ -584,7 +701,10 @@ def _ratio_of(observation, law, before):
 def _freed_numbers(observation, model, chosen):
     """What freeing each declared number would do, alone and beside the chosen effect."""
     out = []
-    for base, label in ((model.law, "instead of the effect"), (chosen.fit.law, "beside the effect")):
+    for base, label in (
+        (model.law, "instead of the effect"),
+        (chosen.fit.law, "beside the effect"),
+    ):
         for index, term in enumerate(base.terms):
             if not term.is_declared or term.formula.constants:
                 continue
@@ -592,17 +712,23 @@ def _freed_numbers(observation, model, chosen):
             scaled = Term(Call("mul", Constant(name), term.formula), term.kind)
             terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
             law = ForceLaw(terms, {**base.constants, name: 1.0})
-            fit = observation.fit(law)
+            fit = observation.fit(law, bounds=sign_bounds(observation, law))
             k = [n for n, _ in fit.parameters].index(name)
             delta = fit.bic(chosen.fit.n_effective) - chosen.fit.bic()
             factor, half = fit.values[k], fit.intervals[k]
-            out.append(Rival(
-                f"declared number freed, {label}", "declared_term_change", to_text(scaled.formula),
-                to_latex(scaled.formula), float(delta),
-                float(1 - (fit.chisqr / model.fit.chisqr)),
-                _ratio_of(observation, fit.law, model.errors), 0.0,
-                _freed_reason(factor, half, delta, observation),
-            ))
+            out.append(
+                Rival(
+                    f"declared number freed, {label}",
+                    "declared_term_change",
+                    to_text(scaled.formula),
+                    to_latex(scaled.formula),
+                    float(delta),
+                    float(1 - (fit.chisqr / model.fit.chisqr)),
+                    _ratio_of(observation, fit.law, model.errors),
+                    0.0,
+                    _freed_reason(factor, half, delta, observation),
+                )
+            )
     return out
 
 

@@ -1,4 +1,4 @@
-"""Question 5, first half: could noise alone have made the search find as much?
+"""Question 5, first half: whether noise alone could have made the search find as much.
 
 Under the declared model the whitened residual is white noise. Drawing it anew and running the
 same search on the draws (the regressors kept) gives the distribution of the best law's share of

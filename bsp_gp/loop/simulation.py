@@ -136,8 +136,16 @@ def _paths(dataset, law, integrator, substeps):
         return 1 if measured else min(wanted or min(12, max(3, n // 3)), n)
 
     def paths(count):
-        return predict(dataset.scenes, law, sigma, n_initial=n_initial, integrator=integrator,
-                       substeps=count, up=dataset.up, velocity="measured" if measured else "ignore")
+        return predict(
+            dataset.scenes,
+            law,
+            sigma,
+            n_initial=n_initial,
+            integrator=integrator,
+            substeps=count,
+            up=dataset.up,
+            velocity="measured" if measured else "ignore",
+        )
 
     if substeps or integrator == "euler":
         return paths(substeps or 1)

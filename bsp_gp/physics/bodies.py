@@ -260,9 +260,7 @@ def dataset_types(dataset):
     if any(np.isfinite(entity.radius) for entity in entities):
         present.add("radius")
     dynamic = {name for e in entities if not e.is_static for name in e.properties}
-    vectors = {
-        name for e in entities for name, value in e.properties.items() if np.ndim(value)
-    }
+    vectors = {name for e in entities for name, value in e.properties.items() if np.ndim(value)}
     types = input_types(
         {name: dataset.property_units.get(name) for name in sorted(present | (dynamic & {"mass"}))},
         vectors=vectors,

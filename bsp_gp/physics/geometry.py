@@ -69,9 +69,7 @@ class Shapes:
             extra = np.where(other.code == WALL, size, 0.0)
             dx = np.abs(gap[..., 0]) - (other.width / 2 + extra)
             dy = np.abs(gap[..., 1]) - (other.height / 2 + extra)
-            box = np.where(
-                (dx > 0) & (dy > 0), np.hypot(dx, dy), np.maximum(dx, dy)
-            )
+            box = np.where((dx > 0) & (dy > 0), np.hypot(dx, dy), np.maximum(dx, dy))
         margin = np.full(np.broadcast_shapes(discs.shape, box.shape), np.inf)
         disc_pair = np.broadcast_to((self.code == DISC) & (other.code == DISC), margin.shape)
         rect = np.broadcast_to((other.code == WALL) | (other.code == MAT), margin.shape)

@@ -144,8 +144,18 @@ def guess_state(batch, rows=5):
 
 
 def fit_rollout(
-    scenes, law, sigma, *, free=None, integrator="rk4", substeps=1, up=None, velocity="ignore",
-    bounds=None, max_iterations=MAX_ITERATIONS, fit_states=True,
+    scenes,
+    law,
+    sigma,
+    *,
+    free=None,
+    integrator="rk4",
+    substeps=1,
+    up=None,
+    velocity="ignore",
+    bounds=None,
+    max_iterations=MAX_ITERATIONS,
+    fit_states=True,
 ):
     """Fit constants and initial states to whole tracks.
 
@@ -238,8 +248,9 @@ class _Problem:
     def _roll(self, batch, x, p, v):
         """Rollout with copies of constants x (B, k) and of states (B, S, R, d)."""
         values = self._values(batch, x)
-        return rollout(self.law, batch, p, v, integrator=self.integrator, substeps=self.substeps,
-                       values=values)
+        return rollout(
+            self.law, batch, p, v, integrator=self.integrator, substeps=self.substeps, values=values
+        )
 
     def _values(self, batch, x):
         values = self.law.values(batch.bodies)
@@ -379,9 +390,18 @@ class _Problem:
         covariance = np.linalg.pinv(information, hermitian=True) if n_c else np.zeros((0, 0))
         n_rows = int(sum(seen.sum() for seen in self.seen))
         return RolloutFit(
-            _set(self.law, self.parameters, x), self.parameters, x, covariance, float(chisqr),
-            n_rows, n_c + n_states, tuple(self.batches), tuple(p for p, _ in states),
-            tuple(v for _, v in states), tuple(predicted), converged,
+            _set(self.law, self.parameters, x),
+            self.parameters,
+            x,
+            covariance,
+            float(chisqr),
+            n_rows,
+            n_c + n_states,
+            tuple(self.batches),
+            tuple(p for p, _ in states),
+            tuple(v for _, v in states),
+            tuple(predicted),
+            converged,
         )
 
 
@@ -425,8 +445,17 @@ def predict(
     """
     heads = [scene.rows(0, max(n_initial(scene), 3)) for scene in scenes]
     known = velocity == "measured" and all(scene.velocities is not None for scene in scenes)
-    fit = fit_rollout(heads, law, sigma, free=(), integrator=integrator, substeps=substeps, up=up,
-                      velocity=velocity, fit_states=not known)
+    fit = fit_rollout(
+        heads,
+        law,
+        sigma,
+        free=(),
+        integrator=integrator,
+        substeps=substeps,
+        up=up,
+        velocity=velocity,
+        fit_states=not known,
+    )
     start = {}
     for batch, p, v in zip(fit.batches, fit.positions, fit.velocities, strict=True):
         for s, scene in enumerate(batch.scenes):

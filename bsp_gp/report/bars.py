@@ -100,13 +100,18 @@ def rounds_figure(report):
     (caption, Figure) or None
     """
     panels = []
-    for metric, title in (("rollout_rmse", "Position error of rollouts"),
-                          ("residual_acceleration", "Residual acceleration")):
+    for metric, title in (
+        ("rollout_rmse", "Position error of rollouts"),
+        ("residual_acceleration", "Residual acceleration"),
+    ):
         rows = []
         for r in report.rounds:
             after = "after" if r.adopted else "after (not adopted)"
-            for label, errors, color in (("before", r.before, BEFORE), (after, r.after, AFTER),
-                                         ("noise floor", r.floor, FLOOR)):
+            for label, errors, color in (
+                ("before", r.before, BEFORE),
+                (after, r.after, AFTER),
+                ("noise floor", r.floor, FLOOR),
+            ):
                 value = getattr(errors, metric) if errors is not None else math.nan
                 if is_number(value):
                     unit = errors.unit if metric == "rollout_rmse" else errors.acceleration_unit
@@ -147,8 +152,14 @@ def _draw_rounds(figure, panels):
                 panel.plot(value, where, "o", ms=5, color=color)
             else:
                 panel.barh(where, value, height=0.72, color=color)
-            panel.annotate(with_unit(format_number(value), unit), (value, where), (5, 0),
-                           textcoords="offset points", va="center", color=INK)
+            panel.annotate(
+                with_unit(format_number(value), unit),
+                (value, where),
+                (5, 0),
+                textcoords="offset points",
+                va="center",
+                color=INK,
+            )
         many = len({row[0] for row in rows}) > 1
         names = [f"round {row[0]}, {row[1]}" if many else row[1] for row in rows]
         tidy(panel)

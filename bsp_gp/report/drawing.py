@@ -16,8 +16,21 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from bsp_gp.report.numbers import pretty_unit
 
 __all__ = [
-    "AFTER", "BEFORE", "FLOOR", "INK", "WIDTH", "axis_label", "legend_above", "log_ticks",
-    "new_figure", "plain", "png_bytes", "scaled", "spans_decades", "svg_text", "tidy",
+    "AFTER",
+    "BEFORE",
+    "FLOOR",
+    "INK",
+    "WIDTH",
+    "axis_label",
+    "legend_above",
+    "log_ticks",
+    "new_figure",
+    "plain",
+    "png_bytes",
+    "scaled",
+    "spans_decades",
+    "svg_text",
+    "tidy",
     "time_scaled",
 ]
 
@@ -165,6 +178,12 @@ def log_ticks(axis):
 def legend_above(figure, handles, labels):
     """One legend for all panels, above them."""
     figure.legend(
-        handles, labels, loc="outside upper center", ncols=len(labels), frameon=False,
-        handlelength=2.2, columnspacing=1.6, handler_map={tuple: HandlerTuple(None)},
+        handles,
+        labels,
+        loc="outside upper center",
+        ncols=len(labels),
+        frameon=False,
+        handlelength=2.2,
+        columnspacing=1.6,
+        handler_map={tuple: HandlerTuple(None)},
     )

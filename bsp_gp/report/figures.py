@@ -151,7 +151,8 @@ def _residuals(report):
     length, acceleration, time = _units(report)
     against = []
     for name, values, unit in (
-        ("time", table.t, time), ("speed", table.speed, f"{length}/{time}" if length else ""),
+        ("time", table.t, time),
+        ("speed", table.speed, f"{length}/{time}" if length else ""),
         ("distance to the nearest body", table.distance, length),
     ):
         values = np.asarray(values, float)
@@ -163,9 +164,7 @@ def _residuals(report):
     series = [("declared model", BEFORE, before[seen])]
     if has_adopted:
         series.append(("adopted law", AFTER, after[seen]))
-    figure = new_figure(
-        lambda f: _draw_residuals(f, against, series, acceleration), 2.9
-    )
+    figure = new_figure(lambda f: _draw_residuals(f, against, series, acceleration), 2.9)
     rows = "held-out rows" if use_held_out else "all rows"
     caption = (
         f"Size of the residual acceleration, {rows}"
@@ -196,8 +195,17 @@ def _draw_residuals(figure, against, series, unit):
         for _, color, y in series:
             y = y * factor
             y = np.where(y > 0, y, np.nan) if is_log else y
-            panel.plot(x[thinned], y[thinned], ".", ms=1.6, mew=0, color=color, alpha=0.25,
-                       rasterized=True, zorder=1)
+            panel.plot(
+                x[thinned],
+                y[thinned],
+                ".",
+                ms=1.6,
+                mew=0,
+                color=color,
+                alpha=0.25,
+                rasterized=True,
+                zorder=1,
+            )
             center, low, middle, high = _running_quantiles(x[order], y[order])
             panel.fill_between(center, low, high, color=color, alpha=0.16, lw=0, zorder=2)
             (line,) = panel.plot(center, middle, color=color, lw=1.6, zorder=3)

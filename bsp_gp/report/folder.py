@@ -18,8 +18,18 @@ from bsp_gp.report.typeset import law_document
 
 __all__ = ["check_target", "write_report"]
 
-_COLUMNS = ("scene", "entity", "split", "t", "speed", "distance", "before", "after",
-            "before_along", "after_along")
+_COLUMNS = (
+    "scene",
+    "entity",
+    "split",
+    "t",
+    "speed",
+    "distance",
+    "before",
+    "after",
+    "before_along",
+    "after_along",
+)
 _MARK = f'"schema": "{SCHEMA.rpartition("/")[0]}/'
 
 

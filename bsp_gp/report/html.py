@@ -45,13 +45,19 @@ _ERRORS = (
     ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
 )
 _KINDS = {
-    "pair": "force between bodies", "field": "force on each body by itself",
-    "hidden_body": "unseen body", "measurement": "measurement",
+    "pair": "force between bodies",
+    "field": "force on each body by itself",
+    "hidden_body": "unseen body",
+    "measurement": "measurement",
     "declared_term_change": "change of a declared term",
 }
 _TESTS = {"chi2": "χ²", "ljung_box": "Ljung–Box", "durbin_watson": "Durbin–Watson"}
-_TONES = {"effect adopted": "found", "nothing missing": "clean", "seen, not adopted": "open",
-          "cannot tell": "open"}
+_TONES = {
+    "effect adopted": "found",
+    "nothing missing": "clean",
+    "seen, not adopted": "open",
+    "cannot tell": "open",
+}
 
 
 def render_html(report, run_info=None, figures=None):
@@ -74,11 +80,19 @@ def render_html(report, run_info=None, figures=None):
     sentence, detail = verdict_parts(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
-        loader=PackageLoader("bsp_gp.report", "templates"), autoescape=True,
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=PackageLoader("bsp_gp.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    environment.globals.update(typeset=to_svg, number=format_number, p_value=format_p,
-                               value=format_value, kind=lambda k: _KINDS.get(k, k))
+    environment.globals.update(
+        typeset=to_svg,
+        number=format_number,
+        p_value=format_p,
+        value=format_value,
+        kind=lambda k: _KINDS.get(k, k),
+    )
     return environment.get_template("report.html").render(
         name=report.dataset.get("name") or "data",
         facts=_facts(report),
@@ -134,8 +148,11 @@ def _facts(report):
     if known:
         text = " / ".join(dict.fromkeys(known))
         source = report.noise.get("source")
-        parts.append("noise " + with_unit(text, report.noise.get("unit"))
-                     + (f" ({source})" if source else ""))
+        parts.append(
+            "noise "
+            + with_unit(text, report.noise.get("unit"))
+            + (f" ({source})" if source else "")
+        )
     return " · ".join(parts)
 
 
@@ -147,8 +164,13 @@ def _count(value):
 def _constant(c):
     value, low, high, power = rounded(c.value, c.low, c.high)
     interval = NOT_KNOWN if NOT_KNOWN in (low, high) else f"[{low}, {high}]{power}"
-    return {"name": c.name, "entity": c.entity, "value": value + power, "interval": interval,
-            "unit": pretty_unit(c.unit)}
+    return {
+        "name": c.name,
+        "entity": c.entity,
+        "value": value + power,
+        "interval": interval,
+        "unit": pretty_unit(c.unit),
+    }
 
 
 def _figure(figure):
@@ -186,11 +208,18 @@ def _round(r, report):
     shared, own = constant_groups(effect.constants if effect is not None else ())
     title = effect.name if effect is not None else (r.verdict or "no effect traced")
     rivals = [
-        {"name": v.name, "kind": _KINDS.get(v.kind, v.kind), "law": v.law,
-         "bic": format_number(v.delta_bic),
-         "share": f"{100 * v.training_share:.0f} %" if is_number(v.training_share) else NOT_KNOWN,
-         "ratio": format_number(v.held_out_ratio), "complexity": format_number(v.complexity),
-         "reason": v.reason}
+        {
+            "name": v.name,
+            "kind": _KINDS.get(v.kind, v.kind),
+            "law": v.law,
+            "bic": format_number(v.delta_bic),
+            "share": f"{100 * v.training_share:.0f} %"
+            if is_number(v.training_share)
+            else NOT_KNOWN,
+            "ratio": format_number(v.held_out_ratio),
+            "complexity": format_number(v.complexity),
+            "reason": v.reason,
+        }
         for v in r.rivals[:_MAX_RIVALS]
     ]
     return {

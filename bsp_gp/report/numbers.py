@@ -6,8 +6,16 @@ import math
 import re
 
 __all__ = [
-    "NOT_KNOWN", "format_level", "format_number", "format_p", "format_ratio", "format_value",
-    "is_number", "pretty_unit", "rounded", "with_unit",
+    "NOT_KNOWN",
+    "format_level",
+    "format_number",
+    "format_p",
+    "format_ratio",
+    "format_value",
+    "is_number",
+    "pretty_unit",
+    "rounded",
+    "with_unit",
 ]
 
 NOT_KNOWN = "–"

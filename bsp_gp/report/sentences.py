@@ -17,8 +17,16 @@ from bsp_gp.report.numbers import (
 )
 
 __all__ = [
-    "adopted_rounds", "caveats", "constant_groups", "group_range", "headline", "missing_sentence",
-    "outcome_sentence", "ratio_caution", "verdict_parts", "verdict_sentence",
+    "adopted_rounds",
+    "caveats",
+    "constant_groups",
+    "group_range",
+    "headline",
+    "missing_sentence",
+    "outcome_sentence",
+    "ratio_caution",
+    "verdict_parts",
+    "verdict_sentence",
 ]
 
 _METRICS = (
@@ -59,7 +67,9 @@ def _findings(effects):
     """What was found, effects of one kind told together."""
     groups = {}
     for effect in effects:
-        groups.setdefault(_FINDINGS.get(effect.kind, "the declared model lacks {}"), []).append(effect)
+        groups.setdefault(_FINDINGS.get(effect.kind, "the declared model lacks {}"), []).append(
+            effect
+        )
     return _joined(
         sentence.format(_joined(effect.name for effect in members))
         for sentence, members in groups.items()

@@ -195,8 +195,13 @@ def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):
             shown = np.where(error > 0, error, np.nan) if is_log else error
             panel.plot(times * t_factor, shown * factor, color=color, ls=style, lw=1.2)
         if 0 < overlay.n_initial <= len(times):
-            panel.axvspan(times[0] * t_factor, times[overlay.n_initial - 1] * t_factor,
-                          color="#E8E8E8", lw=0, zorder=0)
+            panel.axvspan(
+                times[0] * t_factor,
+                times[overlay.n_initial - 1] * t_factor,
+                color="#E8E8E8",
+                lw=0,
+                zorder=0,
+            )
         panel.set_title(_title(overlay), loc="left")
         panel.set_xlabel(axis_label("time", t_unit))
         panel.set_ylabel(axis_label("position error", unit))

@@ -106,10 +106,23 @@ def _path_data(outline):
 
 
 _TEX = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
-    "%": r"\%", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "<": r"\textless{}", ">": r"\textgreater{}", "−": "$-$", "–": "--", "·": r"$\cdot$",
-    "µ": r"$\mu$", "μ": r"$\mu$",
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "#": r"\#",
+    "%": r"\%",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "−": "$-$",
+    "–": "--",
+    "·": r"$\cdot$",
+    "µ": r"$\mu$",
+    "μ": r"$\mu$",
 }
 
 
@@ -124,9 +137,7 @@ def _tex_unit(unit):
         return "1"
     parts = re.split(r"\^\(?([-+]?\d+)\)?", unit)
     plain, powers = [_tex(p).replace("*", r"\,") for p in parts[::2]], [*parts[1::2], ""]
-    return "".join(
-        p + (f"$^{{{n}}}$" if n else "") for p, n in zip(plain, powers, strict=True)
-    )
+    return "".join(p + (f"$^{{{n}}}$" if n else "") for p, n in zip(plain, powers, strict=True))
 
 
 def law_document(report):
@@ -140,14 +151,19 @@ def law_document(report):
         body += "".join(rf" \\ & {term}" for term in rest)
         equation = [r"\begin{align*}", body, r"\end{align*}"]
     lines = [
-        r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
-        r"\usepackage{amsmath,longtable}", r"\begin{document}",
+        r"\documentclass{article}",
+        r"\usepackage[T1]{fontenc}",
+        r"\usepackage[utf8]{inputenc}",
+        r"\usepackage{amsmath,longtable}",
+        r"\begin{document}",
         *equation,
     ]
     if report.constants:
         lines += [
-            r"\begin{longtable}{llrrrl}", r"\hline",
-            r"constant & entity & value & \multicolumn{2}{c}{90\,\% interval} & unit \\", r"\hline",
+            r"\begin{longtable}{llrrrl}",
+            r"\hline",
+            r"constant & entity & value & \multicolumn{2}{c}{90\,\% interval} & unit \\",
+            r"\hline",
         ]
         for c in report.constants:
             value, low, high, power = rounded(c.value, c.low, c.high)

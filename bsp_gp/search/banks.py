@@ -72,7 +72,8 @@ class Rows:
         self.kind = kind
         self.regression = regression
         self.lookups = [
-            law_inputs(kind, b.bodies, b.positions, b.velocities, b.times) for b in regression.batches
+            law_inputs(kind, b.bodies, b.positions, b.velocities, b.times)
+            for b in regression.batches
         ]
         self.shapes = []
         self.valid = []
@@ -92,7 +93,10 @@ class Rows:
             parts = []
             for lookup, shape in zip(self.lookups, self.shapes, strict=True):
                 value = lookup[name]
-                full = (*shape[: 3 if self.kind == "field" else 4], *((self.n_dims,) if is_vector else ()))
+                full = (
+                    *shape[: 3 if self.kind == "field" else 4],
+                    *((self.n_dims,) if is_vector else ()),
+                )
                 value = np.broadcast_to(value, full)
                 parts.append(value.reshape(-1, self.n_dims) if is_vector else value.ravel())
             self._inputs[name] = np.concatenate(parts)[self.keep]
@@ -119,7 +123,8 @@ class Rows:
         for name in formula_inputs:
             shape = types[name].shape
             out[name] = (
-                self.shape_input(name) if shape == "shape"
+                self.shape_input(name)
+                if shape == "shape"
                 else self.input(name, shape in ("vector", "point"))
             )
         return out

@@ -77,7 +77,11 @@ def linear_columns(regression, law):
             key = (name, entity if own else "")
             columns[key] = columns.get(key, 0.0) + values[:, k]
     parameters = tuple(columns)
-    matrix = np.stack([columns[key] for key in parameters], axis=1) if columns else np.zeros((len(fixed), 0))
+    matrix = (
+        np.stack([columns[key] for key in parameters], axis=1)
+        if columns
+        else np.zeros((len(fixed), 0))
+    )
     return fixed, matrix, parameters
 
 
@@ -133,8 +137,16 @@ def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
             constants.setdefault(name, dict(law.constants[name]))[entity] = float(value)
         else:
             constants[name] = float(value)
-    return ConstantFit(law.with_constants(constants), tuple(parameters), np.asarray(values), covariance,
-                       residual, jacobian, 0.5 * float(residual @ residual), is_linear)
+    return ConstantFit(
+        law.with_constants(constants),
+        tuple(parameters),
+        np.asarray(values),
+        covariance,
+        residual,
+        jacobian,
+        0.5 * float(residual @ residual),
+        is_linear,
+    )
 
 
 def _fit_nonlinear(regression, law, starts):
@@ -144,7 +156,9 @@ def _fit_nonlinear(regression, law, starts):
     best = None
     failed = 0
     for scale in START_SCALES[:starts]:
-        x0 = np.array([v * scale if n in nonlinear else v for n, v in zip(names, first, strict=True)])
+        x0 = np.array(
+            [v * scale if n in nonlinear else v for n, v in zip(names, first, strict=True)]
+        )
         try:
             value, x = _descend(regression, law, names, x0, nonlinear)
         except EvaluationError:
@@ -158,7 +172,9 @@ def _fit_nonlinear(regression, law, starts):
     law = law.with_constants(dict(zip(names, x, strict=True)))
     jacobian = _jacobian(regression, law, names)
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    return _fit(law, tuple((n, "") for n in names), x, covariance, regression.residual(law), jacobian, False)
+    return _fit(
+        law, tuple((n, "") for n in names), x, covariance, regression.residual(law), jacobian, False
+    )
 
 
 def _descend(regression, law, names, x0, nonlinear):
@@ -177,8 +193,13 @@ def _descend(regression, law, names, x0, nonlinear):
             return 1e300, np.zeros(len(z))  # a wall for the line search, not a fit
         return value / top, gradient * unit / top
 
-    result = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B",
-                      options={"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12})
+    result = minimize(
+        scaled,
+        x0 / unit,
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12},
+    )
     x = _solve_linear(regression, law, names, result.x * unit, nonlinear)
     return _value_and_gradient(regression, law, names, x)[0], x
 

@@ -67,8 +67,11 @@ def _extend(gram, dots, sets, beam):
     for chosen in sets:
         inner = gram[np.ix_(chosen, chosen)]
         cross = gram[:, chosen]
-        solved = np.linalg.lstsq(inner, np.column_stack([cross.T, dots[chosen]]), rcond=1e-13)[0] \
-            if len(chosen) else np.zeros((0, n_columns + 1))
+        solved = (
+            np.linalg.lstsq(inner, np.column_stack([cross.T, dots[chosen]]), rcond=1e-13)[0]
+            if len(chosen)
+            else np.zeros((0, n_columns + 1))
+        )
         base = float(dots[chosen] @ solved[:, -1]) if len(chosen) else 0.0
         left = 1.0 - np.einsum("mk,km->m", cross, solved[:, :n_columns])
         reach = dots - cross @ solved[:, -1]

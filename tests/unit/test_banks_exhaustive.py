@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-import bsp_gp.search.exhaustive as exhaustive
+import bsp_gp.search.scoring as scoring
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import GrammarError, SettingsError
 from bsp_gp.language.expression import Expression, to_formula
@@ -16,7 +16,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.banks import Banks, Rows
-from bsp_gp.search.exhaustive import plan_of, search_exhaustive
+from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.factoring import plan_of
 
 MIXED = """
 [grammar]
@@ -325,7 +326,7 @@ def test_tiles_change_nothing(text, method, monkeypatch):
     settings = {"kind": "pair", "max_levels": 6, "top_k": 500}
     nuisance = np.random.default_rng(6).normal(size=(len(regression.target()), 2))
     whole = search_exhaustive(regression, grammar, nuisance=nuisance, **settings)
-    monkeypatch.setattr(exhaustive, "TILE_BYTES", 1)  # one row, one factor at a time
+    monkeypatch.setattr(scoring, "TILE_BYTES", 1)  # one row, one factor at a time
     tiled = search_exhaustive(regression, grammar, nuisance=nuisance, **settings)
     assert tiled.n_evaluated == whole.n_evaluated
     assert [c.formula for c in tiled.candidates] == [c.formula for c in whole.candidates]

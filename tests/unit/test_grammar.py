@@ -118,8 +118,10 @@ def test_physics_in_the_plane():
     gone = {"Extension", "PairCondition", "Time"}
     assert {name for name, rules in plane.rules_of.items() if not rules} == gone
     assert not any(r.operators & {"cross"} for rules in plane.rules_of.values() for r in rules)
-    # FieldForce with a bare direction: v^, v_perp, e_x, e_y.
-    assert len(derivations(plane, "FieldForce", 2)) == plane.count("FieldForce", 2) == 4 - 0
+    # FieldForce with a bare direction: v^ and v_perp, one level deeper e_x and e_y.
+    assert len(derivations(plane, "FieldForce", 2)) == plane.count("FieldForce", 2) == 2
+    bare = [d for d in derivations(plane, "FieldForce", 3) if len(d) == 3]
+    assert len(bare) == 4
     # By hand: 5 properties (reduced mass and sum included), 4 powers of each; 20 + 20^2 parts.
     assert plane.count("PropertyPart", 12) == 20 + 20**2
     # Distance: 8 powers; 2 speeds with 4; radial: one separation, 2 ways, 2 powers.

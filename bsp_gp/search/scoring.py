@@ -1,0 +1,201 @@
+"""Numerators and denominators of the best constants of all products at once.
+
+Two layouts, one arithmetic: where the left factors depend on properties only, rows of one
+receiver and source are summed first (`GroupScorer`), which also allows any covariance along
+time; otherwise they live on rows (`RowScorer`) and errors must be independent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.errors import SettingsError
+
+__all__ = ["GroupScorer", "RowScorer"]
+
+TILE_BYTES = 1 << 26
+"""Upper bound of one work array, so that memory does not grow with the data."""
+COLLINEAR = 1e-10
+"""A candidate whose part orthogonal to the law's free terms is below this is one of them."""
+
+
+class RowScorer:
+    """Left factors on rows; errors independent. Cross terms of sources are pairs of rows."""
+
+    def __init__(self, search, block, vector, q, ys):
+        self.block = block
+        rows = search.rows
+        regression = search.regression
+        if any(batch.whitener is not None for batch in regression.batches):
+            raise SettingsError(
+                f"grammar {search.grammar.name} mixes motion and properties in one factor, which "
+                "exhaustive search scores under independent errors only; use the likelihood "
+                "'one_step', or the grammar physics"
+            )
+        scale = _flat_scale(regression, rows)
+        weighted = vector * scale
+        active = np.flatnonzero(np.any(weighted, axis=1))
+        self.active = active
+        self.weighted = weighted[active]
+        receiver = _receiver_index(rows)[active]
+        self.receiver = receiver
+        targets = [_spread(regression, rows, ys[:, k])[active] for k in range(ys.shape[1])]
+        self.q_rows = np.stack([np.einsum("rd,rd->r", self.weighted, t) for t in targets])
+        self.g_rows = [
+            np.einsum("rd,rd->r", self.weighted, _spread(regression, rows, q[:, k])[active])
+            for k in range(q.shape[1])
+        ]
+
+    def products(self):
+        left = values_of(self.block.left)[:, self.active]
+        right = values_of(self.block.right)[:, self.active]
+        numerators = [(left * q) @ right.T for q in self.q_rows]
+        raw = self._denominator(left, right)
+        denominator = raw.copy()
+        for g in self.g_rows:
+            denominator -= np.square((left * g) @ right.T)
+        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0)
+
+    def _denominator(self, left, right):
+        first, second = _row_pairs(self.receiver)
+        k = np.einsum("rd,rd->r", self.weighted[first], self.weighted[second])
+        k = np.where(first == second, k, 2 * k)
+        used = np.flatnonzero(k)
+        total = np.zeros((len(left), len(right)))
+        step = max(1, TILE_BYTES // (8 * (len(left) + len(right))))
+        for start in range(0, len(used), step):
+            part = used[start : start + step]
+            i, j = first[part], second[part]
+            total += (left[:, i] * left[:, j] * k[part]) @ (right[:, i] * right[:, j]).T
+        return total
+
+
+def values_of(side):
+    if not hasattr(side, "_stacked"):
+        side._stacked = side.values()
+    return side._stacked
+
+
+def _receiver_index(rows):
+    """Which (instant, scene, receiver) each valid row belongs to."""
+    if not hasattr(rows, "_receiver"):
+        parts, offset = [], 0
+        for shape in rows.shapes:
+            n = int(np.prod(shape[:3]))
+            parts.append(np.repeat(np.arange(offset, offset + n), shape[3]))
+            offset += n
+        rows._receiver = np.concatenate(parts)[rows.keep]
+    return rows._receiver
+
+
+def _row_pairs(receiver):
+    """All pairs (first <= second) of rows with one receiver; rows of a receiver are adjacent."""
+    firsts, seconds = [], []
+    n = len(receiver)
+    lag = 0
+    while True:
+        index = np.arange(n - lag)
+        same = index[receiver[: n - lag] == receiver[lag:]] if lag else index
+        if not len(same):
+            break
+        firsts.append(same)
+        seconds.append(same + lag)
+        lag += 1
+    return np.concatenate(firsts), np.concatenate(seconds)
+
+
+def _flat_scale(regression, rows):
+    parts = [
+        np.broadcast_to(batch.scale[:, :, :, None], (*shape, batch.scale.shape[-1])).reshape(
+            -1, batch.scale.shape[-1]
+        )
+        for batch, shape in zip(regression.batches, rows.shapes, strict=True)
+    ]
+    return np.concatenate(parts)[rows.keep]
+
+
+def _spread(regression, rows, flat):
+    """A whitened vector of all receivers repeated for every source row, shape (P, d)."""
+    parts, start = [], 0
+    for batch, shape in zip(regression.batches, rows.shapes, strict=True):
+        n_dims = batch.target.shape[-1]
+        size = batch.target.size
+        values = flat[start : start + size].reshape(*shape[:3], 1, n_dims)
+        parts.append(np.broadcast_to(values, (*shape, n_dims)).reshape(-1, n_dims))
+        start += size
+    return np.concatenate(parts)[rows.keep]
+
+
+class GroupScorer:
+    """Left factors are constant in time: rows of one receiver and source are summed first."""
+
+    def __init__(self, search, block, vector, q, ys):
+        self.search = search
+        self.block = block
+        self.vector = vector
+        self.q = q
+        self.ys = ys
+
+    def products(self):
+        rows, regression = self.search.rows, self.search.regression
+        left = _group_values(self.block.left, rows)
+        n_left, n_right = len(left[0]), len(self.block.right.entries)
+        numerators = np.zeros((self.ys.shape[1], n_left, n_right))
+        raw = np.zeros((n_left, n_right))
+        explained = np.zeros((self.q.shape[1], n_left, n_right))
+        vectors = rows.unflatten(self.vector)
+        start = 0
+        for index, batch in enumerate(regression.batches):
+            size = batch.target.size
+            part = slice(start, start + size)
+            start += size
+            self._batch(batch, vectors[index], left[index], part, index, numerators, raw, explained)
+        denominator = raw - np.square(explained).sum(axis=0)
+        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0)
+
+    def _batch(self, batch, vector, left, part, index, numerators, raw, explained):
+        n, s, r, j = self.search.rows.shapes[index]
+        d = vector.shape[-1]
+        shape = batch.target.shape
+        ys = self.ys[part].reshape(*shape, -1)
+        q = self.q[part].reshape(*shape, -1)
+        a = left.reshape(len(left), -1)  # (n_left, S R J)
+        pairs = (left[..., :, None] * left[..., None, :]).reshape(len(left), -1)
+        right = values_of(self.block.right)
+        step = max(1, TILE_BYTES // (8 * n * s * r * j * d))
+        for first in range(0, len(right), step):
+            tile = slice(first, first + step)
+            features = self._features(batch, vector, right[tile], index)
+            gram = np.einsum("bnsrjd,bnsrkd->bsrjk", features, features, optimize=True)
+            raw[:, tile] += pairs @ gram.reshape(len(gram), -1).T
+            dots = np.einsum("bnsrjd,nsrdy->ybsrj", features, ys, optimize=True)
+            for y, dot in enumerate(dots):
+                numerators[y][:, tile] += a @ dot.reshape(len(gram), -1).T
+            if q.shape[-1]:
+                dots = np.einsum("bnsrjd,nsrdy->ybsrj", features, q, optimize=True)
+                for y, dot in enumerate(dots):
+                    explained[y][:, tile] += a @ dot.reshape(len(gram), -1).T
+
+    def _features(self, batch, vector, right, index):
+        """Whitened accelerations of direction x right factor, (b, n, S, R, J, d)."""
+        out = []
+        for value in right:
+            field = vector * self.search.rows.unflatten(value)[index][..., None]
+            out.append(batch.whiten(field))
+        return np.stack(out)
+
+
+def _group_values(side, rows):
+    """Property factors at one instant of every (scene, receiver, source), per batch."""
+    if not hasattr(side, "_grouped"):
+        stacked = []
+        for index in range(len(rows.shapes)):
+            parts = []
+            for value in values_of(side):
+                full = rows.unflatten(value)[index]
+                # Constant in time: the value of largest size is the value (0 = invalid row).
+                pick = np.argmax(np.abs(full), axis=0)
+                parts.append(np.take_along_axis(full, pick[None], axis=0)[0])
+            stacked.append(np.stack(parts))
+        side._grouped = stacked
+    return side._grouped
