@@ -17,6 +17,7 @@ from bsp_gp.data.ephemeris import load_ephemeris
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.close import close_loop, declared_law
+from bsp_gp.loop.rounds import FREES
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.likelihood import build_regression
@@ -348,12 +349,16 @@ def _other_planets(report):
     rows = [["set of terms, each with one constant for all three planets", "left, held-out year"]]
     texts = [t for t in last[-1].effect.equivalents if t.count("c") >= 2 and " + c2" in t]
     own = " + ".join(f"c{n} * {_motion_text(t)}" for n, t in enumerate(found, 1))
-    for text in dict.fromkeys([own, *texts]):
-        plain = text.replace(" (frees a declared number)", "")
+    # Sets that differ only in whose velocity they name are one member of the class.
+    members = {}
+    for text in [own, *texts]:
+        key = frozenset(
+            part.partition(" * ")[2] for part in _parts(text.replace("v_i - v_j", "v_i"))
+        )
+        members.setdefault(key, text)
+    for text in members.values():
         law = declared
-        for part in declared_law(
-            dataset, plain.split(" + c")[:1] + ["c" + rest for rest in plain.split(" + c")[1:]]
-        ).terms:
+        for part in declared_law(dataset, _parts(text)).terms:
             law = law.plus(
                 replace(part, is_declared=False), {n: 0.0 for n in part.formula.constants}
             )
@@ -368,6 +373,12 @@ def _other_planets(report):
         ],
         "table": rows,
     }
+
+
+def _parts(text):
+    """Terms of a set that is written as ``c1 * ... + c2 * ...``."""
+    first, *rest = text.replace(FREES, "").split(" + c")
+    return [first, *("c" + part for part in rest)]
 
 
 def _motion_text(term):

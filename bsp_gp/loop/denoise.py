@@ -85,8 +85,9 @@ def smooth(times, values):
         return np.nan_to_num(values)
     step = np.diff(times) / np.mean(np.diff(times))
     first = np.diff(np.eye(n), axis=0) / step[:, None]
-    second = np.diff(first, axis=0)
-    third = np.diff(second, axis=0)
+    # Divided differences, so that quadratics have no third one on uneven times either.
+    second = np.diff(first, axis=0) / (step[1:] + step[:-1])[:, None] * 2
+    third = np.diff(second, axis=0) / (step[2:] + step[1:-1] + step[:-2])[:, None] * 3
     roughness = third.T @ third
     eigenvalues, vectors = np.linalg.eigh(roughness)
     eigenvalues = np.maximum(eigenvalues, 0.0)

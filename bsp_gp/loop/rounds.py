@@ -27,6 +27,9 @@ TIE_BIC = 2.0
 MAX_BLUR = 10.0
 """Growth of the relative error of an adopted constant at which a further term is refused."""
 MAX_RIVALS = 8
+MOST_EQUALS = 24
+"""Laws listed as not separable from an effect."""
+FREES = " (frees a declared number)"
 MAX_SET = 4
 """Largest set of found terms that is chosen as a whole."""
 MIN_SHARE = 0.6
@@ -288,7 +291,7 @@ def _plan_ahead(observation, law, best, search):
     planned = pool.attempt(order, best)
     if size == len(found) and planned.fit.chisqr > REVISION_SHARE * best.fit.chisqr:
         planned = best
-    same = pool.equals(size, sets[size][0][0]) if size == len(found) else ()
+    same = pool.equals(size, sets[size][0][0], chosen) if size == len(found) else ()
     return replace(planned, equivalents=tuple(same))
 
 
@@ -386,14 +389,21 @@ class _Pool:
             replaces=tuple(gone),
         )
 
-    def equals(self, size, best_loss):
-        """Texts of the sets that these data cannot tell from the best, freed numbers included."""
+    def equals(self, size, best_loss, chosen):
+        """Texts of the sets that these data cannot tell from the chosen one, simplest first.
+
+        Sets in which a declared number is freed are among them, and are marked.
+        """
         bar = max(best_loss, self.floor) * SAME_LOSS
-        for loss, chosen in best_subsets(self.matrix, self.target, size).get(size, ()):
-            if max(loss, self.floor) <= bar:
-                yield " + ".join(
-                    f"c{n_} * {to_text(self.laws[k][0])}" for n_, k in enumerate(chosen, 1)
-                ) + (" (frees a declared number)" if self.frozen[list(chosen)].any() else "")
+        found = best_subsets(self.matrix, self.target, size).get(size, ())
+        near = [members for loss, members in found if max(loss, self.floor) <= bar]
+        near.sort(key=lambda members: round(sum(self.laws[k][1] for k in members), 6))
+        for members in near[:MOST_EQUALS]:
+            if set(members) != set(chosen):
+                text = " + ".join(
+                    f"c{n} * {to_text(self.laws[k][0])}" for n, k in enumerate(members, 1)
+                )
+                yield text + (FREES if self.frozen[list(members)].any() else "")
 
 
 def _property_part(formula):
@@ -628,7 +638,7 @@ def _effect(observation, chosen, p_value):
         entities=tuple(e for e in entities if e not in zero),
         constants=estimates,
         p_value=p_value,
-        equivalents=tuple(dict.fromkeys(equivalents)),
+        equivalents=tuple(dict.fromkeys(equivalents))[:MOST_EQUALS],
         separated_by=_separated_by(chosen.text, equivalents),
     )
 

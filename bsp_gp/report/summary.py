@@ -93,7 +93,8 @@ def _rounds(report):
 
 
 def _ties(report):
-    for r in reversed(report.rounds):
+    rounds = [r for r in report.rounds if r.adopted] or report.rounds
+    for r in reversed(rounds):
         if r.effect is not None and r.effect.equivalents:
             n = len(r.effect.equivalents)
             text = (

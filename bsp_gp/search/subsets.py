@@ -47,7 +47,13 @@ def best_subsets(columns, target, size, *, beam=1000, keep=40):
         sets = _extend(gram, dots, sets, beam)
         if not len(sets):
             break
-        out[count] = _exact_losses(unit, target, sets[: 4 * keep], live)[:keep]
+        # One round of swaps: every member of the best sets is tried to be replaced by any column.
+        cores = np.unique(
+            np.concatenate([np.delete(sets[:keep], k, axis=1) for k in range(count)]), axis=0
+        )
+        swapped = _extend(gram, dots, cores, 4 * keep)
+        both = np.unique(np.concatenate([sets[: 4 * keep], swapped]), axis=0)
+        out[count] = _exact_losses(unit, target, both, live)[:keep]
     return out
 
 
