@@ -55,15 +55,21 @@ class Unit:
             raise UnitError(f"base units must be among {', '.join(BASE)}, got {sorted(unknown)}")
         return cls(tuple(_rational(powers.get(base, 0)) for base in BASE))
 
+    def __post_init__(self):
+        # Units are compared and combined in the searches' inner loops, fractions are slow.
+        object.__setattr__(self, "_hash", hash(self.exponents))
+
+    def __hash__(self):
+        return self._hash
+
     def __mul__(self, other):
-        return Unit(tuple(a + b for a, b in zip(self.exponents, other.exponents, strict=True)))
+        return _multiplied(self, other)
 
     def __truediv__(self, other):
-        return Unit(tuple(a - b for a, b in zip(self.exponents, other.exponents, strict=True)))
+        return _divided(self, other)
 
     def __pow__(self, power):
-        power = _rational(power)
-        return Unit(tuple(a * power for a in self.exponents))
+        return _raised(self, power)
 
     @property
     def is_dimensionless(self):
@@ -84,6 +90,22 @@ class Unit:
 
     def __str__(self):
         return self.text()
+
+
+@functools.lru_cache(maxsize=4096)
+def _multiplied(one, other):
+    return Unit(tuple(a + b for a, b in zip(one.exponents, other.exponents, strict=True)))
+
+
+@functools.lru_cache(maxsize=4096)
+def _divided(one, other):
+    return Unit(tuple(a - b for a, b in zip(one.exponents, other.exponents, strict=True)))
+
+
+@functools.lru_cache(maxsize=4096)
+def _raised(unit, power):
+    power = _rational(power)
+    return Unit(tuple(a * power for a in unit.exponents))
 
 
 def _rational(value):

@@ -212,8 +212,24 @@ def _report(observation, search, law, first, model, rounds, grammar, alpha, seed
         wall_s=time.perf_counter() - started,
         overlays=tuple(_overlays(observation, first.law, model.law)),
         residuals=_residual_table(observation, first.law, model.law),
-        notes=(*dataset.notes, observation.split_note, *_caveats(observation, search)),
+        notes=(
+            *_effective(rounds),
+            *dataset.notes,
+            observation.split_note,
+            *_caveats(observation, search),
+        ),
     )
+
+
+def _effective(rounds):
+    """A warning where something was adopted and more than noise is left all the same."""
+    last = rounds[-1]
+    if any(r.adopted for r in rounds) and last.missing.is_missing and not last.adopted:
+        yield (
+            "what was adopted is an effective law of these data: it still leaves "
+            f"{last.missing.statistic:.3g} times the variance of the noise, so its form and its "
+            "constants hold for this recording and are no discovery about nature"
+        )
 
 
 def _stop_reason(rounds):

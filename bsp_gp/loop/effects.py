@@ -504,7 +504,7 @@ def _phrase(direction, condition, powers, value):
     speed = powers.get("norm(v_i)", 0) or powers.get("norm(v_i - v_j)", 0)
     distance = powers.get("norm(p_i - p_j)", 0)
     radial = any("along(" in name for name in powers)
-    extension = any(name.startswith("norm(p_i - p_j) - ") for name in powers)
+    extension = [p for name, p in powers.items() if name.startswith("norm(p_i - p_j) - ")]
     if text in ("normalize(v_i)", "v_i") and not distance and not radial:
         brakes = value is None or value <= 0
         total = speed + (1 if text == "v_i" else 0)
@@ -520,7 +520,7 @@ def _phrase(direction, condition, powers, value):
         verb = "force along the line to the other body"
         if value is not None:
             verb = "push from the other body" if value > 0 else "pull to the other body"
-        if extension and not distance:
+        if extension == [1] and not (distance or speed or radial):
             return f"spring towards the other body{where}"
         return verb + _scaling(powers) + where
     inner = text.removeprefix("normalize(").removesuffix(")")

@@ -10,7 +10,8 @@ from bsp_gp.units import ACCELERATION
 __all__ = ["LAGS", "examine_residual", "ljung_box"]
 
 LAGS = 8
-POWER_Z = 1.6448536269514722  # 95 % power
+POWER = 0.95
+POWER_Z = 1.6448536269514722  # 95 % of a normal distribution lie below
 
 
 def examine_residual(observation, fit, alpha):
@@ -82,20 +83,43 @@ def ljung_box(regression, residual, lags=LAGS):
 
 def _ljung_box_of_tracks(observation, whole, lags=LAGS):
     """The same for the position residuals of a fit to whole tracks."""
-    parts = []
+    parts, mean, covariance = [], np.zeros(lags), np.zeros((lags, lags))
     for batch, predicted in zip(whole.batches, whole.predicted, strict=True):
         left = batch.positions[:, :, batch.bodies.receivers] - predicted
         with np.errstate(invalid="ignore"):
             parts.append(np.nan_to_num(left / observation.sigma))
-    n_states = whole.n_free / max(whole.n_rows, 1)
-    return _pooled_ljung_box(parts, whole.n_rows, lags, n_states)
+        for s in range(parts[-1].shape[1]):
+            basis = np.stack([np.ones(len(left)), np.nan_to_num(batch.times[:, s])], axis=1)
+            for seen in (parts[-1][:, s].reshape(len(left), -1) != 0).T:
+                if seen.sum() > 2:
+                    moments = _taken_by_state(np.where(seen[:, None], basis, 0.0), seen, lags)
+                    mean, covariance = mean + moments[0], covariance + moments[1]
+    return _pooled_ljung_box(parts, whole.n_rows - whole.n_free, lags, mean, covariance)
 
 
-def _pooled_ljung_box(parts, n, lags, fitted=0.0):
-    """Ljung-Box over tracks that all start anew; `fitted` is the share of fitted parameters.
+def _taken_by_state(basis, seen, lags):
+    """What fitting a place and a velocity does to the lagged products of white noise.
 
-    Fitted initial states make residuals slightly anticorrelated: the expectation of every
-    lagged product under the null is subtracted, -1/T of the sum of squares per parameter.
+    With the projection C = I - QQ' on the residuals, a product r'Sr has the expectation tr(SC),
+    and two of them the covariance 2 tr(SCS'C).
+    """
+    q = np.linalg.qr(basis)[0]
+    moved = np.zeros((lags, *q.shape))
+    for lag in range(1, lags + 1):
+        moved[lag - 1, lag:] += q[:-lag] / 2
+        moved[lag - 1, :-lag] += q[lag:] / 2
+    moved[:, ~seen] = 0.0
+    inner = np.swapaxes(q, 0, 1) @ moved
+    covariance = 2 * np.einsum("lij,mji->lm", inner, inner)
+    covariance -= 4 * np.einsum("ltk,mtk->lm", moved, moved)
+    return -np.trace(inner, axis1=1, axis2=2), covariance
+
+
+def _pooled_ljung_box(parts, n, lags, mean=0.0, covariance=0.0):
+    """Ljung-Box over tracks that all start anew.
+
+    `mean` and `covariance` are what a fit does to the products; white noise itself gives them
+    the mean 0 and the variance of their count.
     """
     from scipy import stats
 
@@ -109,9 +133,10 @@ def _pooled_ljung_box(parts, n, lags, fitted=0.0):
                 counts[lag - 1] += int(np.count_nonzero(product))
     if bottom <= 0 or n <= 3 * lags or not counts.all():
         return 1.0
-    variance = bottom / n
-    z = (tops / variance + fitted * counts) / np.sqrt(counts)
-    return float(stats.chi2.sf(float(z @ z), lags))
+    z = tops * n / bottom - mean
+    # The level is that of the same residuals: less scatter where the mean is not zero.
+    spread = np.diag(counts) + covariance - 2 / n * np.outer(mean, mean)
+    return float(stats.chi2.sf(float(z @ np.linalg.pinv(spread) @ z), lags))
 
 
 def _detectable(observation, fit, alpha):
@@ -119,9 +144,8 @@ def _detectable(observation, fit, alpha):
 
     Along the worst axis on which anything moves, after the law's own constants are refitted.
     """
-    from scipy import stats
-
     regression = observation.train_regression
+    needed = _needed(observation, fit, alpha)
     q = (
         np.linalg.qr(_live(fit.jacobian))[0]
         if fit.jacobian.size
@@ -141,9 +165,23 @@ def _detectable(observation, fit, alpha):
         left = column - q @ (q.T @ column)
         # A column that the law's constants can imitate says nothing.
         if left @ left > 1e-8 * (column @ column):
-            size = (stats.norm.isf(alpha / 2) + POWER_Z) / np.sqrt(left @ left)
+            size = np.sqrt(needed / (left @ left))
             worst = max(worst, float(size) * scale)
     return worst if worst else float("nan")
+
+
+def _needed(observation, fit, alpha):
+    """Whitened sum of squares that the test of size, which knows no direction, sees with 95 %."""
+    from scipy import optimize, stats
+
+    whole = fit.whole
+    n_rows = whole.n_rows - whole.n_free if whole else observation.train_regression.n_rows
+    dof, n_noise = max(n_rows, 1), _noise_dof(observation)
+    bar = stats.chi2.isf(alpha / 2, dof)
+    if np.isfinite(n_noise):
+        # The level may have been estimated too high, by as much as its own error.
+        bar = dof * stats.f.isf(alpha / 2, dof, n_noise) * (1 + POWER_Z * np.sqrt(2 / n_noise))
+    return optimize.brentq(lambda x: stats.ncx2.sf(bar, dof, x) - POWER, 0.0, 10 * bar + 100)
 
 
 def _live(columns):

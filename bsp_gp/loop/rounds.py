@@ -77,6 +77,7 @@ class Attempt:
     reason: str = ""
     replaces: tuple = ()
     equivalents: tuple = field(default=())
+    redoes_declared: bool = False
 
     def score(self, n_effective):
         """BIC plus twice the complexity (the prior of the grammar)."""
@@ -185,6 +186,7 @@ def _attempt(job):
         proposal.share,
         tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties),
         reason,
+        redoes_declared=proposal.redoes_declared,
     )
 
 
@@ -467,6 +469,14 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             "seen, not adopted",
             (f"the evidence for it is weak: BIC falls by {gain:.1f}, less than {MIN_BIC_GAIN:g}"),
         )
+    freed = [a.fit for a in attempts if a.redoes_declared and _is_better(a.fit, chosen.fit, n_eff)]
+    if freed:
+        return (
+            False,
+            "cannot tell",
+            "a change of a declared number fits better than any new term; a wrong number, a wrong "
+            "length scale and a wrong clock do the same, and these data cannot tell them apart",
+        )
     if not share >= MIN_SHARE:
         rivals = [
             a
@@ -509,6 +519,13 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
         ),
     )
+
+
+def _is_better(fit, other, n_eff):
+    """Whether a fit is clearly better: by its BIC; on exact data by leaving next to nothing."""
+    if fit.is_exact:
+        return fit.chisqr < 0.01 * other.chisqr
+    return fit.bic(n_eff) < other.bic(n_eff) - TIE_BIC
 
 
 def _blurred(before, after):
@@ -719,7 +736,7 @@ def _freed_numbers(observation, model, chosen):
             if not term.is_declared or term.formula.constants:
                 continue
             name = fresh_name(base, "s")
-            scaled = Term(Call("mul", Constant(name), term.formula), term.kind)
+            scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
             terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
             law = ForceLaw(terms, {**base.constants, name: 1.0})
             fit = observation.fit(law, bounds=sign_bounds(observation, law))
@@ -736,25 +753,35 @@ def _freed_numbers(observation, model, chosen):
                     float(1 - (fit.chisqr / model.fit.chisqr)),
                     _ratio_of(observation, fit.law, model.errors),
                     0.0,
-                    _freed_reason(factor, half, delta, observation),
+                    _freed_reason(factor, half, delta, _is_only_number(base)),
                 )
             )
     return out
 
 
-def _freed_reason(factor, half, delta, observation):
-    change = factor - 1
-    size = f"{name_number(change)} ± {name_number(half)} of its value"
+def _is_only_number(law):
+    """Whether one term has a fixed number and no term knows a length of its own."""
+    fixed = [term for term in law.terms if not term.formula.constants]
+    own_lengths = {"s_i", "s_j", "p_c", "R_i", "R_j", "l_i", "l_j"}
+    return len(fixed) == 1 and not any(term.formula.inputs & own_lengths for term in law.terms)
+
+
+def _freed_reason(factor, half, delta, is_alone):
+    """What freeing a declared number says; the same is said of the length scale and the clock."""
+    size = f"{name_number(factor - 1)} ± {name_number(half)} of its value"
     text = f"the declared number would have to be off by {size}"
     if delta < -TIE_BIC:
-        text += (
-            "; that fits better, and the same change is made by a wrong length scale or a wrong "
-            "clock: these data cannot tell the number, the scale and the clock apart"
-        )
+        text += ", and that fits better"
     elif delta < TIE_BIC:
-        text += "; that fits as well, and so would a wrong length scale or clock"
+        text += ", and that fits as well"
     else:
         text += f"; BIC higher by {delta:.1f}"
+    if is_alone:
+        # The constants of the other terms take up any rescaling of length and time.
+        text += (
+            "; a length scale or a clock that is off looks exactly like a wrong number: these "
+            "data cannot tell the three apart"
+        )
     return text
 
 

@@ -19,7 +19,7 @@ from bsp_gp.physics.dynamics import rollout
 __all__ = ["RolloutFit", "cut_segments", "fit_rollout", "guess_state", "parameter_list", "predict"]
 
 MAX_ITERATIONS = 40
-TOLERANCE = 1e-5
+TOLERANCE = 1e-7
 DESCENT = 1e-4
 """A fit has converged when chi-squared falls by less than this (a hundredth of a sigma), or by
 less than `TOLERANCE` of itself where the law does not fit."""
@@ -413,19 +413,21 @@ def _tiny(matrix):
 
 
 def _solve_bounded(matrix, vector, x, low, high):
-    """Newton step with parameters at an active bound held there."""
+    """Newton step within the bounds: the minimum of the quadratic model in the box."""
     if not len(vector):
         return np.zeros(0)
-    free = np.ones(len(x), dtype=bool)
-    for _ in range(len(x) + 1):
-        dx = np.zeros(len(x))
-        if free.any():
-            dx[free] = np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
-        blocked = free & (((x <= low) & (dx < 0)) | ((x >= high) & (dx > 0)))
-        if not blocked.any():
-            return dx
-        free &= ~blocked
-    return dx
+    dx = np.linalg.solve(matrix, vector)
+    if np.all((x + dx >= low) & (x + dx <= high)):
+        return dx
+    from scipy.optimize import lsq_linear
+
+    # Unit diagonal first: constants differ by many orders of magnitude.
+    size = np.sqrt(np.diag(matrix))
+    factor = np.linalg.cholesky(matrix / np.outer(size, size))
+    box = ((low - x) * size, (high - x) * size)
+    open_box = (np.minimum(box[0], -1e-300), np.maximum(box[1], 1e-300))
+    target = np.linalg.solve(factor, vector / size)
+    return lsq_linear(factor.T, target, open_box, method="bvls").x / size
 
 
 def predict(

@@ -1,0 +1,356 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.close import close_loop, declared_law
+from bsp_gp.loop.observation import Fit, observe
+from bsp_gp.loop.outcome import Errors, Ratio
+from bsp_gp.loop.rounds import (
+    MAX_BLUR,
+    MIN_BIC_GAIN,
+    Attempt,
+    Model,
+    _blurred,
+    _explained,
+    _separated_by,
+    _verdict,
+    name_number,
+)
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.shooting import predict
+from tests.planted import SI
+from tests.throws import C1, DRAG, GRAVITY, throws
+from tests.worlds import WEIGHT, flights, linear_drag, nothing
+
+FAST = {"max_levels": 6, "n_null": 99}
+
+
+def close(dataset, *laws, seed=0, **settings):
+    return close_loop(dataset, laws, rng=np.random.default_rng(seed), **{**FAST, **settings})
+
+
+# --- the verdict, piece by piece ------------------------------------------------------------------
+
+
+class Noisy:
+    is_exact = False
+
+
+class Exact:
+    is_exact = True
+
+
+def fit(chisqr, values=(), halves=(), n_rows=200, is_exact=False, names=None):
+    values = np.array(values, dtype=float)
+    names = names or [f"c{k}" for k in range(1, len(values) + 1)]
+    covariance = np.diag(np.square(np.array(halves, dtype=float) / 1.6448536269514722))
+    return Fit(ForceLaw(), tuple((n, "") for n in names), values, covariance, chisqr, n_rows,
+               float(n_rows), np.zeros((0, 0)), np.zeros(0), is_exact)
+
+
+def errors(rollout, acceleration=1.0):
+    return Errors(acceleration, 0.0, rollout, rollout, "m")
+
+
+def attempt(name, fitted, **settings):
+    return Attempt(ForceLaw(), fitted, 5.0, name, name, name, "field", **settings)
+
+
+def judged(chosen, others=(), *, before=10.0, after=0.1, ratio=(0.1, 0.05, 0.2), p=0.003,
+           declared=None, observation=Noisy):
+    declared = declared or fit(20000.0)
+    model = Model(ForceLaw(), declared, errors(before, before), [])
+    new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
+    return _verdict(observation, model, new, chosen, [chosen, *others], errors(0.05),
+                    Ratio(*ratio), p, 0.01)
+
+
+GOOD = attempt("drag", fit(200.0, [-0.1], [0.01]))
+
+
+def test_what_passes_every_test_is_adopted():
+    adopted, verdict, reason = judged(GOOD)
+    assert adopted and verdict == "effect adopted"
+    assert "100% of the held-out error" in reason
+
+
+@pytest.mark.parametrize(
+    ("settings", "verdict", "reason"),
+    [
+        ({"p": 0.02}, "cannot tell", "noise alone"),
+        ({"declared": fit(200.0 + MIN_BIC_GAIN)}, "seen, not adopted", "evidence for it is weak"),
+        ({"after": 8.0}, "seen, not adopted", "removes only 36%"),
+        ({"after": 12.0}, "seen, not adopted", "removes only 0%"),
+        ({"ratio": (0.5, 0.3, 1.1)}, "seen, not adopted", "does not fall for sure: ratio 0.50"),
+        ({"ratio": (0.5, np.nan, np.nan)}, "seen, not adopted", "does not fall for sure"),
+        ({"before": 0.05}, "seen, not adopted", "removes only 0%"),
+    ],
+)
+def test_reasons_not_to_adopt(settings, verdict, reason):
+    adopted, said, why = judged(GOOD, **settings)
+    assert (adopted, said) == (False, verdict)
+    assert reason in why
+
+
+def test_a_tie_that_explains_little_is_cannot_tell():
+    tie = attempt("wind", fit(200.5, [1.0], [0.1]))
+    assert judged(GOOD, [tie], after=8.0)[1] == "cannot tell"
+    assert judged(GOOD, [tie])[1] == "effect adopted"
+    ruled_out = replace(tie, reason="it would push forward")
+    assert judged(GOOD, [ruled_out], after=8.0)[1] == "seen, not adopted"
+
+
+def test_nothing_is_adopted_where_a_changed_number_fits_better():
+    freed = attempt("weight", fit(150.0, [0.2], [0.01]), reason="declared", redoes_declared=True)
+    adopted, verdict, reason = judged(GOOD, [freed])
+    assert (adopted, verdict) == (False, "cannot tell")
+    for word in ("number", "length scale", "clock"):
+        assert word in reason
+    worse = replace(freed, fit=fit(201.0, [0.2], [0.01]))
+    assert judged(GOOD, [worse])[0]
+
+
+def test_on_exact_data_a_changed_number_must_leave_next_to_nothing():
+    """Mercury: with GM free 80 % vanish, which excludes no other cause."""
+    good = attempt("drag", fit(1e6, [-0.1], [0.001], is_exact=True))
+    freed = attempt("weight", fit(5e5, [0.2], [0.001], is_exact=True), redoes_declared=True)
+    settings = {"declared": fit(1e8, is_exact=True), "observation": Exact}
+    assert judged(good, [freed], **settings)[0]
+    clear = replace(freed, fit=fit(1e3, [0.2], [0.001], is_exact=True))
+    assert judged(good, [clear], **settings)[1] == "cannot tell"
+
+
+def test_a_term_that_blurs_another_constant_is_refused():
+    before = fit(2000.0, [-0.1], [0.005])
+    sharp, blurred, flipped = (
+        attempt("x", fit(200.0, [value, 1.0], [half, 0.1]))
+        for value, half in ((-0.1, 0.02), (-0.1, 0.051), (0.02, 0.02))
+    )
+    assert judged(sharp, declared=before)[0]
+    for chosen in (blurred, flipped):
+        adopted, verdict, reason = judged(chosen, declared=before)
+        assert (adopted, verdict) == (False, "seen, not adopted")
+        assert "relative error of c1 grows from 0.05" in reason
+
+
+def test_blur_is_the_growth_of_the_relative_error():
+    before = fit(1.0, [10.0, 0.0], [0.1, 1.0])
+    assert _blurred(before, fit(1.0, [10.0, 0.0], [0.99 * MAX_BLUR * 0.1, 50.0])) == ""
+    assert "c1" in _blurred(before, fit(1.0, [10.0, 0.0], [1.01 * MAX_BLUR * 0.1, 50.0]))
+    # Up to 3 % is sharp in any case.
+    assert _blurred(fit(1.0, [10.0], [1e-6]), fit(1.0, [10.0], [0.29])) == ""
+
+
+def test_explained_share_is_of_what_is_above_the_floor():
+    assert _explained(Noisy, errors(5.0), errors(3.0), errors(3.0)) == 1.0
+    assert _explained(Noisy, errors(5.0), errors(5.0), errors(3.0)) == 0.0
+    assert _explained(Noisy, errors(5.0), errors(4.0), errors(3.0)) == pytest.approx(9 / 16)
+    assert _explained(Noisy, errors(3.0), errors(1.0), errors(3.0)) == 0.0
+    assert _explained(Exact, errors(9, 2.0), errors(9, 1.0), errors(9)) == pytest.approx(0.75)
+
+
+def test_numbers_in_sentences():
+    assert name_number(-0.0123) == "-1.23%"
+    assert name_number(8e-8) == "8e-08"
+    assert name_number(0.5) == "50.00%"
+
+
+def test_what_would_separate_ties():
+    assert _separated_by("c1 * m_i * e_x", ()) == ""
+    assert _separated_by("c1 * m_i * e_x", ("c1 * q_i * e_x",)) == (
+        "bodies that differ in charge and mass")
+    assert "speed and distance" in _separated_by("c1 * v_i", ("c1 * norm(p_i - p_j) * v_i",))
+
+
+@pytest.mark.xfail(reason="rewritings of one law are listed as laws that a measurement separates")
+@pytest.mark.parametrize("law", ["c1 * (m_i * inverse(m_i) * norm(v_i) * normalize(v_i))",
+                                 "c1 * (norm(v_i) * normalize(v_i) * m_i^2 * inverse(m_i^2))"])
+def test_nothing_separates_a_law_from_itself(law):
+    assert _separated_by("c1 * (norm(v_i) * normalize(v_i))", (law,)) == ""
+
+
+# --- whole rounds on small data -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drag():
+    data = throws(n_scenes=10, n_times=30, sigma=0.01, noise=(0.01,))
+    data = replace(data, test=("s1", "s3", "s5", "s7", "s9"))
+    return data, close(data, GRAVITY)
+
+
+def test_a_planted_drag_is_adopted_and_then_nothing_is_missing(drag):
+    _, report = drag
+    assert [r.verdict for r in report.rounds] == ["effect adopted", "nothing missing"]
+    effect = report.rounds[0].effect
+    assert effect.name == "drag, linear in speed"
+    (c,) = effect.constants
+    assert c.low - 0.01 < -C1 < c.high + 0.01
+    assert c.unit == "kg/s"
+    assert report.total["ratio"].high < 0.2
+
+
+def test_adopted_is_what_predicts(drag):
+    """The trap of an adopted effect that residuals or predictions silently ignore."""
+    data, report = drag
+    assert [t.is_declared for t in report.law.terms] == [True, False]
+    assert set(report.law.names) == {c.name for c in report.constants}
+    test = data.select(data.test)
+    sigma = np.array([0.01, 0.01])
+    tracks = predict(test, report.law, sigma, n_initial=lambda scene: 10, up="y")
+    squares = [np.square(s.positions - p)[10:].sum(axis=-1)
+               for s, p in zip(test, tracks, strict=True)]
+    after = report.total["after"]
+    assert after.rollout_rmse == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
+    assert after == report.rounds[0].after == report.rounds[1].before
+    assert report.total["before"] == report.rounds[0].before
+    rows = {h["scene"]: h for h in report.rounds[0].held_out}
+    for scene, part in zip(test, squares, strict=True):
+        assert rows[scene.name]["after"] == pytest.approx(np.sqrt(part.mean()), rel=1e-6)
+    for overlay, track in zip(report.overlays, tracks, strict=True):
+        np.testing.assert_allclose(overlay.adopted, track[:, 0], atol=1e-9)
+        assert overlay.n_initial == 10
+        assert np.abs(overlay.declared - track[:, 0])[-1].max() > 0.5
+
+
+def test_residuals_are_those_of_the_adopted_law(drag):
+    data, report = drag
+    table = report.residuals
+    rows = np.array([e == "train" for e in table.split])
+    assert {"train", "test"} == set(table.split)
+    # Along the velocity the drag is gone, and before it was -c v / m.
+    slope = np.polyfit(table.speed, table.before_along, 1, w=np.ones(len(table.speed)))[0]
+    # Central differences of white noise have an acceleration error of sqrt(6) 0.01 / 0.05^2.
+    spread = np.sqrt(6) * 0.01 / 0.05**2 / np.std(table.speed) / np.sqrt(len(table.speed))
+    assert slope == pytest.approx(-C1 / 0.5, abs=5 * spread)
+    after = np.polyfit(table.speed, table.after_along, 1)[0]
+    assert abs(after) < 5 * spread
+    law = report.law
+    observation = observe(data, law, np.random.default_rng(0))
+    (batch,) = observation.train_regression.batches
+    raw = observation.train_regression.raw_residuals(law)[0]
+    size = np.linalg.norm(raw[:, :, 0], axis=-1).T.ravel()
+    np.testing.assert_allclose(np.sort(table.after[rows]), np.sort(size), rtol=1e-9)
+    assert batch.scene_names == tuple(dict.fromkeys(np.array(table.scene)[rows]))
+
+
+def test_rivals_say_why_they_lost(drag):
+    _, report = drag
+    rivals = report.rounds[0].rivals
+    assert all(r.reason for r in rivals)
+    freed = [r for r in rivals if r.kind == "declared_term_change"]
+    assert ["instead" in r.name for r in freed] == [True, False]
+    assert freed[0].delta_bic > 100
+    assert freed[0].held_out_ratio > 0.3
+    assert "of its value" in freed[0].reason
+    assert all(r.delta_bic > 0 or "as well" in r.reason or "better" in r.reason for r in rivals)
+
+
+def test_equal_laws_are_listed(drag):
+    """All balls have one mass and one radius, so that drag may go with either."""
+    _, report = drag
+    effect = report.rounds[0].effect
+    assert any("m_i" in law for law in effect.equivalents)
+    assert "mass" in effect.separated_by
+
+
+def test_the_table_of_a_report_has_every_round(drag):
+    _, report = drag
+    table = report.table()
+    assert table["model"].tolist() == ["before", "after", "floor", "before", "floor"]
+
+
+def test_a_changed_number_is_not_adopted_but_listed_with_its_size():
+    """Weight declared as 9 m/s^2; in truth it is 9.81, and nothing else is missing."""
+    data = flights(0, nothing, n_train=5, n_test=5, noise=None)
+    report = close(data, "9 [m/s^2] * m_i * down")
+    (done,) = report.rounds
+    assert not done.adopted
+    assert report.verdict in ("cannot tell", "seen, not adopted")
+    freed = [r for r in done.rivals if r.kind == "declared_term_change" and "instead" in r.name]
+    assert freed[0].delta_bic < 0
+    change = float(freed[0].reason.split("off by ")[1].split("%")[0])
+    assert change == pytest.approx(100 * (9.81 / 9 - 1), abs=0.2)
+    assert freed[0].held_out_ratio < 0.2
+    assert "length scale" in done.reason + freed[0].reason
+    assert report.law.text() == "9 [m/s^2] * m_i * down"
+    assert report.total["after"] == report.total["before"]
+
+
+def test_a_forward_push_is_not_adopted():
+    """A rocket, c v: the sign of a drag is forbidden, and nothing else explains it."""
+    data = flights(1, lambda t, p, v, m, q: 0.4 * m * v, n_train=4, n_test=5)
+    report = close(data, WEIGHT)
+    for done in report.rounds:
+        assert done.effect is None or not done.adopted or "push" not in done.effect.name
+    assert not any(t.is_declared is False and "normalize(v_i)" in r.law and r.constants[0].value > 0
+                   for t in report.law.terms for r in [x.effect for x in report.rounds if x.adopted])
+
+
+def test_two_terms_that_nearly_agree_are_not_both_adopted():
+    """All balls thrown alike: linear and quadratic drag are collinear to a few percent."""
+    t = 0.02 * np.arange(40)[:, None]
+    scenes = []
+    for k, child in enumerate(np.random.default_rng(3).spawn(9)):
+        rate, fall = 0.4, np.array([0.0, -9.81 / 0.4])
+        v = np.array([20.0, 1.0 + 0.1 * k])
+        p = fall * t + (v - fall) / rate * (1 - np.exp(-rate * t))
+        ball = Entity("ball", properties={"mass": 1.0})
+        p = p + 0.005 * child.standard_normal(p.shape)
+        scenes.append(Scene(f"s{k}", t[:, 0], p[:, None], [ball]))
+    data = Dataset("alike", scenes, units=SI, up="y", noise=(0.005,),
+                   test=("s4", "s5", "s6", "s7", "s8"))
+    report = close(data, GRAVITY, "-c1 * m_i * v_i")
+    assert not any(done.adopted for done in report.rounds)
+    # With nothing known of the drag, one term is named, or it is said that others fit as well.
+    found = close(data, GRAVITY)
+    adopted = [done for done in found.rounds if done.adopted]
+    assert len(adopted) <= 1
+    names = {adopted[0].effect.name} | {
+        r.name for r in adopted[0].rivals if "as well" in r.reason or "worse" in r.reason}
+    assert any(name.startswith("drag") for name in names)
+
+
+def test_declared_constants_are_refitted_with_what_is_found():
+    data = flights(2, linear_drag, n_train=5, n_test=5)
+    report = close(data, "g * m_i * down")
+    constants = {c.name: c for c in report.constants}
+    assert set(constants) == {"g", "c1"}
+    for name, true in (("g", 9.81), ("c1", -0.3)):
+        c = constants[name]
+        assert abs(c.value - true) < 4 * (c.high - c.low) / 2 / 1.645
+    # There is no declared number to free.
+    assert not [r for r in report.rounds[0].rivals if r.kind == "declared_term_change"]
+
+
+def test_a_limit_of_rounds_is_said():
+    data = throws(n_scenes=8, n_times=25, sigma=0.01, noise=(0.01,))
+    report = close(data, GRAVITY, max_rounds=1)
+    assert len(report.rounds) == 1
+    assert report.stop_reason == "the limit of 1 rounds was reached; more may be left"
+
+
+def test_exact_data_take_the_same_way():
+    """Exact throws of a drag that is quadratic in speed, taken step by step."""
+    dt, scenes = 0.02, []
+    for k in range(8):
+        p = [np.array([0.0, 10.0]), np.array([0.1 + 0.02 * k, 10.1 - 0.03 * k])]
+        for _ in range(38):
+            v = (p[-1] - p[-2]) / dt
+            p.append(p[-1] + dt * (v + dt * ([0.0, -9.81] - 0.1 * np.linalg.norm(v) * v)))
+        ball = Entity("ball", properties={"mass": 1.0})
+        scenes.append(Scene(f"s{k}", dt * np.arange(40), np.array(p)[:, None], [ball]))
+    data = Dataset("steps", scenes, units=SI, up="y", test=("s6", "s7"))
+    report = close(data, GRAVITY)
+    types = dataset_types(data)
+    assert parse_formula(DRAG, types) is not None
+    effect = report.rounds[0].effect
+    assert (report.rounds[0].verdict, effect.name) == ("effect adopted", "drag, quadratic in speed")
+    assert effect.constants[0].value == pytest.approx(-0.1, rel=1e-6)
+    assert report.total["after"].residual_acceleration < 1e-6
+    assert Term(parse_formula(DRAG, types)).kind == "field"
+    assert declared_law(data, [GRAVITY]).names == ()
