@@ -45,7 +45,7 @@ class Unit:
     'm^2/s^2'
     """
 
-    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(BASE)
+    exponents: tuple[int | Fraction, ...] = (0,) * len(BASE)
 
     @classmethod
     def of(cls, **powers):
@@ -109,7 +109,9 @@ def _raised(unit, power):
 
 
 def _rational(value):
-    return Fraction(value).limit_denominator(64)
+    """A power: an int where it is one (fast), otherwise a fraction."""
+    value = Fraction(value).limit_denominator(64)
+    return int(value) if value.denominator == 1 else value
 
 
 def _power_text(name, power):
@@ -165,7 +167,7 @@ def parse_unit(text):
     base = _in_base_units(clean)
     if not 0 < float(base.magnitude) < float("inf"):
         raise UnitError(f"unit {clean!r} is too large or too small to be used")
-    exponents = [Fraction(0)] * len(BASE)
+    exponents = [0] * len(BASE)
     for dimension, power in base.dimensionality.items():
         if dimension not in _DIMENSION:
             raise UnitError(

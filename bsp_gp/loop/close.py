@@ -254,6 +254,9 @@ def _caveats(observation, search):
             f"tracks depend so strongly on their start that they were fitted in "
             f"{len(observation.segments)} segments"
         )
+    late = [s.name for s in observation.test if observation.is_late(s).any()]
+    if late:
+        yield f"bodies not seen in the first rows of a held-out scene are not scored: {', '.join(late)}"
     unknown = sorted(
         {
             e.name

@@ -226,7 +226,7 @@ class Observation:
         return self._predict(law, scenes)
 
     def _predict(self, law, scenes):
-        return predict(
+        tracks = predict(
             scenes,
             law,
             self.sigma,
@@ -236,6 +236,15 @@ class Observation:
             up=self.dataset.up,
             velocity=self.velocity,
         )
+        for scene, track in zip(scenes, tracks, strict=True):
+            track[:, self.is_late(scene)] = np.nan
+        return tracks
+
+    def is_late(self, scene):
+        """Which receivers the first rows do not show often enough to know their initial state."""
+        head = scene.positions[: self.n_initial(scene), scene.dynamic]
+        least = 1 if self.velocity == "measured" else 2
+        return np.isfinite(head).all(axis=-1).sum(axis=0) < least
 
     def errors(self, law, scenes=None):
         """Errors of a law on held-out scenes, and the sums behind them.

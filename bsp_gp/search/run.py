@@ -1,0 +1,165 @@
+"""One loop for every search: budget, seeds, Pareto front, callbacks, checkpoint and resume.
+
+A strategy is any object with ``init(objective, rng) -> state`` and
+``step(state, objective, rng) -> state``; a state is a dict that JSON can hold. The loop spawns
+one random stream per step, so that a resumed run draws what the uninterrupted one would have.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.language.expression import from_lists, to_lists
+from bsp_gp.search.candidate import SearchResult
+
+__all__ = ["Budget", "Search", "run_search"]
+
+
+class Search(Protocol):
+    """A search strategy."""
+
+    name: str
+
+    def init(self, objective, rng):
+        """First state: a dict that JSON can hold, with the key "population" or like it."""
+
+    def step(self, state, objective, rng):
+        """Next state."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to stop: whichever comes first.
+
+    Attributes
+    ----------
+    n_scored : int or None
+        Laws that differ on the data. Reproducible.
+    seconds : float or None
+        Not reproducible by itself: the result records its counts so that it can be replayed.
+    n_steps : int or None
+    """
+
+    n_scored: int | None = None
+    seconds: float | None = None
+    n_steps: int | None = None
+
+    def __post_init__(self):
+        if self.n_scored is None and self.seconds is None and self.n_steps is None:
+            raise SettingsError("a budget needs n_scored, seconds or n_steps")
+
+    def is_spent(self, objective, started, steps):
+        return (
+            (self.n_scored is not None and objective.n_scored >= self.n_scored)
+            or (self.seconds is not None and time.perf_counter() - started >= self.seconds)
+            or (self.n_steps is not None and steps >= self.n_steps)
+        )
+
+
+def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=None, keep=40):
+    """Run a strategy until its budget is spent, a callback asks to stop, or Ctrl-C.
+
+    Parameters
+    ----------
+    strategy : Search
+    objective : Objective
+    budget : Budget
+    rng : numpy.random.Generator
+        Only its seed sequence matters; step k uses the k-th stream spawned from it.
+    callback : callable, optional
+        ``callback(step, objective) -> bool``: True stops.
+    checkpoint : path, optional
+        State is written there after every step (whole or not at all); if the file exists the run
+        goes on from it. The answer is that of an uninterrupted run.
+    keep : int
+        Candidates in the result.
+
+    Returns
+    -------
+    SearchResult
+    """
+    started = time.perf_counter()
+    state, steps = _load(checkpoint, strategy, objective)
+    streams = _Streams(rng, steps)
+    try:
+        if state is None:
+            state = strategy.init(objective, streams.next())
+            _save(checkpoint, strategy, state, 0, objective)
+        while not budget.is_spent(objective, started, steps):
+            state = strategy.step(state, objective, streams.next())
+            steps += 1
+            _save(checkpoint, strategy, state, steps, objective)
+            if callback is not None and callback(steps, objective):
+                break
+    except KeyboardInterrupt:
+        if not objective.best:
+            raise  # nothing to keep yet
+    return _result(objective, keep, time.perf_counter() - started)
+
+
+class _Streams:
+    """The k-th stream of a run, whatever was done before it in this process."""
+
+    def __init__(self, rng, steps):
+        self.sequence = np.random.SeedSequence(int(rng.integers(2**63)))
+        self.index = steps + 1 if steps else 0
+
+    def next(self):
+        child = np.random.SeedSequence(self.sequence.entropy, spawn_key=(self.index,))
+        self.index += 1
+        return np.random.default_rng(child)
+
+
+def _result(objective, keep, seconds):
+    ranked = sorted(objective.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:keep]
+    candidates = [objective.candidate(expression) for expression, _ in ranked]
+    front = [objective.candidate(expression) for expression, _ in objective.front()]
+    best = candidates[0] if candidates else None
+    return SearchResult(best, tuple(candidates), tuple(front), objective.n_scored,
+                        objective.n_failed, seconds)
+
+
+def _save(path, strategy, state, steps, objective):
+    if path is None:
+        return
+    path = Path(path)
+    content = {
+        "strategy": strategy.name,
+        "fingerprint": objective.grammar.fingerprint,
+        "steps": steps,
+        "state": state,
+        "seen": [to_lists(expression) for expression in objective.history],
+        "counts": [objective.n_trees, objective.n_repeats],
+    }
+    temporary = path.with_name(path.name + ".part")
+    try:
+        temporary.write_text(json.dumps(content), encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(f"checkpoint {path} cannot be written: {error.strerror}") from None
+
+
+def _load(path, strategy, objective):
+    if path is None or not Path(path).exists():
+        return None, 0
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        matches = (content["strategy"], content["fingerprint"]) == (
+            strategy.name, objective.grammar.fingerprint
+        )
+    except (ValueError, KeyError, TypeError):
+        raise OutputError(f"{path} is no checkpoint of a search; move it away") from None
+    if not matches:
+        raise OutputError(f"{path} is the checkpoint of another search or grammar; move it away")
+    # Scoring the laws seen so far again restores counts, numbers and the front exactly.
+    objective.score([from_lists(lists, objective.grammar) for lists in content["seen"]])
+    objective.n_trees, objective.n_repeats = content["counts"]
+    return content["state"], content["steps"]
