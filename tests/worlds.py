@@ -20,8 +20,9 @@ def moved(motion, start, times):
         p, v = state.reshape(start.shape)
         return np.concatenate([v.ravel(), motion(t, p, v).ravel()])
 
-    track = solve_ivp(slope, (0, times[-1]), start.ravel(), method="DOP853", t_eval=times,
-                      rtol=1e-10, atol=1e-10)
+    track = solve_ivp(
+        slope, (0, times[-1]), start.ravel(), method="DOP853", t_eval=times, rtol=1e-10, atol=1e-10
+    )
     states = track.y.T.reshape(len(times), *start.shape)
     return states[:, 0], states[:, 1]
 
@@ -31,12 +32,29 @@ def split_dataset(name, make_scene, seed, n_train=4, n_test=6, **settings):
     rng = np.random.default_rng(seed)
     scenes = [make_scene(str(k), child) for k, child in enumerate(rng.spawn(n_train + n_test))]
     names = [scene.name for scene in scenes]
-    return Dataset(f"{name} {seed}", scenes, train=tuple(names[:n_train]),
-                   test=tuple(names[n_train:]), units=SI, **settings)
+    return Dataset(
+        f"{name} {seed}",
+        scenes,
+        train=tuple(names[:n_train]),
+        test=tuple(names[n_train:]),
+        units=SI,
+        **settings,
+    )
 
 
-def flights(seed, force, *, sigma=0.005, n_times=40, dt=0.05, n_dims=2, same_mass=False,
-            noise=None, warp=None, **split):
+def flights(
+    seed,
+    force,
+    *,
+    sigma=0.005,
+    n_times=40,
+    dt=0.05,
+    n_dims=2,
+    same_mass=False,
+    noise=None,
+    warp=None,
+    **split,
+):
     """One ball a scene, thrown under its weight and ``force(t, p, v, m, q)``.
 
     `noise(rng, shape)` draws what is added to positions; `warp(times, positions)` is what the
@@ -130,8 +148,18 @@ def tied(seed, *, k=8.0, rest=1.0, damping=0.0, sigma=0.003, n_times=50, dt=0.05
     return split_dataset("tied", scene, seed, **split)
 
 
-def orbits(seed, *, exponent=2.0, extra=None, hidden=None, charges=False, sigma=0.01, n_times=40,
-           dt=0.15, **split):
+def orbits(
+    seed,
+    *,
+    exponent=2.0,
+    extra=None,
+    hidden=None,
+    charges=False,
+    sigma=0.01,
+    n_times=40,
+    dt=0.15,
+    **split,
+):
     """A heavy body and two light ones; pull 1000 m / r^exponent, and ``extra(t, p, v, m, q)``.
 
     `hidden` is the mass and place of a body at rest that no camera sees.

@@ -256,7 +256,7 @@ def _caveats(observation, search):
         )
     late = [s.name for s in observation.test if observation.is_late(s).any()]
     if late:
-        yield f"bodies not seen in the first rows of a held-out scene are not scored: {', '.join(late)}"
+        yield f"bodies that the first rows do not show are not scored: in {', '.join(late)}"
     unknown = sorted(
         {
             e.name

@@ -103,8 +103,9 @@ class RandomSearch:
 
 
 def _paper(population, elite, smoothing):
-    return CrossEntropy(population, 10, elite, smoothing, distinct=False, uniform_share=0.0,
-                        patience=None)
+    return CrossEntropy(
+        population, 10, elite, smoothing, distinct=False, uniform_share=0.0, patience=None
+    )
 
 
 PRESETS = {

@@ -1,6 +1,6 @@
 """Genetic programming on DEAP: strongly typed, types are nonterminals with units.
 
-Individuals are prefix lists of DEAP primitives, one per production rule. They start from the
+Individuals are expressions with a DEAP fitness. They start from the
 PCFG under the bound on levels; crossover swaps subtrees of one type and mutation draws a subtree
 anew, both within the bound, so that no unit and no bound is ever broken. Selection is NSGA-II
 on (loss, complexity) among distinct laws; constants come from the inner level alone. Our own
@@ -29,11 +29,11 @@ class _Fitness(base.Fitness):
 class _Individual:
     """An expression with its DEAP fitness."""
 
-    __slots__ = ("expression", "fitness", "law")
+    __slots__ = ("cost", "expression", "fitness")
 
     def __init__(self, expression, score):
         self.expression = expression
-        self.law = score.law
+        self.cost = score.cost
         self.fitness = _Fitness((score.loss, score.complexity))
 
 
@@ -52,7 +52,7 @@ class Genetic:
     immigrants : float
         Part of the offspring drawn from the PCFG, against stagnation.
     patience : int or None
-        Generations without a better law after which all but the best are drawn anew.
+        Generations without a law of lower cost after which all but the best are drawn anew.
     """
 
     population: int = 200
@@ -74,8 +74,10 @@ class Genetic:
         grammar = objective.grammar
         pcfg = Pcfg.uniform(grammar)
         parents = [from_lists(lists, grammar) for lists in state["population"]]
-        if self.patience is not None and state["stuck"] >= self.patience:
+        is_stuck = self.patience is not None and state["stuck"] >= self.patience
+        if is_stuck or not parents:
             trees = pcfg.sample_many(rng, objective.start, self.max_levels, self.offspring)
+            parents.sort(key=lambda tree: objective.known([tree])[0].cost)
             return self._selected(trees, parents[:1], objective, state["best"], 0)
         n_new = int(self.immigrants * self.offspring)
         trees = pcfg.sample_many(rng, objective.start, self.max_levels, n_new)
@@ -86,7 +88,8 @@ class Genetic:
                 trees.extend(variation.crossover(one, other))
             else:
                 trees.append(variation.mutate(parents[self._picked(rng, len(parents))[0]]))
-        return self._selected(trees[: self.offspring], parents, objective, state["best"], state["stuck"])
+        trees = trees[: self.offspring]
+        return self._selected(trees, parents, objective, state["best"], state["stuck"])
 
     def _picked(self, rng, n):
         """Two tournaments of two; parents are in the order of NSGA-II, best first."""
@@ -95,13 +98,14 @@ class Genetic:
     def _selected(self, trees, parents, objective, best, stuck):
         pool, seen = [], set()
         everyone = [*parents, *trees]
-        for expression, score in zip(everyone, objective.score(everyone), strict=True):
+        scores = [*objective.known(parents), *objective.score(trees)]
+        for expression, score in zip(everyone, scores, strict=True):
             if score.law >= 0 and score.law not in seen:
                 seen.add(score.law)
                 pool.append(_Individual(expression, score))
         # The default sorting of selNSGA2 takes seconds where "log" takes milliseconds.
         chosen = tools.selNSGA2(pool, min(self.population, len(pool)), nd="log")
-        lowest = min((objective.score([i.expression])[0].cost for i in chosen), default=None)
+        lowest = min((individual.cost for individual in pool), default=None)
         improved = best is None or (lowest is not None and lowest < best)
         return {
             "population": [to_lists(individual.expression) for individual in chosen],
@@ -120,13 +124,16 @@ class _Variation:
         self.rng = rng
 
     def crossover(self, one, other):
-        """Swap a subtree of one type; parents are returned where none can be swapped in bounds."""
+        """Swap a subtree of one type; `one` is mutated where none can be swapped in bounds."""
         path, node = self._pick(one)
         wanted = self.grammar.rules[node.rule].nonterminal
         partners = [
-            (p, n) for p, n in _nodes(other)
-            if self.grammar.rules[n.rule].nonterminal == wanted and n != node
-            and len(path) + n.levels <= self.max_levels and len(p) + node.levels <= self.max_levels
+            (p, n)
+            for p, n in _nodes(other)
+            if self.grammar.rules[n.rule].nonterminal == wanted
+            and n != node
+            and len(path) + n.levels <= self.max_levels
+            and len(p) + node.levels <= self.max_levels
         ]
         if not partners:
             return [self.mutate(one)]

@@ -8,12 +8,13 @@ scored once. New laws are scored in batches that share a direction.
 
 from __future__ import annotations
 
+import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError, SettingsError
+from bsp_gp.errors import EvaluationError, SettingsError, UnitError
 from bsp_gp.language.expression import to_formula
 from bsp_gp.language.formula import Call, Constant, Number, evaluate, factors, product
 from bsp_gp.language.grammar import fill
@@ -22,6 +23,7 @@ from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.search.banks import Rows, fingerprints
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.scoring import COLLINEAR, _receiver_index
 
 __all__ = ["CRITERIA", "Objective", "Score"]
 
@@ -45,6 +47,7 @@ class Score:
     cost : float
         What searches minimise.
     constant : float
+        The law's constant; of several the first, of none 1.
     """
 
     law: int
@@ -77,16 +80,18 @@ class Objective:
     Attributes
     ----------
     n_trees, n_scored, n_repeats, n_failed : int
-        Trees asked for; laws that differ on the data; trees recognised as known laws; trees
-        without a finite value.
+        Trees asked for; laws that differ on the data; trees that had been asked for before;
+        new trees without a finite value or without any effect on the data.
     best : dict of int to (Expression, Score)
         Law -> its least complex expression seen so far.
-    history : list of Expression
-        All distinct trees, in the order in which they were scored.
+    history : list of list of Expression
+        All distinct trees, in the order and in the batches in which they were scored: scoring
+        the batches again gives the same numbers and the same bits.
     """
 
-    def __init__(self, regression, grammar, kind, *, target=None, nuisance=None,
-                 criterion="prior", beta=1e-3):
+    def __init__(
+        self, regression, grammar, kind, *, target=None, nuisance=None, criterion="prior", beta=1e-3
+    ):
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
         if kind not in grammar.start:
@@ -110,6 +115,7 @@ class Objective:
         self._of_formula = {}
         self._members = {"coefficient": [], "direction": []}
         self._laws = {}
+        self._fits = {}
         self._values = OrderedDict()
         self._bytes = 0
         self._inputs = _FlatInputs(self.rows, grammar)
@@ -121,6 +127,24 @@ class Objective:
         self._per_mass = (1.0 / mass)[:, None]
         self.best = {}
         self.history = []
+
+    @property
+    def fingerprint(self):
+        """Hash of what the scores depend on: grammar and its mask, settings, data."""
+        settings = (
+            self.grammar.fingerprint,
+            tuple(map(bool, self.grammar.enabled)),
+            self.kind,
+            self.criterion,
+            float(self.beta),
+        )
+        digest = hashlib.sha256(repr(settings).encode())
+        for batch in self.regression.batches:
+            for array in (batch.times, batch.positions, batch.velocities, batch.scale):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        for array in (self.y, self.q, self._per_mass):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     # --- scores ----------------------------------------------------------------------------------
 
@@ -141,16 +165,28 @@ class Objective:
             if expression not in self._scores and expression not in new:
                 new[expression] = self._identify(expression)
         self._score_new(new)
-        self.history.extend(new)
+        if new:
+            self.history.append(list(new))
         self.n_repeats += len(expressions) - len(new)
+        return self.known(expressions)
+
+    def known(self, expressions):
+        """Scores of expressions that were scored before; not counted."""
         return [self._scores[expression] for expression in expressions]
 
     def _identify(self, expression):
-        """(coefficient class, direction class), a Score for odd laws, or None without a value."""
-        formula = self._formula(expression)
+        """Key of the law among `_laws`; None without a value.
+
+        (coefficient class, direction class), or ("whole", formula) for laws whose constants do
+        not all multiply.
+        """
+        try:
+            formula = self._formula(expression)
+        except UnitError:
+            return None
         parts = _parts(formula)
         if parts is None:
-            return self._fit_whole(expression, formula)
+            return self._fit_whole(formula)
         coefficient, direction = parts
         a = self._class("coefficient", coefficient)
         b = self._class("direction", direction)
@@ -204,27 +240,27 @@ class Objective:
 
     def _score_new(self, new):
         waiting = {}
-        for expression, found in new.items():
-            if isinstance(found, tuple) and found not in self._laws:
+        for found in new.values():
+            if found is not None and found not in self._laws:
                 waiting.setdefault(found[1], {})[found[0]] = None
         for b, members in waiting.items():
             self._score_batch(b, list(members))
         for expression, found in new.items():
-            self._scores[expression] = self._finish(expression, found)
+            self._finish(expression, found)
 
     def _finish(self, expression, found):
         complexity = -float(sum(self.log_probs[rule] for rule in expression.rules()))
-        if isinstance(found, Score):
-            return found
         if found is None or self._laws[found][0] < 0:
             self.n_failed += 1
-            return Score(-1, np.inf, complexity, np.inf, 0.0)
+            self._scores[expression] = Score(-1, np.inf, complexity, np.inf, 0.0)
+            return
         number, loss, constant = self._laws[found]
-        score = Score(number, loss, complexity, self._cost(loss, complexity, 1), constant)
+        n_constants = len(self._fits.get(number, (constant,)))
+        cost = self._cost(loss, complexity, n_constants)
+        score = self._scores[expression] = Score(number, loss, complexity, cost, constant)
         kept = self.best.get(number)
         if kept is None or complexity < kept[1].complexity:
             self.best[number] = (expression, score)
-        return score
 
     def _cost(self, loss, complexity, n_constants):
         if self.criterion == "prior":
@@ -241,11 +277,18 @@ class Objective:
             part = members[start : start + step]
             values = [self._value("coefficient", self._members["coefficient"][a]) for a in part]
             columns = self._columns(np.stack(values), vector)
-            columns = columns - (columns @ self.q) @ self.q.T if self.q.shape[1] else columns
+            raw = np.einsum("kn,kn->k", columns, columns)
+            columns = self._projected(columns.T).T
             dots = columns @ self.y
             sizes = np.einsum("kn,kn->k", columns, columns)
+            # What is left of a law that is there already is rounding, not a law.
+            sizes = np.where(sizes > COLLINEAR * raw, sizes, 0.0)
             for a, dot, size in zip(part, dots, sizes, strict=True):
                 self._settle((a, b), float(dot), float(size))
+
+    def _projected(self, columns):
+        """Columns (n[, k]) less what the free terms of the law explain of them."""
+        return columns - self.q @ (self.q.T @ columns) if self.q.shape[1] else columns
 
     def _settle(self, key, dot, size):
         if not size > 0 or not np.isfinite(size):
@@ -274,43 +317,57 @@ class Objective:
         return np.concatenate(out, axis=1)
 
     def _receiver_starts(self, active):
-        from bsp_gp.search.scoring import _receiver_index
-
         receiver = _receiver_index(self.rows)[active]
         firsts = np.flatnonzero(np.concatenate([[True], receiver[1:] != receiver[:-1]]))
         return receiver[firsts], firsts
 
-    def _fit_whole(self, expression, formula):
+    def _fit_whole(self, formula):
         """Laws whose constants do not all multiply: the full inner level."""
-        complexity = -float(sum(self.log_probs[rule] for rule in expression.rules()))
-        law = ForceLaw((Term(formula, self.kind),), dict.fromkeys(formula.constants, 1.0))
-        try:
-            fit = fit_constants(self.regression, law, starts=3)
-        except EvaluationError:
-            self.n_failed += 1
-            return Score(-1, np.inf, complexity, np.inf, 0.0)
-        number = self.n_scored
-        self.n_scored += 1
-        cost = self._cost(fit.loss, complexity, len(fit.values))
-        score = Score(number, fit.loss, complexity, cost, float(fit.values[0]))
-        self.best[number] = (expression, score)
-        return score
+        names = {name: f"c{k}" for k, name in enumerate(formula.constants, 1)}
+        formula = _renamed(formula, names)
+        key = ("whole", formula)
+        if key not in self._laws:
+            law = ForceLaw((Term(formula, self.kind),), dict.fromkeys(formula.constants, 1.0))
+            try:
+                fit = fit_constants(_Projected(self), law, starts=3)
+            except EvaluationError:
+                self._laws[key] = (-1, np.inf, 0.0)
+                return key
+            values = tuple(float(value) for value in fit.values)
+            self._laws[key] = (self.n_scored, fit.loss, values[0] if values else 1.0)
+            self._fits[self.n_scored] = values
+            self.n_scored += 1
+        return key
 
     # --- candidates ------------------------------------------------------------------------------
 
     def candidate(self, expression):
-        """The expression as a Candidate, with its exactly recomputed loss."""
-        score = self.score([expression])[0]
+        """A scored expression as a Candidate, with its exactly recomputed loss."""
+        (score,) = self.known([expression])
         formula = to_formula(expression, self.grammar)
-        name = formula.constants[0]
-        bare = Term(_without_constant(formula, name), self.kind)
-        column = self.regression.column(bare)[0][:, 0]
-        column = column - self.q @ (self.q.T @ column)
-        size = float(column @ column)
-        constant = float(column @ self.y) / size if size > 0 else 0.0
-        loss = 0.5 * float(np.square(self.y - constant * column).sum())
-        return Candidate(formula, self.kind, {name: constant}, loss, score.complexity,
-                         self.total - 2 * loss, self.total, expression)
+        names = formula.constants
+        if score.law in self._fits:
+            constants = dict(zip(names, self._fits[score.law], strict=True))
+            law = ForceLaw((Term(formula, self.kind),), constants)
+            residual = _Projected(self).residual(law)
+        else:
+            bare = Term(_without_constant(formula, names[0]), self.kind)
+            column = self._projected(self.regression.column(bare)[0][:, 0])
+            size = float(column @ column)
+            constant = float(column @ self.y) / size if size > 0 else 0.0
+            constants = {names[0]: constant}
+            residual = self.y - constant * column
+        loss = 0.5 * float(np.square(residual).sum())
+        return Candidate(
+            formula,
+            self.kind,
+            constants,
+            loss,
+            score.complexity,
+            self.total - 2 * loss,
+            self.total,
+            expression,
+        )
 
     def front(self):
         """Best distinct laws per complexity, each better than every simpler one.
@@ -320,10 +377,34 @@ class Objective:
         list of (Expression, Score), simplest first
         """
         out = []
-        for expression, score in sorted(self.best.values(), key=lambda e: (e[1].complexity, e[1].loss)):
+        by_complexity = sorted(self.best.values(), key=lambda e: (e[1].complexity, e[1].loss))
+        for expression, score in by_complexity:
             if not out or score.loss < out[-1][1].loss:
                 out.append((expression, score))
         return out
+
+
+class _Projected:
+    """The regression as the inner level sees it: residual target, free terms projected out."""
+
+    def __init__(self, objective):
+        self.objective = objective
+        self.regression = objective.regression
+
+    def target(self):
+        return self.objective.y
+
+    def residual(self, law):
+        predicted = self.regression.target() - self.regression.residual(law)
+        return self.objective.y - self.objective._projected(predicted)
+
+    def column(self, term, per_entity=False):
+        columns, names = self.regression.column(term, per_entity)
+        return self.objective._projected(columns), names
+
+    def gradient(self, law, term):
+        slopes = self.regression.gradient(law, term)
+        return {name: self.objective._projected(slope) for name, slope in slopes.items()}
 
 
 class _FlatInputs(dict):
@@ -399,4 +480,13 @@ def _without_constant(formula, name):
         return Number(1.0)
     if isinstance(formula, Call):
         return Call(formula.operator, *(_without_constant(arg, name) for arg in formula.args))
+    return formula
+
+
+def _renamed(formula, names):
+    """The formula with its constants renamed."""
+    if isinstance(formula, Constant):
+        return Constant(names.get(formula.name, formula.name))
+    if isinstance(formula, Call):
+        return Call(formula.operator, *(_renamed(arg, names) for arg in formula.args))
     return formula

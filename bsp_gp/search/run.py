@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.errors import BspError, OutputError, SettingsError
 from bsp_gp.language.expression import from_lists, to_lists
 from bsp_gp.search.candidate import SearchResult
 
@@ -85,18 +86,32 @@ def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=No
     Returns
     -------
     SearchResult
+
+    Raises
+    ------
+    OutputError
+        If the checkpoint cannot be written, is damaged, or is that of another search (strategy
+        and its settings, grammar, data, seed). The file is left as it is.
     """
+    # One thread: the last bits of a sum may not depend on how many there are.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _run(strategy, objective, budget, rng, callback, checkpoint, keep)
+
+
+def _run(strategy, objective, budget, rng, callback, checkpoint, keep):
     started = time.perf_counter()
-    state, steps = _load(checkpoint, strategy, objective)
-    streams = _Streams(rng, steps)
+    entropy = int(rng.integers(2**63))
+    identity = [strategy.name, repr(strategy), objective.fingerprint, entropy]
+    state, steps = _load(checkpoint, identity, objective)
+    streams = _Streams(entropy, 0 if state is None else steps + 1)
     try:
         if state is None:
             state = strategy.init(objective, streams.next())
-            _save(checkpoint, strategy, state, 0, objective)
+            _save(checkpoint, identity, state, 0, objective)
         while not budget.is_spent(objective, started, steps):
             state = strategy.step(state, objective, streams.next())
             steps += 1
-            _save(checkpoint, strategy, state, steps, objective)
+            _save(checkpoint, identity, state, steps, objective)
             if callback is not None and callback(steps, objective):
                 break
     except KeyboardInterrupt:
@@ -108,12 +123,12 @@ def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=No
 class _Streams:
     """The k-th stream of a run, whatever was done before it in this process."""
 
-    def __init__(self, rng, steps):
-        self.sequence = np.random.SeedSequence(int(rng.integers(2**63)))
-        self.index = steps + 1 if steps else 0
+    def __init__(self, entropy, index):
+        self.entropy = entropy
+        self.index = index
 
     def next(self):
-        child = np.random.SeedSequence(self.sequence.entropy, spawn_key=(self.index,))
+        child = np.random.SeedSequence(self.entropy, spawn_key=(self.index,))
         self.index += 1
         return np.random.default_rng(child)
 
@@ -123,20 +138,20 @@ def _result(objective, keep, seconds):
     candidates = [objective.candidate(expression) for expression, _ in ranked]
     front = [objective.candidate(expression) for expression, _ in objective.front()]
     best = candidates[0] if candidates else None
-    return SearchResult(best, tuple(candidates), tuple(front), objective.n_scored,
-                        objective.n_failed, seconds)
+    return SearchResult(
+        best, tuple(candidates), tuple(front), objective.n_scored, objective.n_failed, seconds
+    )
 
 
-def _save(path, strategy, state, steps, objective):
+def _save(path, identity, state, steps, objective):
     if path is None:
         return
     path = Path(path)
     content = {
-        "strategy": strategy.name,
-        "fingerprint": objective.grammar.fingerprint,
+        "search": identity,
         "steps": steps,
         "state": state,
-        "seen": [to_lists(expression) for expression in objective.history],
+        "seen": [[to_lists(expression) for expression in part] for part in objective.history],
         "counts": [objective.n_trees, objective.n_repeats],
     }
     temporary = path.with_name(path.name + ".part")
@@ -147,19 +162,31 @@ def _save(path, strategy, state, steps, objective):
         raise OutputError(f"checkpoint {path} cannot be written: {error.strerror}") from None
 
 
-def _load(path, strategy, objective):
+def _load(path, identity, objective):
     if path is None or not Path(path).exists():
         return None, 0
+    damaged = f"{path} is no checkpoint of a search; move it away"
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-        matches = (content["strategy"], content["fingerprint"]) == (
-            strategy.name, objective.grammar.fingerprint
-        )
-    except (ValueError, KeyError, TypeError):
-        raise OutputError(f"{path} is no checkpoint of a search; move it away") from None
+        matches = content["search"] == identity
+        steps, state, seen = int(content["steps"]), dict(content["state"]), content["seen"]
+        n_trees, n_repeats = map(int, content["counts"])
+    except OSError as error:
+        raise OutputError(f"checkpoint {path} cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise OutputError(damaged) from None
     if not matches:
-        raise OutputError(f"{path} is the checkpoint of another search or grammar; move it away")
-    # Scoring the laws seen so far again restores counts, numbers and the front exactly.
-    objective.score([from_lists(lists, objective.grammar) for lists in content["seen"]])
-    objective.n_trees, objective.n_repeats = content["counts"]
-    return content["state"], content["steps"]
+        raise OutputError(
+            f"{path} is the checkpoint of another search (strategy, grammar, data or seed); "
+            "move it away"
+        )
+    try:
+        seen = [[from_lists(lists, objective.grammar) for lists in part] for part in seen]
+    except (BspError, IndexError, KeyError, TypeError):
+        raise OutputError(damaged) from None
+    # Scoring the laws seen so far again, in the same batches, restores counts, numbers and the
+    # front bit for bit.
+    for part in seen:
+        objective.score(part)
+    objective.n_trees, objective.n_repeats = n_trees, n_repeats
+    return state, steps

@@ -37,8 +37,10 @@ def timeless(report):
 
 @pytest.fixture(scope="module")
 def noisy():
-    return replace(throws(n_scenes=8, n_times=25, sigma=0.01, noise=(0.01,)),
-                   test=("s1", "s3", "s5", "s6", "s7"))
+    return replace(
+        throws(n_scenes=8, n_times=25, sigma=0.01, noise=(0.01,)),
+        test=("s1", "s3", "s5", "s6", "s7"),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -83,17 +85,47 @@ def test_bad_laws_name_their_text(noisy, law, message):
 
 
 def test_declared_may_be_a_law_and_a_grammar_may_be_read_already(noisy, report):
-    again = close_loop(noisy, declared_law(noisy, [GRAVITY]), rng=np.random.default_rng(3),
-                       grammar=load_grammar("physics"), **FAST)
+    again = close_loop(
+        noisy,
+        declared_law(noisy, [GRAVITY]),
+        rng=np.random.default_rng(3),
+        grammar=load_grammar("physics"),
+        **FAST,
+    )
     assert timeless(again) == timeless(report)
 
 
 # --- the report -----------------------------------------------------------------------------------
 
-TOP = {"schema", "dataset", "declared", "grammar", "seed", "alpha", "noise", "rounds", "law",
-       "total", "verdict", "stop_reason", "versions", "wall_s"}
-ROUND = {"missing", "effect", "rivals", "adopted", "reason", "before", "after", "floor", "ratio",
-         "held_out", "certificate"}
+TOP = {
+    "schema",
+    "dataset",
+    "declared",
+    "grammar",
+    "seed",
+    "alpha",
+    "noise",
+    "rounds",
+    "law",
+    "total",
+    "verdict",
+    "stop_reason",
+    "versions",
+    "wall_s",
+}
+ROUND = {
+    "missing",
+    "effect",
+    "rivals",
+    "adopted",
+    "reason",
+    "before",
+    "after",
+    "floor",
+    "ratio",
+    "held_out",
+    "certificate",
+}
 EFFECT = {"name", "kind", "law", "latex", "entities", "constants", "p_value", "equivalents"}
 ERRORS = {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "unit"}
 
@@ -116,7 +148,12 @@ def test_report_json_keeps_its_contract(report):
     assert EFFECT <= set(first["effect"])
     assert {"name", "value", "low", "high", "unit"} <= set(first["effect"]["constants"][0])
     assert first["effect"]["kind"] in (
-        "pair", "field", "hidden_body", "measurement", "declared_term_change")
+        "pair",
+        "field",
+        "hidden_body",
+        "measurement",
+        "declared_term_change",
+    )
     assert data["alpha"] == 0.01
     assert data["declared"][0]["law"] == GRAVITY
 
@@ -126,8 +163,8 @@ def test_the_data_set_is_described(report, noisy):
     assert (about["n_scenes"], about["n_rows"], about["n_entities"]) == (8, 8 * 25, 1)
     assert set(about["train"]) | set(about["test"]) == {s.name for s in noisy.scenes}
     assert about["units"]["length"] == "m"
-    moved = replace(noisy, scenes=(replace(noisy.scenes[0], positions=noisy.scenes[0].positions + 1),
-                                   *noisy.scenes[1:]))
+    first, *rest = noisy.scenes
+    moved = replace(noisy, scenes=(replace(first, positions=first.positions + 1), *rest))
     assert close(moved, GRAVITY, max_rounds=1).dataset["fingerprint"] != about["fingerprint"]
 
 
@@ -210,15 +247,24 @@ def ragged():
     """Tables as trackpy gives them: one row per seen particle, late comers, gaps, early leavers."""
     frames = {}
     for scene in flights(0, wind, n_train=4, n_test=4, n_times=40).scenes:
-        track = pd.DataFrame({"frame": np.arange(40), "x": scene.positions[:, 0, 0],
-                              "y": scene.positions[:, 0, 1], "particle": 0})
+        track = pd.DataFrame(
+            {
+                "frame": np.arange(40),
+                "x": scene.positions[:, 0, 0],
+                "y": scene.positions[:, 0, 1],
+                "particle": 0,
+            }
+        )
         other = track.assign(x=track.x + 30.0, particle=1)
         seen = pd.concat([track.iloc[:-6], other.iloc[8:]])
         frames[scene.name] = seen[~((seen.particle == 0) & seen.frame.between(15, 17))]
     return Dataset.from_frames(
-        frames, entities=[Entity("0", properties={"mass": 1.0}),
-                          Entity("1", properties={"mass": 2.0})],
-        fps=20, units={"length": "m", "time": "s", "mass": "kg"}, up="y", name="ragged",
+        frames,
+        entities=[Entity("0", properties={"mass": 1.0}), Entity("1", properties={"mass": 2.0})],
+        fps=20,
+        units={"length": "m", "time": "s", "mass": "kg"},
+        up="y",
+        name="ragged",
         noise=0.005,
     )
 
@@ -226,7 +272,9 @@ def ragged():
 def test_tracks_that_begin_late_and_have_gaps():
     data = ragged()
     assert np.isnan(data.scenes[0].positions[0, 1]).all()
-    report = close(data, "9.81 [m/s^2] * m_i * down", exclude=("t", "p_j", "v_j", "m_j"))
+    report = close(
+        data, "9.81 [m/s^2] * m_i * down", exclude=("t", "p_j", "v_j"), max_levels=4, max_rounds=1
+    )
     assert math.isfinite(report.total["after"].rollout_rmse)
     effect = report.rounds[0].effect
     assert effect is not None and effect.name == "uniform push along x"
@@ -242,13 +290,14 @@ def test_a_body_that_comes_after_the_first_rows_of_a_held_out_scene():
     p[:20] = np.nan
     scenes[-1] = replace(scenes[-1], positions=p)
     report = close(replace(data, scenes=tuple(scenes)), "9.81 [m/s^2] * m_i * down")
-    rest = close(replace(data, scenes=data.scenes[:-1], test=data.test[:-1]),
-                 "9.81 [m/s^2] * m_i * down")
+    rest = close(
+        replace(data, scenes=data.scenes[:-1], test=data.test[:-1]), "9.81 [m/s^2] * m_i * down"
+    )
     after, expected = report.total["after"].rollout_rmse, rest.total["after"].rollout_rmse
     assert after == pytest.approx(expected)
     assert report.verdict == "effect adopted"
     assert np.isnan(report.overlays[-1].adopted).all()
-    assert "not scored: 8" in "; ".join(report.notes)
+    assert "not scored: in 8" in "; ".join(report.notes)
 
 
 def test_uncalibrated_data_say_so():

@@ -152,7 +152,8 @@ def test_in_a_straight_fall_a_vertical_push_is_along_the_velocity():
 def test_signs_of_all_found_terms_are_held(thrown):
     observation, law = thrown
     found = law.plus(Term(formula("c1 * v_i")), {"c1": 0.0}).plus(
-        Term(formula("c2 * e_x")), {"c2": 0.0})
+        Term(formula("c2 * e_x")), {"c2": 0.0}
+    )
     assert sign_bounds(observation, found) == {"c1": (-np.inf, 0.0)}
     assert sign_bounds(observation, declared_law(observation.dataset, [DRAG])) == {}
 
@@ -161,8 +162,10 @@ def test_signs_of_all_found_terms_are_held(thrown):
 
 
 def test_shortlist_has_the_best_and_the_simplest_near_it():
-    crowd = [proposal(f"c1 * norm(v_i)^{k} * v_i", evidence=100.0 - k, complexity=20.0 - k)
-             for k in range(1, 11)]
+    crowd = [
+        proposal(f"c1 * norm(v_i)^{k} * v_i", evidence=100.0 - k, complexity=20.0 - k)
+        for k in range(1, 11)
+    ]
     chosen = _shortlist(crowd, False)
     assert len(chosen) == SHORTLIST
     assert chosen[:3] == crowd[:3]
@@ -173,8 +176,10 @@ def test_shortlist_has_the_best_and_the_simplest_near_it():
 
 
 def test_shortlist_on_exact_data_goes_by_what_is_left():
-    crowd = [proposal("c1 * e_x", share=s, evidence=e)
-             for s, e in ((0.999, 100.0), (0.99895, 99.0), (0.998, 98.0))]
+    crowd = [
+        proposal("c1 * e_x", share=s, evidence=e)
+        for s, e in ((0.999, 100.0), (0.99895, 99.0), (0.998, 98.0))
+    ]
     assert _shortlist(crowd, True) == crowd[:2]
 
 
@@ -212,13 +217,15 @@ def test_redoes_declared_marks_what_is_parallel_to_a_declared_number():
     assert marked == {"uniform push along y"}
     flagged = search._flag_declared(
         [proposal(t) for t in ("c1 * m_i * e_y", "c1 * v_i", "c1 * norm(v_i)^2 * v_i", "c1 * e_x")],
-        law, search._regression(search.pooled_scenes),
+        law,
+        search._regression(search.pooled_scenes),
     )
     assert [p.redoes_declared for p in flagged] == [True, True, False, False]
     # A declared constant with a name is fitted, so there is no number to change.
     named = declared_law(data, ["g * m_i * down"])
-    again = search._flag_declared([proposal("c1 * m_i * e_y")], named,
-                                  search._regression(search.pooled_scenes))
+    again = search._flag_declared(
+        [proposal("c1 * m_i * e_y")], named, search._regression(search.pooled_scenes)
+    )
     assert not again[0].redoes_declared
 
 
@@ -302,8 +309,9 @@ def test_inputs_that_are_excluded_or_missing_are_not_used(thrown):
 def test_a_pair_pull_is_proposed_among_all_pair_laws():
     data = orbit_dataset(1, n_train=2, n_test=1)
     observation, _ = observed(data)
-    search = EffectSearch(observation, load_grammar("physics"), max_levels=6, n_null=99,
-                          exclude=("t", "v_i", "v_j"))
+    search = EffectSearch(
+        observation, load_grammar("physics"), max_levels=6, n_null=99, exclude=("t", "v_i", "v_j")
+    )
     found = search.propose(observation.fit(ForceLaw()), np.random.default_rng(0))
     texts = [describe(p.formula, -1.0) for p in found.shortlist]
     assert texts[0] == "pull to the other body, as distance^-2"

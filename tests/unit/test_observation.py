@@ -10,9 +10,8 @@ from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.close import _check_masses, close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.observation import MAX_SUBSTEPS, N_FLOOR, RESOLUTION, observe
-from tests.planted import SI
 from tests.planted import GRAVITY as PULL
-from tests.planted import orbit_dataset
+from tests.planted import SI, orbit_dataset
 from tests.throws import C1, DRAG, GRAVITY, throws
 from tests.worlds import tied
 
@@ -45,7 +44,10 @@ def stepped(n=40, dt=0.02):
 def test_exact_positions_made_in_steps_are_taken_step_by_step():
     observation, law = observed(stepped(), "-0.4 [1/s] * m_i * v_i", "c1 * m_i * e_y")
     assert (observation.method, observation.integrator, observation.is_exact) == (
-        "one_step", "euler", True)
+        "one_step",
+        "euler",
+        True,
+    )
     assert observation.segments == observation.train
     fit = observation.fit(law)
     assert fit.whole is None
@@ -55,7 +57,10 @@ def test_exact_positions_made_in_steps_are_taken_step_by_step():
 def test_exact_positions_of_a_smooth_motion_are_fitted_to_a_resolution():
     observation, _ = observed(throws(noise=(0.0,), n_times=30), GRAVITY, DRAG)
     assert (observation.method, observation.integrator, observation.is_exact) == (
-        "gls", "rk4", False)
+        "gls",
+        "rk4",
+        False,
+    )
     spans = [np.ptp(s.positions) for s in observation.dataset.scenes]
     np.testing.assert_allclose(observation.sigma, RESOLUTION * max(spans))
     assert "looks continuous" in observation.split_note
@@ -104,8 +109,9 @@ def test_a_law_with_contacts_is_stepped_as_the_paper_does():
     scenes = []
     for scene in data.scenes:
         p = np.concatenate([scene.positions, np.tile([[[30.0, 0.0]]], (30, 1, 1))], axis=1)
-        wall = Entity("wall", "rect_wall", width=1.0, height=60.0, is_static=True,
-                      properties={"mass": 1.0})
+        wall = Entity(
+            "wall", "rect_wall", width=1.0, height=60.0, is_static=True, properties={"mass": 1.0}
+        )
         scenes.append(replace(scene, positions=p, entities=(*scene.entities, wall)))
     observation, _ = observed(replace(data, scenes=tuple(scenes)), law)
     assert observation.integrator == "euler"
@@ -143,8 +149,10 @@ def test_nothing_that_moves_is_an_error():
 
 @pytest.fixture(scope="module")
 def noisy():
-    return replace(throws(n_scenes=8, n_times=30, sigma=0.01, noise=(0.01,)),
-                   test=("s1", "s3", "s4", "s6", "s7"))
+    return replace(
+        throws(n_scenes=8, n_times=30, sigma=0.01, noise=(0.01,)),
+        test=("s1", "s3", "s4", "s6", "s7"),
+    )
 
 
 def with_later_rows_changed(dataset, observation):
@@ -154,7 +162,8 @@ def with_later_rows_changed(dataset, observation):
         if scene.name in dataset.test:
             p = np.array(scene.positions)
             p[observation.n_initial(scene) :] += np.linspace(1, 9, len(p))[
-                observation.n_initial(scene) :, None, None]
+                observation.n_initial(scene) :, None, None
+            ]
             scene = replace(scene, positions=p)
         scenes.append(scene)
     return replace(dataset, scenes=tuple(scenes))
@@ -180,8 +189,7 @@ def test_first_rows_do_matter_and_do_not_count(noisy):
     p = np.array(scene.positions)
     p[2] += 0.3
     moved = [replace(scene, positions=p)]
-    assert not np.allclose(observation.predictions(law, moved)[0],
-                           observation.predictions(law)[0])
+    assert not np.allclose(observation.predictions(law, moved)[0], observation.predictions(law)[0])
     row = observation.errors(law)[1][0]
     error = (scene.positions - observation.predictions(law)[0])[n:]
     assert row["n"] == 30 - n
@@ -196,10 +204,13 @@ def test_evaluation_settings_are_kept(noisy):
     errors, rows = observation.errors(law)
     track = observation.predictions(law)[0]
     assert rows[0]["endpoints"][0] == pytest.approx(
-        np.linalg.norm(observation.test[0].positions[19] - track[19]))
+        np.linalg.norm(observation.test[0].positions[19] - track[19])
+    )
     ends = [end for row in rows for end in row["endpoints"]]
     assert (errors.endpoint, errors.endpoint_mean) == (
-        pytest.approx(np.median(ends)), pytest.approx(np.mean(ends)))
+        pytest.approx(np.median(ends)),
+        pytest.approx(np.mean(ends)),
+    )
     late = replace(noisy, evaluation=Evaluation(endpoint_row=31))
     errors, rows = observed(late, GRAVITY)[0].errors(law)
     assert np.isnan(errors.endpoint) and rows[0]["endpoints"] == []
@@ -272,8 +283,10 @@ def test_ratio_carries_the_misfit_of_the_adopted_law_over(noisy):
     """A law that does not fit must not get an interval that presumes that it does."""
     data = replace(noisy, test=("s1", "s3"))
     observation, _ = observed(data, GRAVITY)
-    wrong, half = declared_law(data, [GRAVITY]), declared_law(
-        data, [GRAVITY, f"-{C1 / 2} [kg/s] * v_i"])
+    wrong, half = (
+        declared_law(data, [GRAVITY]),
+        declared_law(data, [GRAVITY, f"-{C1 / 2} [kg/s] * v_i"]),
+    )
     before, after = rows_of(observation, wrong), rows_of(observation, half)
     ratio = observation.ratio(before, after, rng(), observation.floor(half, rng())[1], wrong, half)
     assert 0.3 < ratio.low <= ratio.value <= ratio.high
@@ -318,7 +331,8 @@ def without_mass(dataset, *names):
     for scene in dataset.scenes:
         entities = [
             replace(e, properties={k: v for k, v in e.properties.items() if k != "mass"})
-            if (e.name in names or not names) else e
+            if (e.name in names or not names)
+            else e
             for e in scene.entities
         ]
         scenes.append(replace(scene, entities=tuple(entities)))
@@ -408,7 +422,8 @@ def test_bounds_are_kept(noisy):
 
 
 def test_springs_of_a_body_at_a_post():
-    observation, law = observed(tied(0, n_train=2, n_test=1),
-                                "-c1 * (norm(p_i - p_j) - l_i) * normalize(p_i - p_j)")
+    observation, law = observed(
+        tied(0, n_train=2, n_test=1), "-c1 * (norm(p_i - p_j) - l_i) * normalize(p_i - p_j)"
+    )
     fit = observation.fit(law)
     assert abs(fit.values[0] - 8.0) < 2 * fit.intervals[0]

@@ -27,8 +27,9 @@ def parabolas(n_scenes=5, n_times=16):
         ball = Entity("ball", properties={"mass": 0.5})
         scenes.append(Scene(f"s{k}", t[:, 0], p[:, None], [ball]))
     names = tuple(scene.name for scene in scenes)
-    return Dataset("parabolas", scenes, train=names[:-1], test=names[-1:], units=SI, up="y",
-                   noise=(SIGMA,))
+    return Dataset(
+        "parabolas", scenes, train=names[:-1], test=names[-1:], units=SI, up="y", noise=(SIGMA,)
+    )
 
 
 def drawn(rng, push=0.0, sigma=SIGMA, **settings):
@@ -51,10 +52,16 @@ def examined(dataset, alpha=0.01):
     estimate = estimate_noise(dataset)
     train = dataset.select(dataset.train)
     observation = replace(
-        TEMPLATE, dataset=dataset, train=train, segments=train, noise=estimate,
-        sigma=np.array(estimate.sigma), regression_sigma=np.array(estimate.sigma),
-        train_regression=build_regression(train, method="gls", sigma=estimate.sigma, up="y",
-                                          sources=False),
+        TEMPLATE,
+        dataset=dataset,
+        train=train,
+        segments=train,
+        noise=estimate,
+        sigma=np.array(estimate.sigma),
+        regression_sigma=np.array(estimate.sigma),
+        train_regression=build_regression(
+            train, method="gls", sigma=estimate.sigma, up="y", sources=False
+        ),
     )
     return examine_residual(observation, observation.fit(LAW), alpha)
 
@@ -144,7 +151,25 @@ def test_ljung_box_sees_memory_along_tracks(memory):
     if memory:
         assert np.mean(np.array(p) < 0.01) > 0.9
     else:
-            assert kstest(p, "uniform").pvalue > 0.001
+        assert kstest(p, "uniform").pvalue > 0.001
+
+
+def test_many_short_tracks_lack_nothing():
+    """Fitted initial states leave a memory in the residual, the more so the shorter the track.
+
+    With it ignored, 40 tracks of 12 rows were found guilty every time.
+    """
+    exact = parabolas(41, 12)
+    observation = observe(exact, LAW, np.random.default_rng(0), sources=False)
+    p = []
+    for rng in np.random.default_rng(9).spawn(60):
+        scenes = tuple(
+            replace(s, positions=s.positions + SIGMA * rng.standard_normal(s.positions.shape))
+            for s in observation.train
+        )
+        fit = replace(observation, train=scenes, segments=scenes).fit(LAW)
+        p.append(examine_residual(observation, fit, 0.01).tests["autocorrelation"])
+    assert kstest(p, "uniform").pvalue > 0.001
 
 
 def test_too_few_rows_say_nothing():

@@ -46,8 +46,18 @@ def fit(chisqr, values=(), halves=(), n_rows=200, is_exact=False, names=None):
     values = np.array(values, dtype=float)
     names = names or [f"c{k}" for k in range(1, len(values) + 1)]
     covariance = np.diag(np.square(np.array(halves, dtype=float) / 1.6448536269514722))
-    return Fit(ForceLaw(), tuple((n, "") for n in names), values, covariance, chisqr, n_rows,
-               float(n_rows), np.zeros((0, 0)), np.zeros(0), is_exact)
+    return Fit(
+        ForceLaw(),
+        tuple((n, "") for n in names),
+        values,
+        covariance,
+        chisqr,
+        n_rows,
+        float(n_rows),
+        np.zeros((0, 0)),
+        np.zeros(0),
+        is_exact,
+    )
 
 
 def errors(rollout, acceleration=1.0):
@@ -58,13 +68,23 @@ def attempt(name, fitted, **settings):
     return Attempt(ForceLaw(), fitted, 5.0, name, name, name, "field", **settings)
 
 
-def judged(chosen, others=(), *, before=10.0, after=0.1, ratio=(0.1, 0.05, 0.2), p=0.003,
-           declared=None, observation=Noisy):
+def judged(
+    chosen,
+    others=(),
+    *,
+    before=10.0,
+    after=0.1,
+    ratio=(0.1, 0.05, 0.2),
+    p=0.003,
+    declared=None,
+    observation=Noisy,
+):
     declared = declared or fit(20000.0)
     model = Model(ForceLaw(), declared, errors(before, before), [])
     new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
-    return _verdict(observation, model, new, chosen, [chosen, *others], errors(0.05),
-                    Ratio(*ratio), p, 0.01)
+    return _verdict(
+        observation, model, new, chosen, [chosen, *others], errors(0.05), Ratio(*ratio), p, 0.01
+    )
 
 
 GOOD = attempt("drag", fit(200.0, [-0.1], [0.01]))
@@ -160,13 +180,19 @@ def test_numbers_in_sentences():
 def test_what_would_separate_ties():
     assert _separated_by("c1 * m_i * e_x", ()) == ""
     assert _separated_by("c1 * m_i * e_x", ("c1 * q_i * e_x",)) == (
-        "bodies that differ in charge and mass")
+        "bodies that differ in charge and mass"
+    )
     assert "speed and distance" in _separated_by("c1 * v_i", ("c1 * norm(p_i - p_j) * v_i",))
 
 
 @pytest.mark.xfail(reason="rewritings of one law are listed as laws that a measurement separates")
-@pytest.mark.parametrize("law", ["c1 * (m_i * inverse(m_i) * norm(v_i) * normalize(v_i))",
-                                 "c1 * (norm(v_i) * normalize(v_i) * m_i^2 * inverse(m_i^2))"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        "c1 * (m_i * inverse(m_i) * norm(v_i) * normalize(v_i))",
+        "c1 * (norm(v_i) * normalize(v_i) * m_i^2 * inverse(m_i^2))",
+    ],
+)
 def test_nothing_separates_a_law_from_itself(law):
     assert _separated_by("c1 * (norm(v_i) * normalize(v_i))", (law,)) == ""
 
@@ -200,8 +226,9 @@ def test_adopted_is_what_predicts(drag):
     test = data.select(data.test)
     sigma = np.array([0.01, 0.01])
     tracks = predict(test, report.law, sigma, n_initial=lambda scene: 10, up="y")
-    squares = [np.square(s.positions - p)[10:].sum(axis=-1)
-               for s, p in zip(test, tracks, strict=True)]
+    squares = [
+        np.square(s.positions - p)[10:].sum(axis=-1) for s, p in zip(test, tracks, strict=True)
+    ]
     after = report.total["after"]
     assert after.rollout_rmse == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
     assert after == report.rounds[0].after == report.rounds[1].before
@@ -283,10 +310,10 @@ def test_a_forward_push_is_not_adopted():
     """A rocket, c v: the sign of a drag is forbidden, and nothing else explains it."""
     data = flights(1, lambda t, p, v, m, q: 0.4 * m * v, n_train=4, n_test=5)
     report = close(data, WEIGHT)
-    for done in report.rounds:
-        assert done.effect is None or not done.adopted or "push" not in done.effect.name
-    assert not any(t.is_declared is False and "normalize(v_i)" in r.law and r.constants[0].value > 0
-                   for t in report.law.terms for r in [x.effect for x in report.rounds if x.adopted])
+    assert not [r.effect.name for r in report.rounds if r.adopted and "forward" in r.effect.name]
+    for effect in filter(None, (done.effect for done in report.rounds)):
+        along = [c for c in effect.constants if "* normalize(v_i)" in effect.law]
+        assert all(c.value <= 0 for c in along)
 
 
 def test_two_terms_that_nearly_agree_are_not_both_adopted():
@@ -300,8 +327,9 @@ def test_two_terms_that_nearly_agree_are_not_both_adopted():
         ball = Entity("ball", properties={"mass": 1.0})
         p = p + 0.005 * child.standard_normal(p.shape)
         scenes.append(Scene(f"s{k}", t[:, 0], p[:, None], [ball]))
-    data = Dataset("alike", scenes, units=SI, up="y", noise=(0.005,),
-                   test=("s4", "s5", "s6", "s7", "s8"))
+    data = Dataset(
+        "alike", scenes, units=SI, up="y", noise=(0.005,), test=("s4", "s5", "s6", "s7", "s8")
+    )
     report = close(data, GRAVITY, "-c1 * m_i * v_i")
     assert not any(done.adopted for done in report.rounds)
     # With nothing known of the drag, one term is named, or it is said that others fit as well.
@@ -309,7 +337,8 @@ def test_two_terms_that_nearly_agree_are_not_both_adopted():
     adopted = [done for done in found.rounds if done.adopted]
     assert len(adopted) <= 1
     names = {adopted[0].effect.name} | {
-        r.name for r in adopted[0].rivals if "as well" in r.reason or "worse" in r.reason}
+        r.name for r in adopted[0].rivals if "as well" in r.reason or "worse" in r.reason
+    }
     assert any(name.startswith("drag") for name in names)
 
 

@@ -68,7 +68,12 @@ def test_p_value_is_exact_under_the_null(regression):
     draws = null_targets(regression, np.random.default_rng(2), n_data + n_null)
     nuisance = np.zeros((len(draws), 0))
     result = search_exhaustive(
-        regression, grammar, kind="field", target=draws[:, 0], nuisance=nuisance, max_levels=6,
+        regression,
+        grammar,
+        kind="field",
+        target=draws[:, 0],
+        nuisance=nuisance,
+        max_levels=6,
         null_targets=draws,
     )
     n = regression.n_rows

@@ -1,0 +1,65 @@
+"""A drag planted in orbits: is it found, named and sized, and left alone if it cannot be said?"""
+
+import numpy as np
+import pytest
+
+from bsp_gp.loop.close import close_loop
+from tests.planted import GRAVITY, orbit_dataset
+
+DRAG = 0.05
+NO_SPEED = ("t", "v_i", "v_j")
+
+
+def found(seed, exclude=("t",)):
+    return close_loop(
+        orbit_dataset(seed, drag=DRAG), [GRAVITY], rng=np.random.default_rng(seed), exclude=exclude
+    )
+
+
+def pull(report):
+    """Error of the fitted drag in standard deviations."""
+    (c,) = report.rounds[0].effect.constants
+    return (c.value + DRAG) / ((c.high - c.low) / 2 / 1.6448536)
+
+
+def is_named(report):
+    return (
+        report.rounds[0].adopted
+        and report.rounds[0].effect.name == "drag, linear in speed"
+        and not any(r.adopted for r in report.rounds[1:])
+    )
+
+
+def test_a_drag_is_named_and_sized():
+    report = found(0)
+    assert is_named(report)
+    assert abs(pull(report)) < 3
+    assert report.total["ratio"].value <= 0.2
+    assert report.rounds[1].verdict == "nothing missing"
+
+
+def test_a_drag_that_no_allowed_law_can_say_is_not_adopted():
+    report = found(4, NO_SPEED)
+    assert report.verdict in ("seen, not adopted", "cannot tell")
+    assert report.total["ratio"].value == 1
+
+
+@pytest.mark.slow
+def test_in_nineteen_of_twenty():
+    reports = [found(seed) for seed in range(20)]
+    named = [r for r in reports if is_named(r)]
+    assert len(named) >= 19
+    pulls = [pull(r) for r in named]
+    print("pulls", np.round(pulls, 2))
+    assert sum(abs(p) < 3 for p in pulls) >= 19
+    # And the intervals are no wider than they need be: chi-squared of 20 pulls within 0.1 %.
+    assert 5.9 < np.sum(np.square(pulls)) * 20 / len(pulls) < 45.3
+    assert all(r.total["ratio"].value <= 0.2 for r in named)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_without_speeds_nothing_is_adopted(seed):
+    report = found(seed, NO_SPEED)
+    assert report.verdict in ("seen, not adopted", "cannot tell")
+    assert report.law.text() == GRAVITY
