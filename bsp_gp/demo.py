@@ -17,7 +17,7 @@ from bsp_gp.data.ephemeris import load_ephemeris
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.close import close_loop, declared_law
-from bsp_gp.loop.rounds import FREES
+from bsp_gp.loop.planning import FREES
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.likelihood import build_regression

@@ -10,7 +10,7 @@ from common import options, reference_data, write_table
 
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.loop.close import close_loop, declared_law
-from bsp_gp.loop.observation import observe
+from bsp_gp.loop.preparing import observe
 
 DECLARED = "9.81 [m/s^2] * m_i * down"
 LEFT_OUT = "bowling_ball"

@@ -12,10 +12,12 @@ from bsp_gp.errors import LawError, SettingsError
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.effects import EffectSearch
-from bsp_gp.loop.observation import observe
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
-from bsp_gp.loop.rounds import constant_estimates, evaluate, run_round
+from bsp_gp.loop.preparing import observe
+from bsp_gp.loop.rounds import run_round
+from bsp_gp.loop.telling import constant_estimates
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, unknown_receivers
 from bsp_gp.units import FORCE, Unit

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.close import _check_masses, declared_law
-from bsp_gp.loop.observation import observe
 from bsp_gp.loop.outcome import ConstantEstimate, Errors, _plain
-from bsp_gp.loop.rounds import constant_estimates, evaluate
+from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.simulation import checked_noise, simulate_law
+from bsp_gp.loop.telling import constant_estimates
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.search.constants import START_SCALES, fit_constants, linear_columns

@@ -246,7 +246,7 @@ def test_no_declared_model_and_a_spring():
 def ragged():
     """Tables as trackpy gives them: one row per seen particle, late comers, gaps, early leavers."""
     frames = {}
-    for scene in flights(0, wind, n_train=4, n_test=4, n_times=40).scenes:
+    for scene in flights(0, wind, n_train=4, n_test=4, same_mass=True).scenes:
         track = pd.DataFrame(
             {
                 "frame": np.arange(40),

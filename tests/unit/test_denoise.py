@@ -5,7 +5,7 @@ import pytest
 
 from bsp_gp.loop.close import declared_law
 from bsp_gp.loop.denoise import smooth, states_of
-from bsp_gp.loop.observation import observe
+from bsp_gp.loop.preparing import observe
 from bsp_gp.physics.shooting import cut_segments
 from tests.throws import C1, GRAVITY, MASS, throws
 

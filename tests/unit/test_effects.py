@@ -5,7 +5,7 @@ import pytest
 
 from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity, Scene
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.language.inputs import input_types
+from bsp_gp.language.inputs import input_types, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import (
@@ -14,14 +14,10 @@ from bsp_gp.loop.effects import (
     Proposal,
     _shortlist,
     allowed_sign,
-    describe,
-    fresh_name,
-    inputs_by_kind,
-    property_product,
-    rename_constant,
     sign_bounds,
 )
-from bsp_gp.loop.observation import observe
+from bsp_gp.loop.naming import describe, fresh_name, rename_constant
+from bsp_gp.loop.preparing import observe
 from bsp_gp.physics.force import ForceLaw, Term
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset
@@ -85,12 +81,6 @@ def test_a_spring_that_depends_on_speed_is_not_called_a_spring():
     hooke = describe(formula(f"c1 * ({R} - l_i) * normalize(p_i - p_j)"), -1.0)
     odd = describe(formula(f"c1 * ({R} - l_i) * inverse(norm(v_i)) * normalize(p_i - p_j)"), -1.0)
     assert odd != hooke
-
-
-def test_property_product_and_inputs():
-    law = formula(f"c1 * m_i * m_j * inverse(square({R})) * normalize(p_i - p_j)")
-    assert property_product(Term(law)) == {"m_i", "m_j"}
-    assert inputs_by_kind(law) == ({"m_i", "m_j"}, {"p_i", "p_j"})
 
 
 def test_constants_get_fresh_names():
@@ -315,5 +305,6 @@ def test_a_pair_pull_is_proposed_among_all_pair_laws():
     found = search.propose(observation.fit(ForceLaw()), np.random.default_rng(0))
     texts = [describe(p.formula, -1.0) for p in found.shortlist]
     assert texts[0] == "pull to the other body, as distance^-2"
-    assert property_product(found.shortlist[0].term()) <= {"m_i", "m_j"}
+    properties = {n for n in found.shortlist[0].formula.inputs if property_of(n)}
+    assert properties <= {"m_i", "m_j"}
     assert not declared_law(data, [PULL]).names

@@ -9,7 +9,8 @@ from bsp_gp.errors import DataError, LawError
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.close import _check_masses, close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
-from bsp_gp.loop.observation import MAX_SUBSTEPS, N_FLOOR, RESOLUTION, observe
+from bsp_gp.loop.observation import N_FLOOR
+from bsp_gp.loop.preparing import MAX_SUBSTEPS, RESOLUTION, observe
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset
 from tests.throws import C1, DRAG, GRAVITY, throws

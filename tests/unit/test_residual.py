@@ -7,7 +7,7 @@ from scipy.stats import kstest
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.observation import observe
+from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.residual import examine_residual, ljung_box
 from bsp_gp.physics.likelihood import build_regression
 from tests.throws import GRAVITY, SI

@@ -5,19 +5,12 @@ import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.observation import Fit, observe
+from bsp_gp.loop.fitted import Fit
+from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
-from bsp_gp.loop.rounds import (
-    MAX_BLUR,
-    MIN_BIC_GAIN,
-    Attempt,
-    Model,
-    _blurred,
-    _explained,
-    _separated_by,
-    _verdict,
-    name_number,
-)
+from bsp_gp.loop.preparing import observe
+from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, _blurred, _explained, _verdict
+from bsp_gp.loop.telling import _separated_by, name_number
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
 from tests.planted import SI

@@ -3,7 +3,7 @@ import pytest
 
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.observation import observe
+from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.search.exhaustive import search_exhaustive
 from tests.throws import GRAVITY, throws

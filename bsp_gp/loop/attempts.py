@@ -1,0 +1,143 @@
+"""Proposals fitted jointly with the rest of the law, and the choice among them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.language.formula import Call, Constant, factors, product
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.models import Attempt, Model, is_property
+from bsp_gp.loop.naming import describe, fresh_name, rename_constant
+from bsp_gp.loop.planning import plan_ahead
+from bsp_gp.physics.force import Term, split_linear
+
+__all__ = ["attempts_of", "choose", "evaluate"]
+
+TIE_BIC = 2.0
+
+
+def evaluate(observation, law, fit=None):
+    """Fit a law (unless fitted) and score it on the held-out scenes."""
+    fit = fit or observation.fit(law)
+    errors, rows = observation.errors(fit.law)
+    return Model(fit.law, fit, errors, rows)
+
+
+def attempts_of(observation, model, proposals, workers):
+    """Every proposal of the shortlist, fitted jointly with the rest of the law."""
+    jobs = [(observation, model.fit.law, proposal) for proposal in proposals.shortlist]
+    run = map if workers is None else workers.map
+    return [attempt for attempt in run(_attempt, jobs) if attempt is not None]
+
+
+def _attempt(job):
+    observation, law, proposal = job
+    name = fresh_name(law)
+    formula = rename_constant(proposal.formula, proposal.constant, name)
+    start = 0.0
+    if proposal.per_entity:
+        start = dict.fromkeys(observation.train_regression.receiver_names(), 0.0)
+    new = law.plus(Term(formula, proposal.kind), {name: start})
+    bounds = sign_bounds(observation, new)
+    low, high = bounds.get(name, (-np.inf, np.inf))
+    fit = observation.fit(new, bounds=bounds)
+    reason = ""
+    values = np.array(
+        [v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name]
+    )
+    if observation.is_exact and not all(low <= v <= high for v in values):
+        reason = "it would push forward along the velocity: the sign of another cause"
+    elif not np.any(values):
+        reason = "its sign would push forward: held at zero"
+    if proposal.redoes_declared:
+        reason = "it only changes the number of a declared term, which is declared as fixed"
+    return Attempt(
+        fit.law,
+        fit,
+        proposal.complexity,
+        describe(formula, _typical(values)),
+        to_text(formula),
+        to_latex(formula),
+        proposal.kind,
+        proposal.share,
+        tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties),
+        reason,
+        redoes_declared=proposal.redoes_declared,
+    )
+
+
+def _typical(values):
+    return float(np.median(values)) if len(values) else None
+
+
+def choose(observation, model, search, attempts):
+    """The attempt to adopt: best evidence and prior; then its nearest kin of the declared law."""
+    able = [a for a in attempts if not a.reason]
+    if not able:
+        return None
+    n_eff = min(attempts, key=lambda a: a.fit.chisqr).fit.n_effective
+    best = min(able, key=lambda a: (a.score(n_eff), a.complexity))
+    best = _like_declared(observation, model.law, best, n_eff)
+    if observation.is_exact:
+        best = plan_ahead(observation, model.law, best, search)
+    return best
+
+
+def _declared_pair(law):
+    """Property factors of the declared pair term, if there is exactly one such term."""
+    terms = [t for t in law.terms if t.is_declared and t.kind == "pair"]
+    if len(terms) != 1:
+        return None
+    above, below = factors(terms[0].formula)
+    if any(is_property(f) for f in below):
+        return None
+    return [f for f in above if is_property(f)]
+
+
+def _with_properties(formula, properties):
+    """The formula with its property factors replaced."""
+    above, below = factors(formula)
+    above = [f for f in above if not is_property(f)]
+    below = [f for f in below if not is_property(f)]
+    vectors = [f for f in above if f.type.shape == "vector"]
+    scalars = [f for f in above if f.type.shape != "vector" and not isinstance(f, Constant)]
+    head = [f for f in above if isinstance(f, Constant)]
+    coefficient = product([*head, *properties, *scalars])
+    if below:
+        coefficient = Call("div", coefficient, product(below))
+    return product([coefficient, *vectors])
+
+
+def _like_declared(observation, law, best, n_eff):
+    """Prefer the property factors of the declared pair law where the data cannot tell."""
+    properties = _declared_pair(law)
+    term = best.law.terms[-1]
+    if not properties or term.kind != "pair":
+        return best
+    formula = _with_properties(term.formula, properties)
+    if formula == term.formula:
+        return best
+    name = split_linear(formula)[0]
+    new = law.plus(Term(formula, "pair"), {name: 0.0})
+    fit = observation.fit(new, bounds=sign_bounds(observation, new))
+    # On exact data what is left is misfit: a tenth of it more is no evidence.
+    same = (
+        fit.chisqr < 1.1 * best.fit.chisqr
+        if observation.is_exact
+        else fit.bic(n_eff) - best.fit.bic(n_eff) < TIE_BIC
+    )
+    if not same:
+        return best
+    value = float(fit.values[-1])
+    return replace(
+        best,
+        law=fit.law,
+        fit=fit,
+        text=to_text(formula),
+        latex=to_latex(formula),
+        name=describe(formula, value),
+        ties=(best.text, *best.ties),
+    )

@@ -1,0 +1,234 @@
+"""Making a data set ready for the loop: split, noise, likelihood, integrator, step size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.split import choose_split
+from bsp_gp.errors import DataError
+from bsp_gp.loop.observation import Observation
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.dynamics import rollout
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.shooting import cut_segments, guess_state
+from bsp_gp.search.constants import fit_constants
+
+__all__ = ["observe"]
+
+EXACT = 1e-9
+"""Noise below this part of the range is numerical: the data count as exact."""
+
+
+RESOLUTION = 1e-7
+"""Part of the range to which exact positions of a continuous motion are fitted."""
+
+
+MAX_SUBSTEPS = 16
+
+
+CHECKED_ROWS = 250
+"""First rows of every scene on which the step size is chosen."""
+
+
+CHAOS = 30.0
+"""Growth of a small change of the initial state at which a track is cut for shooting."""
+
+
+def observe(dataset, law, rng, *, sources=True, noise=None):
+    """Make a data set ready for the loop.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    law : ForceLaw
+        The declared model; it decides whether bodies touch (then the paper's step is used).
+    rng : numpy.random.Generator
+        For a split that is not declared.
+    sources : bool
+        Whether laws may name other bodies.
+    noise : NoiseEstimate, optional
+        Overrides the data set's.
+
+    Returns
+    -------
+    Observation
+    """
+    dataset = _with_usable_masses(dataset)
+    train, test, note = choose_split(dataset, rng)
+    estimate = noise or estimate_noise(dataset)
+    sigma = np.array(estimate.sigma, dtype=float)
+    if not np.isfinite(sigma).any():
+        raise DataError("nothing moves: no dynamic entity changes its position on any axis")
+    measured = dataset.velocity == "measured" and all(
+        s.velocities is not None for s in dataset.scenes
+    )
+    extent = _extent(dataset)
+    is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    if is_exact and not measured and not _made_in_steps(train, law, dataset.up, sources):
+        is_exact = False
+        sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)
+        note += (
+            f"; the positions are exact and the motion looks continuous: they are fitted to "
+            f"{RESOLUTION:g} of their range"
+        )
+    method = "derivative" if measured else "one_step" if is_exact else "gls"
+    regression_sigma = _acceleration_sigma(train, dataset.up) if measured else sigma
+    integrator = "euler" if _touches(law) or method == "one_step" else "rk4"
+    common = {"method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources}
+    observation = Observation(
+        dataset,
+        tuple(train),
+        tuple(test),
+        note,
+        estimate,
+        sigma,
+        is_exact,
+        method,
+        np.asarray(regression_sigma),
+        integrator,
+        1,
+        tuple(train),
+        build_regression(train, **common),
+        build_regression(test, **common),
+        sources,
+    )
+    if measured and integrator == "rk4":
+        # Steps must be finer than what a wrong law does to a track, not than the noise.
+        start = fit_constants(observation.train_regression, law).law
+        error = observation.headline_rollout(start)
+        return replace(observation, substeps=_substeps(observation, start, 0.1 * error))
+    if is_exact:
+        return observation
+    start = fit_constants(observation.train_regression, law).law
+    if integrator == "rk4":
+        observation = replace(
+            observation, substeps=_substeps(observation, start, observation.sigma)
+        )
+    return replace(observation, segments=tuple(_segments(observation, start)))
+
+
+def _made_in_steps(scenes, law, up, sources):
+    """Whether exact positions come from steps of the paper's kind rather than from a smooth motion.
+
+    Under the law the step with the backward velocity is compared with the one with the central
+    velocity, which is a step order better for smooth motion. Where the law cannot tell, bodies
+    that can touch decide: contacts are impulses of one step.
+    """
+    misfits = []
+    for method in ("one_step", "central"):
+        regression = build_regression(scenes, method=method, up=up, sources=sources)
+        misfits.append(fit_constants(regression, law).loss)
+    if max(misfits) > 2 * min(misfits):
+        return misfits[0] < misfits[1]
+    bodies = [e for scene in scenes for e in scene.entities]
+    can_touch = sum(e.shape != "point" for e in bodies) > sum(1 for _ in scenes)
+    return can_touch or _touches(law)
+
+
+def _extent(dataset):
+    spans = [np.nanmax(s.positions) - np.nanmin(s.positions) for s in dataset.scenes]
+    return float(np.max(spans)) or 1.0
+
+
+def _touches(law):
+    return any(node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c"))
+
+
+def _with_usable_masses(dataset):
+    """Where no dynamic entity has a mass, every mass is one: constants are per unit mass."""
+    dynamic = [e for s in dataset.scenes for e in s.entities if not e.is_static]
+    if not dynamic:
+        raise DataError(
+            "no entity is dynamic: there is no motion to explain",
+            remedy="set dynamic to 1 for the bodies that move",
+        )
+    if any(np.isfinite(e.mass) for e in dynamic):
+        return dataset
+    scenes = [
+        replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
+        for scene in dataset.scenes
+    ]
+    note = "no mass is known: constants are per unit mass of the body that moves"
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _unit_mass(entity):
+    if entity.is_static or np.isfinite(entity.mass):
+        return entity
+    return Entity(
+        entity.name,
+        entity.shape,
+        entity.radius,
+        entity.width,
+        entity.height,
+        entity.is_static,
+        {**entity.properties, "mass": 1.0},
+    )
+
+
+def _acceleration_sigma(scenes, up):
+    """Noise of accelerations that are differences of measured velocities, per axis."""
+    regression = build_regression(scenes, method="derivative", up=up, sources=False)
+    series = []
+    for batch in regression.batches:
+        for s in range(batch.target.shape[1]):
+            n = int(np.isfinite(batch.times[:, s]).sum())
+            names = batch.bodies.receiver_names[s]
+            series.append(
+                Scene(
+                    f"{s}",
+                    batch.times[:n, s],
+                    batch.target[:n, s],
+                    tuple(Entity(name) for name in names),
+                )
+            )
+    return np.array(estimate_noise(series).sigma)
+
+
+def _substeps(observation, law, tolerance):
+    """Double the sub-steps until predictions move by less than a tenth of the tolerance."""
+    heads = [scene.rows(0, CHECKED_ROWS) for scene in observation.train]
+    batches = stack(heads, observation.dataset.up, observation.velocity)
+    substeps = 1
+    while substeps < MAX_SUBSTEPS:
+        worst = 0.0
+        for batch in batches:
+            p, v = guess_state(batch)
+            coarse = rollout(law, batch, p, v, substeps=substeps)
+            fine = rollout(law, batch, p, v, substeps=2 * substeps)
+            with np.errstate(invalid="ignore"):
+                change = np.abs(coarse - fine) / tolerance
+            worst = max(worst, float(np.nanmax(np.where(np.isfinite(change), change, 0.0))))
+        if worst < 0.1:
+            break
+        substeps *= 2
+    return substeps
+
+
+def _segments(observation, law):
+    """Cut tracks where a small change of the initial state has grown `CHAOS` times."""
+    shortest = None
+    for batch in stack(observation.train, observation.dataset.up):
+        p, v = guess_state(batch)
+        step = 1e-6 * (np.nanmax(np.abs(batch.positions)) or 1.0)
+        base = rollout(
+            law, batch, p, v, substeps=observation.substeps, integrator=observation.integrator
+        )
+        moved = rollout(
+            law,
+            batch,
+            p + step,
+            v,
+            substeps=observation.substeps,
+            integrator=observation.integrator,
+        )
+        growth = np.linalg.norm(moved - base, axis=-1) / step
+        running = np.isfinite(batch.times)[..., None]
+        grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))
+        if len(grown):
+            shortest = min(shortest or len(growth), max(int(grown[0]), 8))
+    return cut_segments(observation.train, shortest)

@@ -1,0 +1,206 @@
+"""What a round tells: constants with intervals, the effect, its rivals and why each lost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.attempts import TIE_BIC
+from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.naming import fresh_name
+from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival
+from bsp_gp.loop.planning import MOST_EQUALS
+from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
+
+__all__ = ["constant_estimates", "effect_of", "freed_numbers", "held_out_rows", "rivals_of"]
+
+MAX_RIVALS = 8
+
+
+def constant_estimates(observation, fit):
+    """Constants of a fitted law with 90 % intervals and units."""
+    units = {}
+    for term in fit.law.terms:
+        for name, unit in constant_units(term).items():
+            units[name] = observation.dataset.units.text(unit)
+    out = []
+    for (name, entity), value, half in zip(fit.parameters, fit.values, fit.intervals, strict=True):
+        unit = units.get(name, "")
+        if entity and _mass_unknown(observation, entity) and unit:
+            unit = f"{unit} per unit mass"
+        out.append(
+            ConstantEstimate(
+                name, float(value), float(value - half), float(value + half), unit, entity
+            )
+        )
+    return tuple(out)
+
+
+def _mass_unknown(observation, entity):
+    return any(
+        e.name == entity and not np.isfinite(e.mass) for s in observation.train for e in s.entities
+    )
+
+
+def effect_of(observation, chosen, p_value):
+    """The chosen attempt as an Effect: constants, bodies, what it cannot be told from."""
+    names = {split_linear(t.formula)[0] for t in chosen.law.terms if not t.is_declared}
+    estimates = tuple(c for c in constant_estimates(observation, chosen.fit) if c.name in names)
+    entities = tuple(dict.fromkeys(e for e in observation.train_regression.receiver_names()))
+    zero = {c.entity for c in estimates if c.entity and c.value == 0.0}
+    equivalents = (*chosen.equivalents, *chosen.ties)
+    return Effect(
+        name=chosen.name,
+        kind=chosen.kind,
+        law=chosen.text,
+        latex=chosen.latex,
+        entities=tuple(e for e in entities if e not in zero),
+        constants=estimates,
+        p_value=p_value,
+        equivalents=tuple(dict.fromkeys(equivalents))[:MOST_EQUALS],
+        separated_by=_separated_by(chosen.text, equivalents),
+    )
+
+
+def _separated_by(text, equivalents):
+    """Which further measurement would tell equal laws apart."""
+    import re
+
+    def words(law):
+        found = set(re.findall(r"[A-Za-z_]\w*", law))
+        return {w for w in found if property_of(w)}, {
+            w for w in ("v_i", "v_j", "p_j") if w in found
+        }
+
+    own, motion = words(text)
+    properties, motions = set(), set()
+    for law in equivalents:
+        p, m = words(law)
+        properties |= p ^ own
+        motions |= m ^ motion
+    parts = []
+    if properties:
+        columns = sorted({property_of(p)[0] for p in properties})
+        parts.append(f"bodies that differ in {' and '.join(columns)}")
+    if motions or (equivalents and not properties):
+        parts.append(
+            "tracks on which speed and distance vary independently (another start, another orbit)"
+        )
+    return "; ".join(parts)
+
+
+def rivals_of(observation, model, chosen, attempts):
+    """The other attempts, best first, each with why it lost."""
+    n_eff = chosen.fit.n_effective
+    out, seen = [], {chosen.text}
+    for attempt in sorted(attempts, key=lambda a: a.score(n_eff)):
+        if attempt.text in seen or len(out) >= MAX_RIVALS:
+            continue
+        seen.add(attempt.text)
+        delta = attempt.fit.bic(n_eff) - chosen.fit.bic(n_eff)
+        reason = attempt.reason
+        if not reason and delta < TIE_BIC:
+            reason = "fits as well" + (
+                "; less simple" if attempt.complexity > chosen.complexity else ""
+            )
+        elif not reason:
+            reason = f"fits worse: BIC higher by {delta:.1f}"
+        out.append(
+            Rival(
+                attempt.name,
+                attempt.kind,
+                attempt.text,
+                attempt.latex,
+                float(delta),
+                attempt.share,
+                _ratio_of(observation, attempt.fit.law, model.errors),
+                attempt.complexity,
+                reason,
+            )
+        )
+    return out
+
+
+def _ratio_of(observation, law, before):
+    """Held-out error of a law over that of the model entering the round."""
+    bottom = before.residual_acceleration if observation.is_exact else before.rollout_rmse
+    return observation.headline_error(law) / bottom if bottom else float("nan")
+
+
+def freed_numbers(observation, model, chosen):
+    """What freeing each declared number would do, alone and beside the chosen effect."""
+    out = []
+    for base, label in (
+        (model.law, "instead of the effect"),
+        (chosen.fit.law, "beside the effect"),
+    ):
+        for index, term in enumerate(base.terms):
+            if not term.is_declared or term.formula.constants:
+                continue
+            name = fresh_name(base, "s")
+            scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
+            terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
+            law = ForceLaw(terms, {**base.constants, name: 1.0})
+            fit = observation.fit(law, bounds=sign_bounds(observation, law))
+            k = [n for n, _ in fit.parameters].index(name)
+            delta = fit.bic(chosen.fit.n_effective) - chosen.fit.bic()
+            factor, half = fit.values[k], fit.intervals[k]
+            out.append(
+                Rival(
+                    f"declared number freed, {label}",
+                    "declared_term_change",
+                    to_text(scaled.formula),
+                    to_latex(scaled.formula),
+                    float(delta),
+                    float(1 - (fit.chisqr / model.fit.chisqr)),
+                    _ratio_of(observation, fit.law, model.errors),
+                    0.0,
+                    _freed_reason(factor, half, delta, _is_only_number(base)),
+                )
+            )
+    return out
+
+
+def _is_only_number(law):
+    """Whether one term has a fixed number and no term knows a length of its own."""
+    fixed = [term for term in law.terms if not term.formula.constants]
+    own_lengths = {"s_i", "s_j", "p_c", "R_i", "R_j", "l_i", "l_j"}
+    return len(fixed) == 1 and not any(term.formula.inputs & own_lengths for term in law.terms)
+
+
+def _freed_reason(factor, half, delta, is_alone):
+    """What freeing a declared number says; the same is said of the length scale and the clock."""
+    size = f"{name_number(factor - 1)} ± {name_number(half)} of its value"
+    text = f"the declared number would have to be off by {size}"
+    if delta < -TIE_BIC:
+        text += ", and that fits better"
+    elif delta < TIE_BIC:
+        text += ", and that fits as well"
+    else:
+        text += f"; BIC higher by {delta:.1f}"
+    if is_alone:
+        # The constants of the other terms take up any rescaling of length and time.
+        text += (
+            "; a length scale or a clock that is off looks exactly like a wrong number: these "
+            "data cannot tell the three apart"
+        )
+    return text
+
+
+def name_number(value):
+    return f"{value:.2%}" if 1e-3 <= abs(value) < 10 else f"{value:.2g}"
+
+
+def held_out_rows(before, after):
+    """Errors of every held-out scene before and after, as dicts, in the unit of position."""
+    for b, a in zip(before, after, strict=True):
+        n = max(b["n"], 1)
+        yield {
+            "scene": b["scene"],
+            "before": float(np.sqrt(b["sum_squares"] / n)),
+            "after": float(np.sqrt(a["sum_squares"] / n)),
+            "endpoint_before": float(np.mean(b["endpoints"])) if b["endpoints"] else None,
+            "endpoint_after": float(np.mean(a["endpoints"])) if a["endpoints"] else None,
+        }
