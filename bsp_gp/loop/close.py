@@ -117,7 +117,7 @@ def close_loop(
     grammar = (
         load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar
     )
-    unknown = sorted(set(exclude) - set(grammar.inputs))
+    unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})  # left out by default
     if unknown:
         raise SettingsError(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; "
@@ -131,6 +131,10 @@ def close_loop(
     observation = observe(dataset, law, split_rng, sources=sources)
     _check_masses(observation, law)
     search = EffectSearch(observation, grammar, max_levels, n_null, per_entity, tuple(exclude))
+    if not search.kinds:
+        raise SettingsError(
+            f"grammar {grammar.name} knows forces between bodies only, and no scene has two bodies"
+        )
     progress("fitting the declared model")
     first = model = evaluate(observation, law)
     rounds = []

@@ -19,7 +19,7 @@ A weak form against compact test functions has its place beside these.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,14 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.force import settle, term_gradient
 
-__all__ = ["METHODS", "Regression", "RegressionBatch", "build_regression", "difference_weights"]
+__all__ = [
+    "METHODS",
+    "Regression",
+    "RegressionBatch",
+    "build_regression",
+    "difference_weights",
+    "stack_draws",
+]
 
 METHODS = ("one_step", "central", "gls", "derivative")
 DERIVATIVE_POINTS = 11
@@ -188,6 +195,38 @@ class Regression:
 
     def _flat(self, parts):
         return np.concatenate([np.ravel(part) for part in parts]) if self.batches else np.zeros(0)
+
+
+def stack_draws(regressions, weights):
+    """One regression for an expectation over draws of latent properties.
+
+    Least squares on it minimises the weighted mean of the draws' losses, constants shared.
+
+    Parameters
+    ----------
+    regressions : sequence of Regression
+        The same scenes, each with the properties of one draw.
+    weights : sequence of float
+        Not negative; normalised to sum to one.
+
+    Raises
+    ------
+    SettingsError
+        If weights and draws do not match.
+    """
+    weights = np.asarray(weights, dtype=float)
+    if weights.shape != (len(regressions),) or not weights.sum() > 0 or np.any(weights < 0):
+        raise SettingsError(
+            f"weights must be {len(regressions)} numbers that are not negative and not all 0, "
+            f"got {weights!r:.80}"
+        )
+    batches = tuple(
+        replace(batch, scale=batch.scale * np.sqrt(weight))
+        for regression, weight in zip(regressions, weights / weights.sum(), strict=True)
+        for batch in regression.batches
+    )
+    first = regressions[0]
+    return Regression(batches, first.method, first.sigma, first.scenes)
 
 
 def checked(values, batch):

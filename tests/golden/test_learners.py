@@ -72,7 +72,9 @@ def test_learners_find_the_true_law(problem, name, strategy, seed):
     # It is the true law, with the true constant, up to the equality of laws on these scenes.
     (free,) = best.constants
     found = regression.column(Term(split_linear(best.formula)[1], "pair"))[0][:, 0]
-    true = regression.column(Term(parse_formula(text, types), "pair"))[0][:, 0]
+    true = regression.column(
+        Term(parse_formula(text, types, operators=NEWTONIAN.operators), "pair")
+    )[0][:, 0]
     np.testing.assert_allclose(
         best.constants[free] * found, constant * true, atol=1e-6 * np.abs(constant * true).max()
     )

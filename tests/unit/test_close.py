@@ -321,3 +321,13 @@ def test_quiet_data_say_what_would_have_been_seen():
     scene = Scene("a", np.arange(4.0), np.ones((4, 1, 2)), [Entity("stone")])
     with pytest.raises(BspError, match="nothing moves"):
         close(Dataset("still", [scene], units=SI))
+
+
+def test_a_grammar_without_time_needs_no_other_settings():
+    report = close(orbit_dataset(0, n_train=2, n_test=1), grammar="newtonian", max_rounds=1)
+    assert report.grammar["name"] == "newtonian"
+
+
+def test_a_grammar_of_pairs_needs_two_bodies(noisy):
+    with pytest.raises(SettingsError, match="newtonian knows forces between bodies only"):
+        close(noisy, GRAVITY, grammar="newtonian")

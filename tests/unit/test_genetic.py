@@ -1,4 +1,4 @@
-"""Genetic programming: variation keeps types and the bound, selection is fast, nothing is global."""
+"""Genetic programming: typed variation within the bound, fast selection, nothing global."""
 
 import itertools
 import json

@@ -6,7 +6,12 @@ from bsp_gp.errors import DataError, EvaluationError, SettingsError
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.physics.likelihood import METHODS, build_regression, difference_weights
+from bsp_gp.physics.likelihood import (
+    METHODS,
+    build_regression,
+    difference_weights,
+    stack_draws,
+)
 from bsp_gp.physics.metrics import one_step_errors, one_step_nrmse, residual_acceleration
 
 TYPES = input_types(PROPERTY_UNITS, up="y")
@@ -320,3 +325,20 @@ def test_a_law_without_a_value_is_an_evaluation_error():
     # nan where there is no row does no harm.
     scene = with_gap(scene_of(14), 5, 0)
     assert np.all(np.isfinite(build_regression([scene]).residual(LAW)))
+
+
+def test_stacked_draws_give_the_weighted_mean_of_losses():
+    """Expectation over draws of an unknown mass, one constant for all draws."""
+    times = np.arange(12) * 0.1
+    track = np.stack([times, times - 0.5 * times**2], axis=1)[:, None]
+    draws, weights = (0.5, 1.0, 3.0), np.array([1.0, 2.0, 1.0])
+    regressions = [
+        build_regression([Scene("s", times, track, (Entity("b", properties={"mass": m}),))])
+        for m in draws
+    ]
+    law = ForceLaw([Term(parse_formula("c1 * e_y", input_types({})))], {"c1": -1.2})
+    stacked = stack_draws(regressions, weights)
+    single = [np.square(r.residual(law)).sum() for r in regressions]
+    assert np.square(stacked.residual(law)).sum() == pytest.approx(weights @ single / 4, rel=1e-12)
+    with pytest.raises(SettingsError, match="weights must be 3 numbers"):
+        stack_draws(regressions, [1.0, 2.0])
