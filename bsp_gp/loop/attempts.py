@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, factors, product
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.effects import sign_bounds
@@ -43,7 +44,12 @@ def _attempt(job):
     new = law.plus(Term(formula, proposal.kind), {name: start})
     bounds = sign_bounds(observation, new)
     low, high = bounds.get(name, (-np.inf, np.inf))
-    fit = observation.fit(new, bounds=bounds)
+    try:
+        fit = observation.fit(new, bounds=bounds)
+    except EvaluationError:
+        return None  # no finite value at some instant of the training data; counted by the round
+    if not np.isfinite(fit.chisqr):
+        return None
     reason = ""
     values = np.array(
         [v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name]

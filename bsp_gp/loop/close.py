@@ -113,10 +113,13 @@ def close_loop(
     started = time.perf_counter()
     progress = progress or (lambda text: None)
     _check(alpha, max_rounds, n_null, max_levels)
+    declared = (declared,) if isinstance(declared, str) else declared
     law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
     grammar = (
         load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar
     )
+    if not isinstance(rng, np.random.Generator):
+        raise SettingsError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
     unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})  # left out by default
     if unknown:
         raise SettingsError(
@@ -273,6 +276,7 @@ def _caveats(observation, search):
     )
     if unknown:
         yield f"mass unknown: {', '.join(unknown)}; left out of laws for all bodies that need it"
+    yield from search.notes
     if search.per_entity:
         yield "effects were tried with one constant for all bodies and with one for each body"
     if search.exclude:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["smooth", "states_of"]
+__all__ = ["smooth", "states_of", "tracks_of"]
 
 STRENGTHS = 10.0 ** np.arange(-1.0, 9.1, 0.5)
 MAX_FREEDOM = 0.35
@@ -30,39 +30,44 @@ def states_of(whole, scenes):
     Returns
     -------
     dict of str to (ndarray, ndarray)
-        Scene name -> positions and velocities, shape (T, R, d).
+        Scene name -> positions and velocities, shape (T, R, d). Scenes whose rollout ran away
+        are missing: the measured states are kept there.
     """
+    return _gathered(whole, scenes, lambda times, track, left: track + smooth(times, left))
+
+
+def tracks_of(whole, scenes):
+    """The fitted tracks themselves, as `states_of` gives them."""
+    return _gathered(whole, scenes, lambda times, track, left: track)
+
+
+def _gathered(whole, scenes, positions_of):
+    """States by scene, its segments put together again."""
     pieces = {}
     for batch, predicted in zip(whole.batches, whole.predicted, strict=True):
         for s, scene in enumerate(batch.scenes):
-            n = len(scene.times)
-            track = predicted[:n, s]
-            left = scene.positions[:, scene.dynamic] - track
-            if not np.isfinite(track).all():
-                continue  # a rollout that ran away; the measured states are kept
-            positions, velocities = _denoised(scene.times, track, left)
-            pieces.setdefault(scene.name.partition("[")[0], []).append(
-                (scene.times[0], positions, velocities)
-            )
+            track = predicted[: len(scene.times), s]
+            if np.isfinite(track).all():
+                left = scene.positions[:, scene.dynamic] - track
+                positions = positions_of(scene.times, track, left)
+                name = scene.name.partition("[")[0]
+                pieces.setdefault(name, []).append((scene.times, positions))
     out = {}
     for scene in scenes:
-        parts = sorted(pieces.get(scene.name.partition("[")[0], []), key=lambda part: part[0])
-        if sum(len(p) for _, p, _ in parts) == len(scene.times):
+        parts = sorted(pieces.get(scene.name.partition("[")[0], []), key=lambda part: part[0][0])
+        if sum(len(times) for times, _ in parts) == len(scene.times):
             out[scene.name] = (
-                np.concatenate([p for _, p, _ in parts]),
-                np.concatenate([v for _, _, v in parts]),
+                np.concatenate([p for _, p in parts]),
+                np.concatenate([_velocities(times, p) for times, p in parts]),
             )
     return out
 
 
-def _denoised(times, track, left):
+def _velocities(times, positions):
     from scipy.interpolate import make_interp_spline
 
-    n = len(times)
-    smoothed = smooth(times, left)
-    degree = 5 if n > 5 else 3 if n > 3 else 1
-    positions = track + smoothed
-    return positions, make_interp_spline(times, positions, k=degree).derivative()(times)
+    degree = 5 if len(times) > 5 else 3 if len(times) > 3 else 1
+    return make_interp_spline(times, positions, k=degree).derivative()(times)
 
 
 def smooth(times, values):

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.language.inputs import property_of
+from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.denoise import states_of
+from bsp_gp.loop.denoise import states_of, tracks_of
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
@@ -104,6 +104,7 @@ class EffectSearch:
     n_null: int = 299
     per_entity: object = "auto"
     exclude: tuple = ("t",)
+    notes: list = field(default_factory=list)
     _pools: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -121,21 +122,24 @@ class EffectSearch:
         available = set(types) - set(self.exclude) - self._unknown_inputs(dataset)
         self.masked, self.missing = grammar.masked(available, dataset.n_dims)
         self._states = {}
+        self._tracks = {}
         self.pooled_scenes = [s for s in map(_without_unknown_masses, self.observation.train) if s]
         self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
         if self.per_entity == "auto":
             self.per_entity = self._entities_recur()
 
     def _unknown_inputs(self, dataset):
-        """Properties that some body lacks: a pooled law cannot name them as a source's."""
+        """Properties that some source lacks: a law for all bodies cannot name them as ``_j``."""
+        sources = [e for scene in dataset.scenes for e in _sources_of(scene)]
         out = set()
-        entities = [e for scene in dataset.scenes for e in scene.entities]
         for column in dataset.property_names:
-            if any(not np.all(np.isfinite(e.properties.get(column, np.nan))) for e in entities):
-                from bsp_gp.language.inputs import SHORT
-
+            lost = sorted({e.name for e in sources if not _is_known(e, column)})
+            if lost:
                 out |= {f"{column}_j", f"{SHORT.get(column, column)}_j"}
-        return out - {"m_j", "mass_j"} if _masses_known(entities) else out
+                self.notes.append(
+                    f"laws with {column}_j were not searched: unknown for {', '.join(lost[:5])}"
+                )
+        return out
 
     def _entities_recur(self):
         scenes = (*self.observation.train, *self.observation.test)
@@ -149,7 +153,7 @@ class EffectSearch:
         )
         return single and len(set(names)) >= 2 and bool(test & train)
 
-    def propose(self, fit, rng, progress=None):
+    def propose(self, fit, rng, progress=None, *, along=None, n_null=None):
         """Search what the fitted model leaves.
 
         Parameters
@@ -157,17 +161,26 @@ class EffectSearch:
         fit : Fit
         rng : numpy.random.Generator
             For the simulated residuals of the significance test.
+        along : Fit, optional
+            Evaluate laws at the states of this fit in the place of the model's own: those of the
+            best attempt so far lie nearer to the truth.
+        n_null : int, optional
+            Simulated residuals, by default the search's; 0 = no p-value (nan).
 
         Returns
         -------
         Proposals
         """
-        self._states = states_of(fit.whole, self.observation.train) if fit.whole else {}
+        self._n_null = self.n_null if n_null is None else n_null
+        track = along or fit
+        self._track_law = track.law
+        self._states = states_of(track.whole, self.observation.train) if track.whole else {}
+        self._tracks = tracks_of(track.whole, self.observation.train) if track.whole else {}
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
         residual, jacobian = self._left(regression, fit.law)
-        null = null_targets(regression, null_rng, self.n_null)
+        null = null_targets(regression, null_rng, self._n_null)
         for kind in self.kinds:
             result = search_exhaustive(
                 regression,
@@ -216,7 +229,7 @@ class EffectSearch:
             max_levels=self.max_levels,
             missing_inputs=self.missing,
             groups=groups,
-            null_targets=null_targets(regression, rng, self.n_null),
+            null_targets=null_targets(regression, rng, self._n_null),
             progress=progress,
         )
         return result, True, len(groups), regression
@@ -244,21 +257,56 @@ class EffectSearch:
 
     def _states_for(self, scenes):
         """Denoised states, with bodies left out that are no receivers in these scenes."""
-        by_name = {scene.name: scene for scene in self.observation.train}
         out = {}
         for scene in scenes:
             if scene.name in self._states:
                 p, v = self._states[scene.name]
-                kept = np.isin(by_name[scene.name].dynamic, scene.dynamic)
+                kept = self._kept(scene)
                 out[scene.name] = (p[:, kept], v[:, kept])
         return out
 
+    def _kept(self, scene):
+        """Which receivers of the training scene are receivers in this version of it."""
+        whole = next(s for s in self.observation.train if s.name == scene.name)
+        return np.isin(whole.dynamic, scene.dynamic)
+
     def _left(self, regression, law):
-        """Residual of the fitted law, and the columns of its free constants."""
+        """Residual of the fitted law, and the columns of its free constants.
+
+        On noisy data the second differences of the fitted track itself, which obeys the law
+        exactly, show what the finite step alone leaves; that is taken off.
+        """
         fitted = fit_constants(regression, law)
-        return regression.residual(
-            law
-        ) if not self.observation.is_exact else fitted.residual, fitted.jacobian
+        if self.observation.is_exact:
+            return fitted.residual, fitted.jacobian
+        residual = regression.residual(law)
+        if self._tracks:
+            residual = residual - self._step_error(regression)
+        return residual, fitted.jacobian
+
+    def _step_error(self, regression):
+        """Whitened residual of the fitted tracks under the law that made them."""
+        scenes, states = [], {}
+        for scene in regression.scenes:
+            if scene.name not in self._tracks:
+                return 0.0
+            p, v = self._tracks[scene.name]
+            kept = self._kept(scene)
+            positions = np.array(scene.positions)
+            seen = np.isfinite(positions[:, scene.dynamic])
+            positions[:, scene.dynamic] = np.where(seen, p[:, kept], np.nan)
+            scenes.append(replace(scene, positions=positions))
+            states[scene.name] = (p[:, kept], v[:, kept])
+        observation = self.observation
+        own = build_regression(
+            scenes,
+            method=observation.method,
+            sigma=observation.regression_sigma,
+            up=observation.dataset.up,
+            sources=observation.sources,
+            states=states,
+        )
+        return own.residual(self._track_law)
 
     def _collect(self, outcomes, law):
         observed, null, proposals = [], [], []
@@ -273,7 +321,7 @@ class EffectSearch:
         proposals.sort(key=lambda p: (-p.evidence, p.complexity))
         return Proposals(
             tuple(_shortlist(proposals, self.observation.is_exact)),
-            p_value(observed, null),
+            p_value(observed, null) if self._n_null else float("nan"),
             tuple(r.certificate.text() for r, *_ in outcomes),
             sum(r.n_evaluated for r, *_ in outcomes),
             sum(r.seconds for r, *_ in outcomes),
@@ -339,8 +387,17 @@ def _shortlist(proposals, is_exact):
     return out + sorted(freed, key=lambda p: p.complexity)[:1]
 
 
-def _masses_known(entities):
-    return all(np.isfinite(e.mass) for e in entities)
+def _sources_of(scene):
+    """Entities that act on some receiver: all of them if several move, else the others."""
+    if len(scene.dynamic) > 1:
+        return scene.entities
+    return tuple(e for k, e in enumerate(scene.entities) if k not in scene.dynamic)
+
+
+def _is_known(entity, column):
+    if column == "radius":
+        return np.isfinite(entity.radius)
+    return bool(np.all(np.isfinite(entity.properties.get(column, np.nan))))
 
 
 def _without_unknown_masses(scene):

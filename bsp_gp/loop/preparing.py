@@ -27,6 +27,8 @@ RESOLUTION = 1e-7
 """Part of the range to which exact positions of a continuous motion are fitted."""
 
 
+MOST_ROWS = 1500
+"""Longest track that is used with all its rows."""
 MAX_SUBSTEPS = 16
 
 
@@ -57,7 +59,7 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     -------
     Observation
     """
-    dataset = _with_usable_masses(dataset)
+    dataset = _thinned(_with_usable_masses(dataset))
     train, test, note = choose_split(dataset, rng)
     estimate = noise or estimate_noise(dataset)
     sigma = np.array(estimate.sigma, dtype=float)
@@ -154,6 +156,33 @@ def _with_usable_masses(dataset):
     ]
     note = "no mass is known: constants are per unit mass of the body that moves"
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _thinned(dataset):
+    """Long tracks with every k-th row only: more rows cost much and say little."""
+    longest = max(len(scene.times) for scene in dataset.scenes)
+    if longest <= MOST_ROWS:
+        return dataset
+    scenes, most = [], 1
+    for scene in dataset.scenes:
+        step = -(-len(scene.times) // MOST_ROWS)
+        most = max(most, step)
+        scenes.append(scene if step == 1 else _every(scene, step))
+    note = f"tracks of more than {MOST_ROWS} rows were thinned: up to every {most}th row was used"
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _every(scene, step):
+    def cut(values):
+        return None if values is None else values[::step]
+
+    return replace(
+        scene,
+        times=scene.times[::step],
+        positions=scene.positions[::step],
+        velocities=cut(scene.velocities),
+        sigma=cut(scene.sigma),
+    )
 
 
 def _unit_mass(entity):

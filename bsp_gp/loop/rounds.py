@@ -18,6 +18,7 @@ MAX_BLUR = 10.0
 """Growth of the relative error of an adopted constant at which a further term is refused."""
 
 
+MOST_REFINEMENTS = 2
 MIN_SHARE = 0.6
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
@@ -42,7 +43,11 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     proposals = search.propose(model.fit, search_rng)
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
+    n_failed = len(proposals.shortlist) - len(attempts)
     chosen = choose(observation, model, search, attempts)
+    chosen, attempts = _along_the_best(
+        observation, model, search, chosen, attempts, search_rng, workers
+    )
     if chosen is None:
         floor, _ = observation.floor(model.law, floor_rng)
         return _empty_round(number, missing, model, floor, proposals, attempts, started), model
@@ -53,7 +58,7 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     adopted, verdict, reason = _verdict(
         observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
     )
-    effect = effect_of(observation, chosen, proposals.p_value)
+    effect = effect_of(observation, chosen, attempts, proposals.p_value)
     rivals = rivals_of(observation, model, chosen, attempts)
     rivals += freed_numbers(observation, model, chosen)
     done = Round(
@@ -68,11 +73,34 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
         floor=floor,
         ratio=ratio,
         held_out=tuple(held_out_rows(model.rows, after.rows)),
-        certificate="; ".join(proposals.certificates),
+        certificate="; ".join(
+            [*proposals.certificates]
+            + ([f"{n_failed} proposals without a finite fit were left out"] if n_failed else [])
+        ),
         seconds=time.perf_counter() - started,
         verdict=verdict,
     )
     return done, (after if adopted else model)
+
+
+def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
+    """Search again at the states of the best attempt, until it stays the best.
+
+    A model that lacks much leads its tracks far astray; laws are then better told apart along
+    the track of even a rough stand-in.
+    """
+    for _ in range(MOST_REFINEMENTS):
+        if chosen is None or observation.is_exact:
+            break
+        again = search.propose(model.fit, rng, along=chosen.fit, n_null=0)
+        known = {attempt.text for attempt in attempts}
+        fresh = [a for a in attempts_of(observation, model, again, workers) if a.text not in known]
+        attempts = [*attempts, *fresh]
+        better = choose(observation, model, search, attempts)
+        if not fresh or better.text == chosen.text:
+            break
+        chosen = better
+    return chosen, attempts
 
 
 def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value, alpha):

@@ -44,13 +44,21 @@ def _mass_unknown(observation, entity):
     )
 
 
-def effect_of(observation, chosen, p_value):
+def effect_of(observation, chosen, attempts, p_value):
     """The chosen attempt as an Effect: constants, bodies, what it cannot be told from."""
     names = {split_linear(t.formula)[0] for t in chosen.law.terms if not t.is_declared}
     estimates = tuple(c for c in constant_estimates(observation, chosen.fit) if c.name in names)
     entities = tuple(dict.fromkeys(e for e in observation.train_regression.receiver_names()))
     zero = {c.entity for c in estimates if c.entity and c.value == 0.0}
-    equivalents = (*chosen.equivalents, *chosen.ties)
+    n_eff = chosen.fit.n_effective
+    as_good = [
+        a.text
+        for a in attempts
+        if not a.reason
+        and a.text != chosen.text
+        and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < TIE_BIC
+    ]
+    equivalents = (*as_good, *chosen.equivalents, *chosen.ties)
     return Effect(
         name=chosen.name,
         kind=chosen.kind,

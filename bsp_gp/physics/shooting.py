@@ -20,6 +20,8 @@ __all__ = ["RolloutFit", "cut_segments", "fit_rollout", "guess_state", "paramete
 
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
+UNDETERMINED = 1e-10
+"""Eigenvalues of the scaled information below this part of the largest determine nothing."""
 DESCENT = 1e-4
 """A fit has converged when chi-squared falls by less than this (a hundredth of a sigma), or by
 less than `TOLERANCE` of itself where the law does not fit."""
@@ -220,7 +222,11 @@ class _Problem:
                 break
             accepted = False
             for _ in range(12):
-                dx, dstates, promised = self._step(blocks, damping, x)
+                try:
+                    dx, dstates, _ = self._step(blocks, damping, x)
+                except np.linalg.LinAlgError:  # a rollout near running away: smaller steps
+                    damping = damping * 16 if damping else 1e-6
+                    continue
                 new_x = np.clip(x + dx, self.low, self.high)
                 new_states = [
                     (p + d[0], v + d[1]) for (p, v), d in zip(states, dstates, strict=True)
@@ -385,9 +391,11 @@ class _Problem:
             for s in range(len(flat)):
                 hcs = jc[s] @ js[s].T
                 hss = js[s] @ js[s].T
+                if not (np.isfinite(hss).all() and np.isfinite(hcs).all()):
+                    continue  # a rollout that ran away says nothing of the constants
                 information += jc[s] @ jc[s].T - hcs @ np.linalg.pinv(hss, hermitian=True) @ hcs.T
                 n_states += int((np.abs(np.diag(hss)) > 0).sum())
-        covariance = np.linalg.pinv(information, hermitian=True) if n_c else np.zeros((0, 0))
+        covariance = covariance_of(information)
         n_rows = int(sum(seen.sum() for seen in self.seen))
         return RolloutFit(
             _set(self.law, self.parameters, x),
@@ -403,6 +411,28 @@ class _Problem:
             tuple(predicted),
             converged,
         )
+
+
+def covariance_of(information):
+    """Inverse of a Fisher information; infinite for parameters that it does not determine.
+
+    Where only a combination of parameters is determined (the product of three constants), each
+    of them alone can take any value.
+    """
+    n = len(information)
+    if not n:
+        return np.zeros((0, 0))
+    if not np.isfinite(information).all():
+        return np.diag(np.full(n, np.inf))
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    lost = values < UNDETERMINED * values[-1]
+    inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, values))
+    covariance = (vectors * inverse) @ vectors.T / np.outer(size, size)
+    free = (np.abs(vectors[:, lost]) > 0.05).any(axis=1) | (np.diag(information) <= 0)
+    covariance[free, free] = np.inf
+    return covariance
 
 
 def _tiny(matrix):

@@ -46,18 +46,6 @@ def test_twenty_predictions(reports):
     assert np.mean(before) == pytest.approx(7.34, abs=0.1)
 
 
-def test_the_short_drop_has_no_end_point(reports):
-    """It has no row 42: nothing is made up for it."""
-    rows = [
-        h["endpoint_after"]
-        for r in reports
-        for h in r.rounds[0].held_out
-        if "bowling" in h["scene"]
-    ]
-    assert len(rows) == 2
-    assert any(end is None for end in rows)
-
-
 def test_the_form_is_chosen_on_training_alone(reports):
     for report in reports:
         first = report.rounds[0]

@@ -40,7 +40,7 @@ def test_what_is_left_falls_round_by_round(report):
     assert left[-1] <= 0.5
     assert left == sorted(left, reverse=True)
     before, after = (report.total[k].residual_acceleration for k in ("before", "after"))
-    assert 100 * after / before == pytest.approx(left[-1], rel=1e-3)
+    assert 100 * after / before == pytest.approx(left[-1], abs=6e-4)  # as printed
 
 
 def test_few_terms(report):
