@@ -58,7 +58,7 @@ def effect_of(observation, chosen, attempts, p_value):
         and a.text != chosen.text
         and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < TIE_BIC
     ]
-    equivalents = (*as_good, *chosen.equivalents, *chosen.ties)
+    equivalents = (*chosen.equivalents, *as_good, *chosen.ties)
     return Effect(
         name=chosen.name,
         kind=chosen.kind,

@@ -167,7 +167,12 @@ def test_many_short_tracks_lack_nothing():
             replace(s, positions=s.positions + SIGMA * rng.standard_normal(s.positions.shape))
             for s in observation.train
         )
-        fit = replace(observation, train=scenes, segments=scenes).fit(LAW)
+        regression = build_regression(
+            scenes, method="gls", sigma=(SIGMA, SIGMA), up="y", sources=False
+        )
+        fit = replace(
+            observation, train=scenes, segments=scenes, train_regression=regression
+        ).fit(LAW)
         p.append(examine_residual(observation, fit, 0.01).tests["autocorrelation"])
     assert kstest(p, "uniform").pvalue > 0.001
 
