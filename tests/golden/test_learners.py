@@ -1,6 +1,5 @@
 """The learning searches on the paper's scenes: they find the true laws within few scored laws."""
 
-import time
 
 import numpy as np
 import pytest
@@ -28,8 +27,6 @@ PROBLEMS = {
     ),
 }  # fmt: skip
 STRATEGIES = {"cross_entropy": CrossEntropy(), "genetic": Genetic()}
-SECONDS = 20.0
-"""Far more than a run takes alone on a core (a few seconds): tests may share it."""
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +57,10 @@ def test_learners_find_the_true_law(problem, name, strategy, seed):
     _, cap, constant, text = PROBLEMS[name]
     regression, grammar, types = problem(name)
     objective = Objective(regression, grammar, "pair", beta=1e-3)
-    started = time.perf_counter()
     result = run_search(
         STRATEGIES[strategy], objective, Budget(n_scored=cap), rng=np.random.default_rng(seed),
         callback=explains_all,
     )  # fmt: skip
-    assert time.perf_counter() - started < SECONDS
     assert objective.n_scored < cap
     best = result.best
     assert best.loss < 1e-12 * best.total
