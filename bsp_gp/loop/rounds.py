@@ -19,7 +19,7 @@ MAX_BLUR = 10.0
 
 
 MOST_REFINEMENTS = 2
-MIN_SHARE = 0.6
+MIN_SHARE = 0.75
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 
