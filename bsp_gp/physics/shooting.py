@@ -427,7 +427,7 @@ def covariance_of(information):
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    lost = values < UNDETERMINED * values[-1]
+    lost = values <= UNDETERMINED * values[-1]
     inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, values))
     covariance = (vectors * inverse) @ vectors.T / np.outer(size, size)
     free = (np.abs(vectors[:, lost]) > 0.05).any(axis=1) | (np.diag(information) <= 0)
