@@ -125,6 +125,16 @@ class ForceLaw:
         """The same law with (some) constants changed."""
         return replace(self, constants={**self.constants, **constants})
 
+    def with_values(self, parameters, values):
+        """The law with constants given as (name, entity) pairs; entity "" = one for all."""
+        constants = {}
+        for (name, entity), value in zip(parameters, values, strict=True):
+            if entity:
+                constants.setdefault(name, dict(self.constants[name]))[entity] = float(value)
+            else:
+                constants[name] = float(value)
+        return self.with_constants(constants)
+
     def plus(self, term, constants=None):
         """The law with one more term."""
         return ForceLaw((*self.terms, term), {**self.constants, **(constants or {})})

@@ -92,16 +92,6 @@ def _get(law, parameters):
     )
 
 
-def _set(law, parameters, values):
-    constants = {}
-    for (name, entity), value in zip(parameters, values, strict=True):
-        if entity:
-            constants.setdefault(name, dict(law.constants[name]))[entity] = float(value)
-        else:
-            constants[name] = float(value)
-    return law.with_constants(constants)
-
-
 def cut_segments(scenes, rows):
     """Cut scenes into segments of about `rows` rows (None: whole), none shorter than four."""
     if rows is None:
@@ -398,7 +388,7 @@ class _Problem:
         covariance = covariance_of(information)
         n_rows = int(sum(seen.sum() for seen in self.seen))
         return RolloutFit(
-            _set(self.law, self.parameters, x),
+            self.law.with_values(self.parameters, x),
             self.parameters,
             x,
             covariance,

@@ -131,14 +131,8 @@ def _least_squares(matrix, y):
 
 
 def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
-    constants = {}
-    for (name, entity), value in zip(parameters, values, strict=True):
-        if entity:
-            constants.setdefault(name, dict(law.constants[name]))[entity] = float(value)
-        else:
-            constants[name] = float(value)
     return ConstantFit(
-        law.with_constants(constants),
+        law.with_values(parameters, values),
         tuple(parameters),
         np.asarray(values),
         covariance,
