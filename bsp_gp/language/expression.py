@@ -6,15 +6,24 @@ An `Expression` says how a grammar derives a law; `to_formula` says what the law
 
 from __future__ import annotations
 
+import threading
+import weakref
+
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Call
 from bsp_gp.language.grammar import Slot, fill
 
 __all__ = ["Expression", "derive", "from_lists", "to_formula", "to_lists"]
 
+_KNOWN = weakref.WeakValueDictionary()
+_LOCK = threading.RLock()  # a collected tree may be made again while one is made
+
 
 class Expression:
     """A derivation tree: the index of the rule at its root and one subtree per nonterminal.
+
+    Equal trees are one object (hash-consed), so that they are compared and looked up by identity
+    however deep they are.
 
     Attributes
     ----------
@@ -26,25 +35,31 @@ class Expression:
         Number of rules used.
     """
 
-    __slots__ = ("_hash", "children", "levels", "rule", "size")
+    __slots__ = ("__weakref__", "children", "levels", "rule", "size")
 
-    def __init__(self, rule, children=()):
+    def __new__(cls, rule, children=()):
+        key = (rule, tuple(children))
+        found = _KNOWN.get(key)
+        if found is None:
+            with _LOCK:  # two threads may not make the same tree
+                found = _KNOWN.get(key)
+                if found is None:
+                    found = _KNOWN[key] = cls._made(*key)
+        return found
+
+    @classmethod
+    def _made(cls, rule, children):
+        self = object.__new__(cls)
         self.rule = rule
-        self.children = tuple(children)
-        self.levels = 1 + max((c.levels for c in self.children), default=0)
-        self.size = 1 + sum(c.size for c in self.children)
-        self._hash = hash((rule, self.children))
-
-    def __hash__(self):
-        return self._hash
-
-    def __eq__(self, other):
-        return self is other or (
-            isinstance(other, Expression)
-            and self._hash == other._hash
-            and self.rule == other.rule
-            and self.children == other.children
-        )
+        self.children = children
+        levels, size = 0, 1
+        for child in children:
+            size += child.size
+            if child.levels > levels:
+                levels = child.levels
+        self.levels = levels + 1
+        self.size = size
+        return self
 
     def __reduce__(self):
         return (Expression, (self.rule, self.children))

@@ -25,6 +25,8 @@ __all__ = [
     "evaluate_with_gradient",
     "factors",
     "product",
+    "rename_constants",
+    "summands",
     "walk",
 ]
 
@@ -238,3 +240,23 @@ def product(formulas):
     for formula in formulas:
         total = formula if total is None else Call("mul", total, formula)
     return Number(1.0) if total is None else total
+
+
+def summands(formula):
+    """The terms of a sum, left to right; a difference is a sum with its second term negated."""
+    if isinstance(formula, Call) and formula.operator == "add":
+        return [term for arg in formula.args for term in summands(arg)]
+    if isinstance(formula, Call) and formula.operator == "sub":
+        first, second = formula.args
+        if first.type.shape == "vector":  # not for points, whose difference is one vector
+            return summands(first) + [Call("neg", term) for term in summands(second)]
+    return [formula]
+
+
+def rename_constants(formula, names):
+    """The formula with constants renamed: ``names`` maps old names to new ones."""
+    if isinstance(formula, Constant):
+        return Constant(names.get(formula.name, formula.name))
+    if isinstance(formula, Call):
+        return Call(formula.operator, *(rename_constants(arg, names) for arg in formula.args))
+    return formula

@@ -208,12 +208,9 @@ def _infer_perp(a):
 
 def _infer_contact(name):
     def infer(shape_i, point_i, shape_j, point_j):
-        if (shape_i.shape, point_i.shape, shape_j.shape, point_j.shape) != (
-            "shape",
-            "point",
-            "shape",
-            "point",
-        ):
+        # Grammars without translation invariance have positions that are vectors.
+        places = all(place.shape in ("point", "vector") for place in (point_i, point_j))
+        if not places or (shape_i.shape, shape_j.shape) != ("shape", "shape"):
             raise UnitError(f"{name} takes (s_i, p_i, s_j, p_j)")
         return Type("bool", DIMENSIONLESS)
 

@@ -88,34 +88,95 @@ class Pcfg:
         GrammarError
             If the bound is below the least number of levels of `nonterminal`.
         """
+        self._check_bound(nonterminal, max_levels)
+        return self.sampler(rng).draw(nonterminal, max_levels)
+
+    def sampler(self, rng):
+        """A source of derivations, for many draws: ``sampler.draw(nonterminal, max_levels)``.
+
+        Random numbers are drawn in blocks.
+        """
+        return _Sampler(self, rng)
+
+    def sample_many(self, rng, nonterminal, max_levels, n):
+        """Draw `n` derivations."""
+        self._check_bound(nonterminal, max_levels)
+        draw = self.sampler(rng).draw
+        return [draw(nonterminal, max_levels) for _ in range(n)]
+
+    def sample_crossed(self, rng, nonterminal, max_levels, n, pool=(64, 4)):
+        """Draw `n` derivations that are products of pools of subtrees.
+
+        At the first rule with several nonterminals, subtrees are drawn for its scalars and for
+        its vector and conditions, all are combined, and again until there are enough. Every tree
+        has the distribution of `sample`, since a context-free grammar derives siblings
+        independently; the trees of one pool are not independent of each other. Laws that share
+        a direction, or their coefficients, are cheap to score together.
+
+        Parameters
+        ----------
+        pool : (int, int)
+            Scalars and vectors drawn at a time. Scalars vary more, so they need be more.
+        """
+        self._check_bound(nonterminal, max_levels)
+        sampler = self.sampler(rng)
+        spines = self._spines(nonterminal, max_levels)
+        probabilities = np.array([p for _, p in spines])
+        counts = rng.multinomial(n, probabilities / probabilities.sum())
+        return [
+            tree
+            for (spine, _), count in zip(spines, counts.tolist(), strict=True)
+            if count
+            for block in _blocks(count, pool[0] * pool[1])
+            for tree in self._crossed(sampler, spine, max_levels - len(spine), block, pool)
+        ]
+
+    def _crossed(self, sampler, spine, levels, n, pool):
+        *above, rule = spine
+        one, other = self._sides(rule)
+        n_one = max(1, round((n * pool[0] / pool[1]) ** 0.5))
+        n_other = -(-n // n_one)
+        if not (one and other):
+            n_one, n_other = (n, 1) if one else (1, n)
+        first = [[sampler.draw(rule.children[k], levels) for k in one] for _ in range(n_one)]
+        second = [[sampler.draw(rule.children[k], levels) for k in other] for _ in range(n_other)]
+        order = np.argsort([*one, *other]).tolist()
+        trees = []
+        for b in second:
+            for a in first:
+                parts = [*a, *b]
+                tree = Expression(rule.index, [parts[k] for k in order])
+                for outer in reversed(above):
+                    tree = Expression(outer.index, (tree,))
+                trees.append(tree)
+        return trees[:n]
+
+    def _sides(self, rule):
+        """Positions of a rule's children in two groups: scalars, and vectors with conditions."""
+        shapes = [self.grammar.types[child].shape for child in rule.children]
+        one = [k for k, shape in enumerate(shapes) if shape == "scalar"]
+        other = [k for k, shape in enumerate(shapes) if shape != "scalar"]
+        return (one, other) if one or len(other) < 2 else (other[:1], other[1:])
+
+    def _spines(self, nonterminal, levels):
+        """Chains of rules down to the first that does not have one child, with probabilities."""
+        out = []
+        rules, cumulative = self._choices(nonterminal, levels)
+        for rule, weight in zip(rules, np.diff(cumulative, prepend=0.0), strict=True):
+            share = weight / cumulative[-1]
+            if len(rule.children) == 1:
+                below = self._spines(rule.children[0], levels - 1)
+                out += [((rule, *spine), share * p) for spine, p in below]
+            else:
+                out.append(((rule,), share))
+        return out
+
+    def _check_bound(self, nonterminal, max_levels):
         if self.grammar.min_levels[nonterminal] > max_levels:
             raise GrammarError(
                 f"{nonterminal} needs at least {self.grammar.min_levels[nonterminal]} levels, "
                 f"got a bound of {max_levels}"
             )
-        return self._draw(rng, nonterminal, max_levels)
-
-    def sample_many(self, rng, nonterminal, max_levels, n):
-        """Draw `n` derivations; the same distribution as `sample`, ten times as fast.
-
-        Random numbers are drawn in blocks, and equal subtrees are one object.
-        """
-        if self.grammar.min_levels[nonterminal] > max_levels:
-            self.sample(rng, nonterminal, max_levels)  # raises with the reason
-        draws = _Draws(rng)
-        made = {}
-
-        def draw(nonterminal, levels):
-            cumulative, rules, last = self._table(nonterminal, levels)
-            rule = rules[min(bisect_right(cumulative, draws.next() * last), len(rules) - 1)]
-            children = tuple([draw(child, levels - 1) for child in rule.children])
-            key = (rule.index, children)
-            tree = made.get(key)
-            if tree is None:
-                tree = made[key] = Expression(rule.index, children)
-            return tree
-
-        return [draw(nonterminal, max_levels) for _ in range(n)]
 
     def _table(self, nonterminal, levels):
         tables = self.__dict__.setdefault("_tables", {})
@@ -124,11 +185,6 @@ class Pcfg:
             rules, cumulative = self._choices(nonterminal, levels)
             tables[key] = (cumulative.tolist(), rules, float(cumulative[-1]))
         return tables[key]
-
-    def _draw(self, rng, nonterminal, levels):
-        rules, cumulative = self._choices(nonterminal, levels)
-        rule = rules[int(np.searchsorted(cumulative, rng.random() * cumulative[-1], "right"))]
-        return Expression(rule.index, [self._draw(rng, c, levels - 1) for c in rule.children])
 
     def _choices(self, nonterminal, levels):
         cache = self.__dict__.setdefault("_cache", {})
@@ -147,6 +203,12 @@ class Pcfg:
         return cache[key]
 
 
+def _blocks(n, most):
+    """Split a number into nearly equal parts of at most `most`."""
+    parts = -(-n // most)
+    return [n // parts + (k < n % parts) for k in range(parts)]
+
+
 class _Draws:
     """Uniform random numbers, drawn in blocks."""
 
@@ -159,3 +221,17 @@ class _Draws:
         if not self.values:
             self.values = self.rng.random(self.block).tolist()
         return self.values.pop()
+
+
+class _Sampler:
+    """Draws derivations."""
+
+    def __init__(self, pcfg, rng):
+        self.table = pcfg._table
+        self.next = _Draws(rng).next
+
+    def draw(self, nonterminal, levels):
+        cumulative, rules, last = self.table(nonterminal, levels)
+        rule = rules[min(bisect_right(cumulative, self.next() * last), len(rules) - 1)]
+        levels -= 1
+        return Expression(rule.index, [self.draw(child, levels) for child in rule.children])

@@ -12,6 +12,7 @@ from bsp_gp.loop.effects import COLLINEAR
 from bsp_gp.loop.models import Attempt, is_property
 from bsp_gp.loop.naming import describe, fresh_name
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
+from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.subsets import best_subsets
 
 __all__ = ["FREES", "MOST_EQUALS", "plan_ahead"]
@@ -90,7 +91,7 @@ class _Pool:
             declared, {n: best.law.constants[n] for t in declared for n in t.formula.constants}
         )
         fit = observation.fit(self.declared)
-        q = _orthonormal(fit.jacobian)
+        q = orthonormal(fit.jacobian, len(fit.residual))
         matrix = np.concatenate(columns, axis=1)
         self.frozen = _parallel(matrix, _fixed_directions(regression, declared))
         self.matrix = matrix - q @ (q.T @ matrix)
@@ -180,13 +181,6 @@ def _property_part(formula):
         return Number(1.0)
     top = product(above)
     return Call("div", top, product(below)) if below else top
-
-
-def _orthonormal(columns):
-    live = columns[:, np.any(columns, axis=0)] if columns.size else columns
-    if not live.size:
-        return np.zeros((len(columns), 0))
-    return np.linalg.qr(live / np.linalg.norm(live, axis=0))[0]
 
 
 def _fixed_directions(regression, declared):

@@ -238,7 +238,15 @@ def checked(values, batch):
 
 
 def build_regression(
-    scenes, *, method="one_step", sigma=None, up=None, velocity="ignore", sources=True, states=None
+    scenes,
+    *,
+    method="one_step",
+    sigma=None,
+    up=None,
+    velocity="ignore",
+    sources=True,
+    states=None,
+    contact_margin=0.0,
 ):
     """Read accelerations off measured tracks.
 
@@ -260,6 +268,9 @@ def build_regression(
         Scene name -> positions and velocities (T, R, d) of the receivers at which laws are
         evaluated in the place of the measured ones (``gls``); the accelerations to be explained
         stay those of the measured positions.
+    contact_margin : float
+        Rows of a receiver whose contact with any body lies within this many standard deviations
+        of beginning or ending are left out: under noise nobody knows which law acted there.
 
     Raises
     ------
@@ -277,7 +288,7 @@ def build_regression(
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"
     batches = [
-        _regression_batch(batch, method, sigma, sources, states or {})
+        _regression_batch(batch, method, sigma, sources, states or {}, contact_margin)
         for batch in stack(scenes, up, measured)
     ]
     regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
@@ -289,7 +300,7 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources, given):
+def _regression_batch(batch, method, sigma, sources, given, contact_margin):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
@@ -301,6 +312,8 @@ def _regression_batch(batch, method, sigma, sources, given):
     own = np.isfinite(velocities[:, :, bodies.receivers]).all(axis=-1)
     if sources:
         own &= (np.isfinite(positions) & np.isfinite(velocities)).all(axis=(-1, -2))[..., None]
+    if contact_margin:
+        own &= ~_is_unsure(bodies, positions, contact_margin * np.nanmax(sigma))
     valid &= own[..., None]
     target = np.where(valid, target, 0.0)
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
@@ -310,6 +323,22 @@ def _regression_batch(batch, method, sigma, sources, given):
     names = tuple(scene.name for scene in batch.scenes)
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
+    )
+
+
+def _is_unsure(bodies, positions, margin):
+    """Whether a contact of a receiver may have begun or ended within `margin`, (n, S, R)."""
+    shapes = bodies.shapes
+    receivers = bodies.receivers
+    return (
+        shapes[..., receivers, None]
+        .contact_margin(
+            positions[:, :, receivers, None],
+            shapes[..., bodies.others],
+            positions[:, :, bodies.others],
+        )
+        .min(axis=-1, initial=np.inf)
+        < margin
     )
 
 

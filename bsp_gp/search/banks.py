@@ -16,6 +16,7 @@ from bsp_gp.errors import UnitError
 from bsp_gp.language.expression import Expression
 from bsp_gp.language.formula import evaluate
 from bsp_gp.language.grammar import fill
+from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.bodies import law_inputs
 
 __all__ = ["Banks", "Entry", "Rows", "distinct_directions", "fingerprints", "merge_proportional"]
@@ -56,6 +57,11 @@ class Entry:
     def family(self):
         """The entry and all that were merged into it."""
         return [self, *self.ties]
+
+    @property
+    def is_static(self):
+        """Whether it depends on properties only, which do not vary along time."""
+        return all(property_of(name) is not None for name in self.formula.inputs)
 
 
 class Rows:

@@ -66,6 +66,8 @@ class Certificate:
         Inputs of the grammar that the data lack; rules with them are left out.
     parts : tuple of str
         Sizes of the factor banks, for the curious.
+    guarantee : str
+        What holds for sums of terms, which are not searched through.
     """
 
     grammar: str
@@ -76,6 +78,7 @@ class Certificate:
     n_failed: int
     missing_inputs: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
+    guarantee: str = ""
 
     def text(self):
         """The guarantee in one sentence."""
@@ -84,6 +87,8 @@ class Certificate:
             if self.missing_inputs
             else ""
         )
+        if self.guarantee:
+            missing += f"; {self.guarantee}"
         return (
             f"grammar {self.grammar} ({self.fingerprint[:12]}), derivations of at most "
             f"{self.max_levels} levels: {self.n_derivations:,} derivations, {self.n_scored:,} laws "

@@ -1,10 +1,11 @@
 """Cross-entropy search over a probabilistic grammar (paper, section 3.3.1 and algorithm 2).
 
 Trees are drawn from the PCFG under the bound on levels; its probabilities are refitted to the
-rules of the elite. The paper's presets are kept by name. Ours differs in three points, each for
-a reason: the elite is taken among *distinct* laws (a good law drawn a hundred times would
-otherwise be the whole elite), a part of the uniform grammar is mixed in (no rule dies out), and
-the search starts anew when nothing better has come for a while (the cache makes that cheap).
+rules of the elite. The paper's presets are kept by name. Ours differs in four points, each for
+a reason: the elite is small and taken among *distinct* laws (a good law drawn a hundred times
+would otherwise be the whole elite), a part of the uniform grammar is mixed in (no rule dies out),
+the search starts anew when nothing better has come for a while (known laws cost nothing), and
+populations are products of pools of subtrees, which are scored at three times the rate.
 """
 
 from __future__ import annotations
@@ -38,15 +39,19 @@ class CrossEntropy:
         Part of the uniform grammar mixed into the refitted one.
     patience : int or None
         Steps without a better law after which the grammar is made uniform again.
+    pool : (int, int) or None
+        Scalars and vectors of the pools whose products make up a population, which are cheap to
+        score (`Pcfg.sample_crossed`); None draws tree by tree.
     """
 
-    population: int = 800
+    population: int = 2000
     max_levels: int = 10
-    elite: int = 40
+    elite: int = 60
     smoothing: float = 0.5
     distinct: bool = True
     uniform_share: float = 0.15
     patience: int | None = 8
+    pool: tuple[int, int] | None = (64, 4)
     name: str = "cross_entropy"
 
     def init(self, objective, rng):
@@ -63,7 +68,8 @@ class CrossEntropy:
         return self._drawn(pcfg, objective, rng, state["best"], state["stuck"])
 
     def _drawn(self, pcfg, objective, rng, best, stuck):
-        trees = pcfg.sample_many(rng, objective.start, self.max_levels, self.population)
+        where = (rng, objective.start, self.max_levels, self.population)
+        trees = pcfg.sample_crossed(*where, self.pool) if self.pool else pcfg.sample_many(*where)
         scores = objective.score(trees)
         order = np.argsort([score.cost for score in scores], kind="stable")
         elite, seen = [], set()
@@ -98,13 +104,21 @@ class RandomSearch:
     def step(self, state, objective, rng):
         """Draw and score."""
         pcfg = Pcfg.uniform(objective.grammar)
-        objective.score(pcfg.sample_many(rng, objective.start, self.max_levels, self.population))
+        draw = pcfg.sample_many
+        objective.score(draw(rng, objective.start, self.max_levels, self.population))
         return state
 
 
 def _paper(population, elite, smoothing):
     return CrossEntropy(
-        population, 10, elite, smoothing, distinct=False, uniform_share=0.0, patience=None
+        population,
+        10,
+        elite,
+        smoothing,
+        distinct=False,
+        uniform_share=0.0,
+        patience=None,
+        pool=None,
     )
 
 

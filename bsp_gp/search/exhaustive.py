@@ -20,6 +20,7 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.language.formula import Number
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.language.pcfg import Pcfg
+from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.banks import (
     Banks,
@@ -30,6 +31,8 @@ from bsp_gp.search.banks import (
     merge_proportional,
 )
 from bsp_gp.search.candidate import Candidate, Certificate, SearchResult
+from bsp_gp.search.columns import orthonormal
+from bsp_gp.search.correlated import CorrelatedScorer
 from bsp_gp.search.factoring import plan_of
 from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.scoring import GroupScorer, RowScorer
@@ -85,7 +88,7 @@ def search_exhaustive(
     Raises
     ------
     SettingsError
-        If errors are correlated and the grammar does not factor into properties and motion.
+        If the grammar has no laws of this kind.
     """
     if kind not in grammar.start:
         raise SettingsError(
@@ -153,6 +156,7 @@ class _Exhaustive:
             self.log_probs = np.log(Pcfg.uniform(grammar).probabilities)
         self.banks = Banks(grammar, self.rows, self.log_probs)
         self.weights = self.banks._weights
+        self.is_correlated = any(b.whitener is not None for b in regression.batches)
         self.n_scored = 0
         self.parts = []
         self.kept = Kept(top_k)
@@ -165,7 +169,7 @@ class _Exhaustive:
         null = np.zeros((len(y), 0)) if null_targets is None else np.asarray(null_targets)
         self.total, self.null_total = 0.0, np.zeros(null.shape[1])
         for mask in self.groups:
-            q = _orthonormal(None if nuisance is None else nuisance * mask[:, None], len(y))
+            q = orthonormal(None if nuisance is None else nuisance * mask[:, None], len(y))
             ys = np.column_stack([y, null]) * mask[:, None]
             ys = ys - q @ (q.T @ ys)
             self.q_groups.append(q)
@@ -327,7 +331,10 @@ class _Exhaustive:
 
     def _score(self, block, directed):
         self.n_scored += int(block.allowed.sum())
-        scorer = GroupScorer if block.is_static(self.rows) else RowScorer
+        if block.is_static(self.rows):
+            scorer = GroupScorer
+        else:
+            scorer = CorrelatedScorer if self.is_correlated else RowScorer
         gain = np.zeros(block.allowed.shape)
         null_gain = np.zeros((len(self.null_gain), *block.allowed.shape))
         vector = directed.value / np.max(np.abs(directed.value))
@@ -405,7 +412,7 @@ class _Exhaustive:
             y = ys[:, 0]
             total += float(y @ y)
             c = float(x @ y) / size if size > 0 else 0.0
-            constants.append(c / scale)
+            constants.append(float(c / scale))
             fitted += c * x
         y = sum(ys[:, 0] for ys in self.y_groups)
         loss = 0.5 * float(np.square(y - fitted).sum())
@@ -419,17 +426,6 @@ class _Exhaustive:
 def fingerprint_of(value, weights):
     """Scale-free fingerprint of one vector field."""
     return fingerprints([value], weights, merge_scale=True)[0]
-
-
-def _orthonormal(columns, n):
-    if columns is None or not columns.size:
-        return np.zeros((n, 0))
-    live = columns[:, np.any(columns, axis=0)]
-    if not live.size:
-        return np.zeros((n, 0))
-    scaled = live / np.linalg.norm(live, axis=0)
-    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
-    return u[:, s > 1e-10 * s[0]]
 
 
 def _merge_equal(rescored):
@@ -458,7 +454,8 @@ def _merge_equal(rescored):
 
 def _absorb(kept, other):
     """Of two equal laws the least complex leads, the other becomes a tie."""
-    lead, tail = (kept, other) if kept.complexity <= other.complexity else (other, kept)
+    # Of equally complex ones the text decides: the order of the losses is rounding.
+    lead, tail = sorted((kept, other), key=lambda c: (round(c.complexity, 9), to_text(c.formula)))
     names = dict.fromkeys((*kept.ties, *other.ties, tail.formula))
     names.pop(lead.formula, None)
     return replace(lead, ties=tuple(names))

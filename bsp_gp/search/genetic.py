@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from deap import base, tools
 
-from bsp_gp.language.expression import Expression, from_lists, to_lists
+from bsp_gp.language.expression import Expression
 from bsp_gp.language.pcfg import Pcfg
 
 __all__ = ["Genetic"]
@@ -73,7 +73,7 @@ class Genetic:
         """Breed, score, select."""
         grammar = objective.grammar
         pcfg = Pcfg.uniform(grammar)
-        parents = [from_lists(lists, grammar) for lists in state["population"]]
+        parents = list(state["population"])
         is_stuck = self.patience is not None and state["stuck"] >= self.patience
         if is_stuck or not parents:
             trees = pcfg.sample_many(rng, objective.start, self.max_levels, self.offspring)
@@ -96,19 +96,20 @@ class Genetic:
         return rng.integers(n, size=(2, 2)).min(axis=1)
 
     def _selected(self, trees, parents, objective, best, stuck):
-        pool, seen = [], set()
         everyone = [*parents, *trees]
         scores = [*objective.known(parents), *objective.score(trees)]
+        simplest = {}
         for expression, score in zip(everyone, scores, strict=True):
-            if score.law >= 0 and score.law not in seen:
-                seen.add(score.law)
-                pool.append(_Individual(expression, score))
+            known = simplest.get(score.law)
+            if score.law >= 0 and (known is None or score.complexity < known[1].complexity):
+                simplest[score.law] = (expression, score)
+        pool = [_Individual(expression, score) for expression, score in simplest.values()]
         # The default sorting of selNSGA2 takes seconds where "log" takes milliseconds.
         chosen = tools.selNSGA2(pool, min(self.population, len(pool)), nd="log")
         lowest = min((individual.cost for individual in pool), default=None)
         improved = best is None or (lowest is not None and lowest < best)
         return {
-            "population": [to_lists(individual.expression) for individual in chosen],
+            "population": [individual.expression for individual in chosen],
             "best": lowest if improved else best,
             "stuck": 0 if improved else stuck + 1,
         }
@@ -119,19 +120,18 @@ class _Variation:
 
     def __init__(self, grammar, pcfg, max_levels, rng):
         self.grammar = grammar
-        self.pcfg = pcfg
+        self.draw = pcfg.sampler(rng).draw
         self.max_levels = max_levels
         self.rng = rng
+        self._nodes = {}
 
     def crossover(self, one, other):
         """Swap a subtree of one type; `one` is mutated where none can be swapped in bounds."""
         path, node = self._pick(one)
-        wanted = self.grammar.rules[node.rule].nonterminal
         partners = [
             (p, n)
-            for p, n in _nodes(other)
-            if self.grammar.rules[n.rule].nonterminal == wanted
-            and n != node
+            for p, n in self._by_type(other).get(self._type(node), ())
+            if n is not node
             and len(path) + n.levels <= self.max_levels
             and len(p) + node.levels <= self.max_levels
         ]
@@ -143,13 +143,32 @@ class _Variation:
     def mutate(self, expression):
         """Draw a subtree anew, within the levels that its place leaves."""
         path, node = self._pick(expression)
-        nonterminal = self.grammar.rules[node.rule].nonterminal
-        new = self.pcfg.sample(self.rng, nonterminal, self.max_levels - len(path))
+        new = self.draw(self._type(node), self.max_levels - len(path))
         return _replaced(expression, path, new)
 
+    def _type(self, node):
+        return self.grammar.rules[node.rule].nonterminal
+
+    def _by_type(self, expression):
+        """Nonterminal -> (path, node) of every node of that type; kept, since parents recur."""
+        if expression not in self._nodes:
+            table = self._nodes[expression] = {}
+            for path, node in _nodes(expression):
+                table.setdefault(self._type(node), []).append((path, node))
+        return self._nodes[expression]
+
     def _pick(self, expression):
-        nodes = list(_nodes(expression))
-        return nodes[int(self.rng.integers(len(nodes)))]
+        """A node, all equally likely, and its path from the root (indices of children)."""
+        index, path, node = int(self.rng.integers(expression.size)), [], expression
+        while index:
+            index -= 1
+            for k, child in enumerate(node.children):
+                if index < child.size:
+                    path.append(k)
+                    node = child
+                    break
+                index -= child.size
+        return tuple(path), node
 
 
 def _nodes(expression):

@@ -1,39 +1,34 @@
-"""The objective that all searches share: Expression -> loss with its best constant, and cost.
+"""The objective that all searches share: Expression -> loss with its best constants, and cost.
 
-Bilevel (paper, section 3.3.1): the outer level is symbolic, the inner level finds the constant
-in closed form. Values of factors are kept per data set, so that a new tree pays only for what is
-new in it, and laws that are equal on the data are recognised by the values of their factors and
-scored once. New laws are scored in batches that share a direction.
+Bilevel (paper, section 3.3.1): the outer level is symbolic, the inner level finds the constants.
+Constants that multiply the terms of a law are solved in closed form, many laws at a time; others
+go through `fit_constants`. Laws that are equal on the data are scored once (`recognition`).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError, SettingsError, UnitError
-from bsp_gp.language.expression import to_formula
-from bsp_gp.language.formula import Call, Constant, Number, evaluate, factors, product
-from bsp_gp.language.grammar import fill
+from bsp_gp.errors import EvaluationError, SettingsError
+from bsp_gp.language.formula import summands
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.search.banks import Rows, fingerprints
+from bsp_gp.search.banks import Rows
 from bsp_gp.search.candidate import Candidate
+from bsp_gp.search.columns import BATCH_BYTES, Columns, Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
-from bsp_gp.search.scoring import COLLINEAR, _receiver_index
+from bsp_gp.search.recognition import Recogniser
+from bsp_gp.search.scoring import COLLINEAR
 
 __all__ = ["CRITERIA", "Objective", "Score"]
 
 CRITERIA = ("prior", "bic", "mdl")
-CACHE_BYTES = 1 << 28
-BATCH_BYTES = 1 << 25
 
 
-@dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """Score of one law.
 
     Attributes
@@ -46,15 +41,12 @@ class Score:
         -log p of the expression under the uniform PCFG, nats.
     cost : float
         What searches minimise.
-    constant : float
-        The law's constant; of several the first, of none 1.
     """
 
     law: int
     loss: float
     complexity: float
     cost: float
-    constant: float
 
 
 class Objective:
@@ -76,12 +68,15 @@ class Objective:
         profiled out plus half a log n per constant; "mdl": that plus the complexity.
     beta : float
         Weight of the complexity under "prior".
+    starts : int
+        Start points of constants that do not multiply a term.
 
     Attributes
     ----------
     n_trees, n_scored, n_repeats, n_failed : int
-        Trees asked for; laws that differ on the data; trees that had been asked for before;
-        new trees without a finite value or without any effect on the data.
+        Trees asked for; laws that differ on the data; trees that had been asked for before; new
+        trees without a finite value, without any effect on the data, or with terms that are not
+        independent of each other there.
     best : dict of int to (Expression, Score)
         Law -> its least complex expression seen so far.
     history : list of list of Expression
@@ -90,43 +85,56 @@ class Objective:
     """
 
     def __init__(
-        self, regression, grammar, kind, *, target=None, nuisance=None, criterion="prior", beta=1e-3
+        self,
+        regression,
+        grammar,
+        kind,
+        *,
+        target=None,
+        nuisance=None,
+        criterion="prior",
+        beta=1e-3,
+        starts=3,
     ):
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
         if kind not in grammar.start:
             raise SettingsError(f"grammar {grammar.name} has no {kind} laws")
+        self._given = {
+            "regression": regression, "grammar": grammar, "kind": kind, "target": target,
+            "nuisance": nuisance, "criterion": criterion, "beta": beta, "starts": starts,
+        }  # fmt: skip
         self.regression = regression
         self.grammar = grammar
         self.kind = kind
         self.start = grammar.start[kind]
         self.criterion = criterion
         self.beta = beta
+        self.starts = starts
         self.rows = Rows(regression, kind)
-        self.log_probs = _log_probs(grammar)
+        self.recogniser = Recogniser(grammar, self.rows)
         y = regression.target() if target is None else np.asarray(target, dtype=float)
-        self.q = _orthonormal(nuisance, len(y))
+        self.q = orthonormal(nuisance, len(y))
         self.y = y - self.q @ (self.q.T @ y)
         self.total = float(self.y @ self.y)
+        self.columns = Columns(self.rows, self.y, self.q)
+        self.projected = Projected(regression, self.y, self.q)
         self.n_trees = self.n_scored = self.n_repeats = self.n_failed = 0
+        self._log_probs = _log_probs(grammar)
+        self._complexities = {}
         self._scores = {}
-        self._formulas = {}
-        self._classes = {"coefficient": {}, "direction": {}}
-        self._of_formula = {}
-        self._members = {"coefficient": [], "direction": []}
         self._laws = {}
         self._fits = {}
-        self._values = OrderedDict()
-        self._bytes = 0
-        self._inputs = _FlatInputs(self.rows, grammar)
-        self._subtrees = _BoundedCache(CACHE_BYTES)
-        self._weights = np.random.default_rng(20211).standard_normal(
-            (self.rows.n_rows, self.rows.n_dims, 3)
-        )
-        mass = self.rows.input("m_i", False)
-        self._per_mass = (1.0 / mass)[:, None]
         self.best = {}
         self.history = []
+
+    def fresh(self):
+        """The same objective, nothing scored yet."""
+        return Objective(**self._given)
+
+    def __reduce__(self):
+        # To another process go the data, not what was computed from them.
+        return (_objective, (self._given,))
 
     @property
     def fingerprint(self):
@@ -137,12 +145,13 @@ class Objective:
             self.kind,
             self.criterion,
             float(self.beta),
+            self.starts,
         )
         digest = hashlib.sha256(repr(settings).encode())
         for batch in self.regression.batches:
             for array in (batch.times, batch.positions, batch.velocities, batch.scale):
                 digest.update(np.ascontiguousarray(array).tobytes())
-        for array in (self.y, self.q, self._per_mass):
+        for array in (self.y, self.q, self.rows.input("m_i", False)):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
@@ -160,10 +169,11 @@ class Objective:
         list of Score
         """
         self.n_trees += len(expressions)
+        scores, law_of = self._scores, self.recogniser.law
         new = {}
         for expression in expressions:
-            if expression not in self._scores and expression not in new:
-                new[expression] = self._identify(expression)
+            if expression not in scores and expression not in new:
+                new[expression] = law_of(expression)
         self._score_new(new)
         if new:
             self.history.append(list(new))
@@ -172,92 +182,48 @@ class Objective:
 
     def known(self, expressions):
         """Scores of expressions that were scored before; not counted."""
-        return [self._scores[expression] for expression in expressions]
+        scores = self._scores
+        return [scores[expression] for expression in expressions]
 
-    def _identify(self, expression):
-        """Key of the law among `_laws`; None without a value.
-
-        (coefficient class, direction class), or ("whole", formula) for laws whose constants do
-        not all multiply.
-        """
-        try:
-            formula = self._formula(expression)
-        except UnitError:
-            return None
-        parts = _parts(formula)
-        if parts is None:
-            return self._fit_whole(formula)
-        coefficient, direction = parts
-        a = self._class("coefficient", coefficient)
-        b = self._class("direction", direction)
-        return None if a is None or b is None else (a, b)
-
-    def _formula(self, expression):
-        """What an expression means; kept, since trees share their subtrees."""
-        formula = self._formulas.get(expression)
-        if formula is None:
-            children = [self._formula(child) for child in expression.children]
-            formula = fill(self.grammar.rules[expression.rule].body, children)
-            self._formulas[expression] = formula
-        return formula
-
-    def _class(self, role, formula):
-        """Number of the class of factors that are proportional on the data; None if not finite."""
-        known = self._of_formula
-        if formula not in known:
-            value = self._value(role, formula)
-            if value is None:
-                known[formula] = None
-            else:
-                key = fingerprints([value], self._weights, merge_scale=True)[0]
-                classes = self._classes[role]
-                if key not in classes:
-                    classes[key] = len(self._members[role])
-                    self._members[role].append(formula)
-                known[formula] = classes[key]
-        return known[formula]
-
-    def _value(self, role, formula):
-        """Values of a factor on the rows, scaled to a greatest size of one (kept, bounded)."""
-        if formula in self._values:
-            self._values.move_to_end(formula)
-            return self._values[formula]
-        value = evaluate(formula, self._inputs, cache=self._subtrees)
-        shape = (self.rows.n_rows, self.rows.n_dims) if role == "direction" else (self.rows.n_rows,)
-        value = np.broadcast_to(value, shape)
-        if role == "direction":
-            value = value * self._per_mass
-        top = np.max(np.abs(value)) if value.size else 0.0
-        if not np.isfinite(top) or top == 0:
-            return None
-        value = np.ascontiguousarray(value / top)
-        self._values[formula] = value
-        self._bytes += value.nbytes
-        while self._bytes > CACHE_BYTES and len(self._values) > 2:
-            _, old = self._values.popitem(last=False)
-            self._bytes -= old.nbytes
-        return value
+    def complexity(self, expression):
+        """-log p of an expression under the uniform PCFG, nats; kept for its subtrees."""
+        known, total = self._complexities, -self._log_probs[expression.rule]
+        for child in expression.children:
+            part = known.get(child)
+            if part is None:
+                part = known[child] = self.complexity(child)
+            total += part
+        return total
 
     def _score_new(self, new):
-        waiting = {}
-        for found in new.values():
-            if found is not None and found not in self._laws:
-                waiting.setdefault(found[1], {})[found[0]] = None
-        for b, members in waiting.items():
-            self._score_batch(b, list(members))
-        for expression, found in new.items():
-            self._finish(expression, found)
+        singles, sums = {}, {}
+        for law in new.values():
+            key = _key(law)
+            if key is None or key in self._laws:
+                continue
+            if law.whole is not None:
+                self._fit_whole(key, law.whole)
+            elif len(law.terms) == 1:
+                a, b = law.terms[0]
+                singles.setdefault(b, {})[a] = None
+            else:
+                sums.setdefault(len(law.terms), {})[law.terms] = None
+        for b, members in singles.items():
+            self._score_singles(b, list(members))
+        for laws in sums.values():
+            self._score_sums(list(laws))
+        for expression, law in new.items():
+            self._finish(expression, _key(law))
 
-    def _finish(self, expression, found):
-        complexity = -float(sum(self.log_probs[rule] for rule in expression.rules()))
-        if found is None or self._laws[found][0] < 0:
+    def _finish(self, expression, key):
+        complexity = self.complexity(expression)
+        number, loss, n_constants = (-1, np.inf, 0) if key is None else self._laws[key]
+        if number < 0:
             self.n_failed += 1
-            self._scores[expression] = Score(-1, np.inf, complexity, np.inf, 0.0)
+            self._scores[expression] = Score(-1, np.inf, complexity, np.inf)
             return
-        number, loss, constant = self._laws[found]
-        n_constants = len(self._fits.get(number, (constant,)))
         cost = self._cost(loss, complexity, n_constants)
-        score = self._scores[expression] = Score(number, loss, complexity, cost, constant)
+        score = self._scores[expression] = Score(number, loss, complexity, cost)
         kept = self.best.get(number)
         if kept is None or complexity < kept[1].complexity:
             self.best[number] = (expression, score)
@@ -269,94 +235,85 @@ class Objective:
         profiled = 0.5 * n * np.log(max(2 * loss / n, 1e-30)) + 0.5 * n_constants * np.log(n)
         return profiled + (complexity if self.criterion == "mdl" else 0.0)
 
-    def _score_batch(self, b, members):
-        """Losses of laws that share a direction: sums over sources, then two dot products."""
-        vector = self._value("direction", self._members["direction"][b])
-        step = max(1, BATCH_BYTES // (8 * vector.size))
-        for start in range(0, len(members), step):
-            part = members[start : start + step]
-            values = [self._value("coefficient", self._members["coefficient"][a]) for a in part]
-            columns = self._columns(np.stack(values), vector)
-            raw = np.einsum("kn,kn->k", columns, columns)
-            columns = self._projected(columns.T).T
-            dots = columns @ self.y
-            sizes = np.einsum("kn,kn->k", columns, columns)
-            # What is left of a law that is there already is rounding, not a law.
-            sizes = np.where(sizes > COLLINEAR * raw, sizes, 0.0)
-            for a, dot, size in zip(part, dots, sizes, strict=True):
-                self._settle((a, b), float(dot), float(size))
-
-    def _projected(self, columns):
-        """Columns (n[, k]) less what the free terms of the law explain of them."""
-        return columns - self.q @ (self.q.T @ columns) if self.q.shape[1] else columns
-
-    def _settle(self, key, dot, size):
-        if not size > 0 or not np.isfinite(size):
-            self._laws[key] = (-1, np.inf, 0.0)
+    def _settle(self, key, loss, n_constants):
+        """Give a law its number; a loss that is not finite is no law."""
+        if not np.isfinite(loss):
+            self._laws[key] = (-1, np.inf, 0)
             return
-        loss = 0.5 * max(self.total - dot**2 / size, 0.0)
-        self._laws[key] = (self.n_scored, loss, dot / size)
+        self._laws[key] = (self.n_scored, max(loss, 0.0), n_constants)
         self.n_scored += 1
 
-    def _columns(self, coefficients, vector):
-        """Whitened accelerations (k, n) of coefficients (k, P) times a direction (P, d)."""
-        active = np.flatnonzero(np.any(vector, axis=1))
-        fields = coefficients[:, active, None] * vector[active]
-        starts = self._receiver_starts(active)
-        index, firsts = starts
-        summed = np.add.reduceat(fields, firsts, axis=1)
-        out, offset = [], 0
-        for batch, shape in zip(self.regression.batches, self.rows.shapes, strict=True):
-            count = int(np.prod(shape[:3]))
-            full = np.zeros((len(coefficients), count, vector.shape[1]))
-            mine = (index >= offset) & (index < offset + count)
-            full[:, index[mine] - offset] = summed[:, mine]
-            full = np.moveaxis(full.reshape(len(coefficients), *shape[:3], -1), 0, 3)
-            out.append(np.moveaxis(batch.whiten(full), 3, 0).reshape(len(coefficients), -1))
-            offset += count
-        return np.concatenate(out, axis=1)
+    def _score_singles(self, b, members):
+        """Laws of one term that share a direction: two dot products each."""
+        vector = self.recogniser.values("direction", b)
+        values = [self.recogniser.values("coefficient", a) for a in members]
+        dots, sizes = self.columns.dots_and_sizes(values, vector)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            losses = np.where(sizes > 0, 0.5 * (self.total - dots**2 / sizes), np.inf).tolist()
+        for a, loss in zip(members, losses, strict=True):
+            self._settle(((a, b),), loss, 1)
 
-    def _receiver_starts(self, active):
-        receiver = _receiver_index(self.rows)[active]
-        firsts = np.flatnonzero(np.concatenate([[True], receiver[1:] != receiver[:-1]]))
-        return receiver[firsts], firsts
+    def _score_sums(self, laws):
+        """Laws of several terms: small normal equations, many at a time.
 
-    def _fit_whole(self, formula):
-        """Laws whose constants do not all multiply: the full inner level."""
-        names = {name: f"c{k}" for k, name in enumerate(formula.constants, 1)}
-        formula = _renamed(formula, names)
-        key = ("whole", formula)
-        if key not in self._laws:
-            law = ForceLaw((Term(formula, self.kind),), dict.fromkeys(formula.constants, 1.0))
-            try:
-                fit = fit_constants(_Projected(self), law, starts=3)
-            except EvaluationError:
-                self._laws[key] = (-1, np.inf, 0.0)
-                return key
-            values = tuple(float(value) for value in fit.values)
-            self._laws[key] = (self.n_scored, fit.loss, values[0] if values else 1.0)
-            self._fits[self.n_scored] = values
-            self.n_scored += 1
-        return key
+        Parameters
+        ----------
+        laws : list of tuple of (int, int)
+            All of one length.
+        """
+        step = max(1, BATCH_BYTES // (8 * len(self.y) * len(laws[0])))
+        for start in range(0, len(laws), step):
+            part = laws[start : start + step]
+            terms = {term: k for k, term in enumerate(sorted({t for law in part for t in law}))}
+            columns = self._term_columns(list(terms))
+            chosen = columns[[[terms[term] for term in law] for law in part]]
+            gram = np.einsum("lin,ljn->lij", chosen, chosen, optimize=True)
+            dots = np.einsum("lin,n->li", chosen, self.y, optimize=True)
+            for key, loss in zip(part, _losses(gram, dots, self.total), strict=True):
+                self._settle(key, loss, len(key))
+
+    def _term_columns(self, terms):
+        """Columns of terms, scaled to unit norm; shape (len(terms), n)."""
+        out = np.zeros((len(terms), len(self.y)))
+        by_direction = {}
+        for k, (a, b) in enumerate(terms):
+            by_direction.setdefault(b, []).append((k, a))
+        for b, members in by_direction.items():
+            vector = self.recogniser.values("direction", b)
+            values = [self.recogniser.values("coefficient", a) for _, a in members]
+            out[[k for k, _ in members]] = self.columns.columns(values, vector)
+        norms = np.linalg.norm(out, axis=1, keepdims=True)
+        return out / np.where(norms > 0, norms, 1.0)
+
+    def _fit_whole(self, key, formula):
+        """Laws whose constants do not all multiply a term: the full inner level."""
+        law = self._law(formula, dict.fromkeys(formula.constants, 1.0))
+        try:
+            fit = fit_constants(self.projected, law, starts=self.starts)
+        except EvaluationError:
+            self._laws[key] = (-1, np.inf, 0)
+            return
+        self._fits[formula] = tuple(float(fit.law.constants[n]) for n in formula.constants)
+        self._settle(key, fit.loss, len(formula.constants))
+
+    def _law(self, formula, constants):
+        return ForceLaw(tuple(Term(part, self.kind) for part in summands(formula)), constants)
 
     # --- candidates ------------------------------------------------------------------------------
 
     def candidate(self, expression):
-        """A scored expression as a Candidate, with its exactly recomputed loss."""
+        """A scored expression as a Candidate, with its constants and exactly recomputed loss."""
         (score,) = self.known([expression])
-        formula = to_formula(expression, self.grammar)
+        formula = self.recogniser.formula(expression)
+        law = self.recogniser.law(expression)
         names = formula.constants
-        if score.law in self._fits:
-            constants = dict(zip(names, self._fits[score.law], strict=True))
-            law = ForceLaw((Term(formula, self.kind),), constants)
-            residual = _Projected(self).residual(law)
+        if law.whole is not None:
+            constants = dict(zip(names, self._fits[law.whole], strict=True))
+            residual = self.projected.residual(self._law(formula, constants))
         else:
-            bare = Term(_without_constant(formula, names[0]), self.kind)
-            column = self._projected(self.regression.column(bare)[0][:, 0])
-            size = float(column @ column)
-            constant = float(column @ self.y) / size if size > 0 else 0.0
-            constants = {names[0]: constant}
-            residual = self.y - constant * column
+            start = self._law(formula, dict.fromkeys(names, 1.0))
+            fit = fit_constants(self.projected, start)
+            constants, residual = dict(fit.law.constants), fit.residual
         loss = 0.5 * float(np.square(residual).sum())
         return Candidate(
             formula,
@@ -384,109 +341,26 @@ class Objective:
         return out
 
 
-class _Projected:
-    """The regression as the inner level sees it: residual target, free terms projected out."""
-
-    def __init__(self, objective):
-        self.objective = objective
-        self.regression = objective.regression
-
-    def target(self):
-        return self.objective.y
-
-    def residual(self, law):
-        predicted = self.regression.target() - self.regression.residual(law)
-        return self.objective.y - self.objective._projected(predicted)
-
-    def column(self, term, per_entity=False):
-        columns, names = self.regression.column(term, per_entity)
-        return self.objective._projected(columns), names
-
-    def gradient(self, law, term):
-        slopes = self.regression.gradient(law, term)
-        return {name: self.objective._projected(slope) for name, slope in slopes.items()}
+def _objective(given):
+    return Objective(**given)
 
 
-class _FlatInputs(dict):
-    """Inputs of a grammar on the rows, looked up when first asked for."""
-
-    def __init__(self, rows, grammar):
-        super().__init__()
-        self.rows = rows
-        self.types = grammar.inputs
-
-    def __missing__(self, name):
-        self.update(self.rows.inputs_for([name], self.types))
-        return self[name]
+def _key(law):
+    """What a law is known by: its terms, or its formula."""
+    if law is None:
+        return None
+    return law.terms if law.whole is None else law.whole
 
 
-class _BoundedCache(dict):
-    """Values of sub-formulas; emptied when it has grown beyond its bound."""
-
-    def __init__(self, most_bytes):
-        super().__init__()
-        self.most_bytes = most_bytes
-        self.bytes = 0
-
-    def __setitem__(self, key, value):
-        self.bytes += np.asarray(value).nbytes
-        if self.bytes > self.most_bytes:
-            self.clear()
-            self.bytes = np.asarray(value).nbytes
-        super().__setitem__(key, value)
+def _losses(gram, dots, total):
+    """Least squares of unit columns from their products, (k,) nats; inf where not independent."""
+    eigenvalues = np.linalg.eigvalsh(gram)
+    fine = eigenvalues[:, 0] > COLLINEAR * eigenvalues[:, -1]
+    safe = np.where(fine[:, None, None], gram, np.eye(gram.shape[1]))
+    explained = np.einsum("li,li->l", dots, np.linalg.solve(safe, dots[..., None])[..., 0])
+    return np.where(fine, 0.5 * (total - explained), np.inf).tolist()
 
 
 def _log_probs(grammar):
     with np.errstate(divide="ignore"):
         return np.log(Pcfg.uniform(grammar).probabilities).tolist()
-
-
-def _orthonormal(columns, n):
-    if columns is None or not np.size(columns):
-        return np.zeros((n, 0))
-    columns = np.asarray(columns, dtype=float)
-    live = columns[:, np.any(columns, axis=0)]
-    return np.linalg.qr(live / np.linalg.norm(live, axis=0))[0] if live.size else np.zeros((n, 0))
-
-
-def _parts(formula):
-    """Split constant * scalars * vector [* condition] into (coefficient, direction) formulas.
-
-    None if the formula is not of that form, or has further constants.
-    """
-    above, below = factors(formula)
-    constants = [f for f in above if isinstance(f, Constant)]
-    vectors = [f for f in above if f.type.shape == "vector"]
-    if len(constants) != 1 or len(vectors) != 1:
-        return None
-    if not all(f.is_constant_free for f in below):
-        return None
-    conditions = [f for f in above if f.type.shape == "bool"]
-    scalars = [f for f in above if f.type.shape == "scalar" and not isinstance(f, Constant)]
-    if not all(f.is_constant_free for f in (*scalars, *vectors)):
-        return None
-    coefficient = product(scalars)
-    if below:
-        coefficient = Call("div", coefficient, product(below))
-    direction = vectors[0]
-    for condition in conditions:
-        direction = Call("mul", direction, condition)
-    return coefficient, direction
-
-
-def _without_constant(formula, name):
-    """The formula with a multiplying constant replaced by one."""
-    if isinstance(formula, Constant) and formula.name == name:
-        return Number(1.0)
-    if isinstance(formula, Call):
-        return Call(formula.operator, *(_without_constant(arg, name) for arg in formula.args))
-    return formula
-
-
-def _renamed(formula, names):
-    """The formula with its constants renamed."""
-    if isinstance(formula, Constant):
-        return Constant(names.get(formula.name, formula.name))
-    if isinstance(formula, Call):
-        return Call(formula.operator, *(_renamed(arg, names) for arg in formula.args))
-    return formula

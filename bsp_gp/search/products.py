@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant
-from bsp_gp.language.inputs import property_of
 
 __all__ = ["Block", "Kept", "Side"]
 
@@ -41,11 +40,7 @@ class Block:
     def is_static(self, rows):
         """Whether the left factors depend on properties only."""
         if not hasattr(self, "_static"):
-            self._static = all(
-                property_of(name) is not None
-                for entry in self.left.entries
-                for name in entry.formula.inputs
-            )
+            self._static = all(entry.is_static for entry in self.left.entries)
         return self._static
 
     def formulas(self, a, b, directed, most=60):

@@ -1,15 +1,18 @@
 """One loop for every search: budget, seeds, Pareto front, callbacks, checkpoint and resume.
 
 A strategy is any object with ``init(objective, rng) -> state`` and
-``step(state, objective, rng) -> state``; a state is a dict that JSON can hold. The loop spawns
-one random stream per step, so that a resumed run draws what the uninterrupted one would have.
+``step(state, objective, rng) -> state``; a state is a dict that JSON can hold, but for a list of
+expressions under "population". The loop spawns one random stream per step, so that a resumed run
+draws what the uninterrupted one would have.
 """
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -30,7 +33,7 @@ class Search(Protocol):
     name: str
 
     def init(self, objective, rng):
-        """First state: a dict that JSON can hold, with the key "population" or like it."""
+        """First state: a dict that JSON can hold, but for expressions under "population"."""
 
     def step(self, state, objective, rng):
         """Next state."""
@@ -65,7 +68,18 @@ class Budget:
         )
 
 
-def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=None, keep=40):
+def run_search(
+    strategy,
+    objective,
+    budget,
+    *,
+    rng,
+    callback=None,
+    checkpoint=None,
+    keep=40,
+    trials=1,
+    executor=None,
+):
     """Run a strategy until its budget is spent, a callback asks to stop, or Ctrl-C.
 
     Parameters
@@ -73,15 +87,22 @@ def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=No
     strategy : Search
     objective : Objective
     budget : Budget
+        Of every trial.
     rng : numpy.random.Generator
         Only its seed sequence matters; step k uses the k-th stream spawned from it.
     callback : callable, optional
-        ``callback(step, objective) -> bool``: True stops.
+        ``callback(step, objective) -> bool``: True stops. With several trials it is called after
+        each of them, with its number.
     checkpoint : path, optional
-        State is written there after every step (whole or not at all); if the file exists the run
-        goes on from it. The answer is that of an uninterrupted run.
+        State is written there (whole or not at all) often enough to lose little, and at the end;
+        if the file exists the run goes on from it. The answer is that of an uninterrupted run.
+        Trial k of several writes ``NAME.k.SUFFIX``.
     keep : int
         Candidates in the result.
+    trials : int
+        Independent runs whose best laws are put together (the paper's ``ntrials``).
+    executor : concurrent.futures.Executor, optional
+        Where trials run; by default here, one after the other. The answer is the same.
 
     Returns
     -------
@@ -92,32 +113,99 @@ def run_search(strategy, objective, budget, *, rng, callback=None, checkpoint=No
     OutputError
         If the checkpoint cannot be written, is damaged, or is that of another search (strategy
         and its settings, grammar, data, seed). The file is left as it is.
+    SettingsError
+        If `trials` is not at least 1.
     """
-    # One thread: the last bits of a sum may not depend on how many there are.
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _run(strategy, objective, budget, rng, callback, checkpoint, keep)
-
-
-def _run(strategy, objective, budget, rng, callback, checkpoint, keep):
+    if trials < 1:
+        raise SettingsError(f"trials must be at least 1, got {trials}")
     started = time.perf_counter()
-    entropy = int(rng.integers(2**63))
+    if trials == 1 and executor is None:
+        entropy = int(rng.integers(2**63))
+        _run(strategy, objective, budget, entropy, callback, checkpoint)
+        n_evaluated = objective.n_scored
+    else:
+        n_evaluated = _trials(
+            strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor
+        )
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _result(objective, keep, n_evaluated, time.perf_counter() - started)
+
+
+def _trials(strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor):
+    """Run trials and score their best laws together; number of laws scored in all."""
+    jobs = [
+        (strategy, objective, budget, int(entropy), _numbered(checkpoint, k), keep)
+        for k, entropy in enumerate(rng.integers(2**63, size=trials), 1)
+    ]
+    outcomes = map(_trial, jobs) if executor is None else executor.map(_trial, jobs)
+    n_evaluated = 0
+    try:
+        for k, (expressions, n_scored) in enumerate(outcomes, 1):
+            with threadpool_limits(limits=1, user_api="blas"):
+                objective.score(expressions)
+            n_evaluated += n_scored
+            if callback is not None and callback(k, objective):
+                break
+    except KeyboardInterrupt:
+        if not objective.best:
+            raise
+    return n_evaluated
+
+
+def _trial(job):
+    """One trial on an objective of its own: its best expressions, and how many it scored."""
+    strategy, objective, budget, entropy, checkpoint, keep = job
+    objective = objective.fresh()
+    _run(strategy, objective, budget, entropy, None, checkpoint)
+    return [e for e, _ in (*_ranked(objective, keep), *objective.front())], objective.n_scored
+
+
+def _numbered(path, k):
+    return None if path is None else Path(path).with_suffix(f".{k}{Path(path).suffix}")
+
+
+def _run(strategy, objective, budget, entropy, callback, checkpoint):
+    # One thread: the last bits of a sum may not depend on how many there are.
+    with threadpool_limits(limits=1, user_api="blas"), _patient_collector():
+        _steps(strategy, objective, budget, entropy, callback, checkpoint)
+
+
+def _steps(strategy, objective, budget, entropy, callback, path):
+    started = time.perf_counter()
     identity = [strategy.name, repr(strategy), objective.fingerprint, entropy]
-    state, steps = _load(checkpoint, identity, objective)
+    checkpoint = _Checkpoint(path, identity)
+    state, steps = checkpoint.load(objective)
     streams = _Streams(entropy, 0 if state is None else steps + 1)
     try:
         if state is None:
             state = strategy.init(objective, streams.next())
-            _save(checkpoint, identity, state, 0, objective)
+            checkpoint.save(state, 0, objective)
         while not budget.is_spent(objective, started, steps):
             state = strategy.step(state, objective, streams.next())
             steps += 1
-            _save(checkpoint, identity, state, steps, objective)
+            checkpoint.save(state, steps, objective)
             if callback is not None and callback(steps, objective):
                 break
     except KeyboardInterrupt:
         if not objective.best:
             raise  # nothing to keep yet
-    return _result(objective, keep, time.perf_counter() - started)
+    else:
+        checkpoint.save(state, steps, objective, at_once=True)
+
+
+@contextmanager
+def _patient_collector():
+    """Let the cyclic garbage collector run seldom.
+
+    A search keeps hundreds of thousands of small tuples and makes no cycles; at the usual
+    thresholds going through them takes a third of its time.
+    """
+    thresholds = gc.get_threshold()
+    gc.set_threshold(200_000, 50, 1000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*thresholds)
 
 
 class _Streams:
@@ -133,60 +221,82 @@ class _Streams:
         return np.random.default_rng(child)
 
 
-def _result(objective, keep, seconds):
-    ranked = sorted(objective.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:keep]
-    candidates = [objective.candidate(expression) for expression, _ in ranked]
+def _ranked(objective, keep):
+    return sorted(objective.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:keep]
+
+
+def _result(objective, keep, n_evaluated, seconds):
+    candidates = [objective.candidate(expression) for expression, _ in _ranked(objective, keep)]
     front = [objective.candidate(expression) for expression, _ in objective.front()]
     best = candidates[0] if candidates else None
     return SearchResult(
-        best, tuple(candidates), tuple(front), objective.n_scored, objective.n_failed, seconds
+        best, tuple(candidates), tuple(front), n_evaluated, objective.n_failed, seconds
     )
 
 
-def _save(path, identity, state, steps, objective):
-    if path is None:
-        return
-    path = Path(path)
-    content = {
-        "search": identity,
-        "steps": steps,
-        "state": state,
-        "seen": [[to_lists(expression) for expression in part] for part in objective.history],
-        "counts": [objective.n_trees, objective.n_repeats],
-    }
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_text(json.dumps(content), encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"checkpoint {path} cannot be written: {error.strerror}") from None
+class _Checkpoint:
+    """The file that a run can be taken up from."""
 
+    def __init__(self, path, identity):
+        self.path = None if path is None else Path(path)
+        self.identity = identity
+        self.due = 0.0
+        self.steps = None
 
-def _load(path, identity, objective):
-    if path is None or not Path(path).exists():
-        return None, 0
-    damaged = f"{path} is no checkpoint of a search; move it away"
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        matches = content["search"] == identity
-        steps, state, seen = int(content["steps"]), dict(content["state"]), content["seen"]
-        n_trees, n_repeats = map(int, content["counts"])
-    except OSError as error:
-        raise OutputError(f"checkpoint {path} cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise OutputError(damaged) from None
-    if not matches:
-        raise OutputError(
-            f"{path} is the checkpoint of another search (strategy, grammar, data or seed); "
-            "move it away"
-        )
-    try:
-        seen = [[from_lists(lists, objective.grammar) for lists in part] for part in seen]
-    except (BspError, IndexError, KeyError, TypeError):
-        raise OutputError(damaged) from None
-    # Scoring the laws seen so far again, in the same batches, restores counts, numbers and the
-    # front bit for bit.
-    for part in seen:
-        objective.score(part)
-    objective.n_trees, objective.n_repeats = n_trees, n_repeats
-    return state, steps
+    def save(self, state, steps, objective, at_once=False):
+        """Write the state; seldom enough to cost a twentieth of the time, unless `at_once`."""
+        now = time.perf_counter()
+        if self.path is None or steps == self.steps or (now < self.due and not at_once):
+            return
+        content = {
+            "search": self.identity,
+            "steps": steps,
+            "state": state,
+            "seen": objective.history,
+            "counts": [objective.n_trees, objective.n_repeats],
+        }
+        temporary = self.path.with_name(self.path.name + ".part")
+        try:
+            temporary.write_text(json.dumps(content, default=to_lists), encoding="utf-8")
+            os.replace(temporary, self.path)
+        except OSError as error:
+            raise OutputError(
+                f"checkpoint {self.path} cannot be written: {error.strerror}"
+            ) from None
+        self.steps = steps
+        self.due = time.perf_counter() + 20 * (time.perf_counter() - now)
+
+    def load(self, objective):
+        """State and number of steps done, or (None, 0); the objective knows what it knew."""
+        path = self.path
+        if path is None or not path.exists():
+            return None, 0
+        damaged = f"{path} is no checkpoint of a search; move it away"
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            matches = content["search"] == self.identity
+            steps, state, seen = int(content["steps"]), dict(content["state"]), content["seen"]
+            n_trees, n_repeats = map(int, content["counts"])
+        except OSError as error:
+            raise OutputError(f"checkpoint {path} cannot be read: {error.strerror}") from None
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise OutputError(damaged) from None
+        if not matches:
+            raise OutputError(
+                f"{path} is the checkpoint of another search (strategy, grammar, data or seed); "
+                "move it away"
+            )
+        try:
+            grammar = objective.grammar
+            seen = [[from_lists(lists, grammar) for lists in part] for part in seen]
+            if "population" in state:
+                state["population"] = [from_lists(lists, grammar) for lists in state["population"]]
+        except (BspError, IndexError, KeyError, TypeError):
+            raise OutputError(damaged) from None
+        # Scoring the laws seen so far again, in the same batches, restores counts, numbers and
+        # the front bit for bit.
+        for part in seen:
+            objective.score(part)
+        objective.n_trees, objective.n_repeats = n_trees, n_repeats
+        self.steps = steps
+        return state, steps

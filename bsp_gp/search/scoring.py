@@ -2,14 +2,13 @@
 
 Two layouts, one arithmetic: where the left factors depend on properties only, rows of one
 receiver and source are summed first (`GroupScorer`), which also allows any covariance along
-time; otherwise they live on rows (`RowScorer`) and errors must be independent.
+time; otherwise they live on rows (`RowScorer`) and errors must be independent. Mixed factors
+under correlated errors are parted in `correlated`.
 """
 
 from __future__ import annotations
 
 import numpy as np
-
-from bsp_gp.errors import SettingsError
 
 __all__ = ["GroupScorer", "RowScorer"]
 
@@ -17,6 +16,8 @@ TILE_BYTES = 1 << 26
 """Upper bound of one work array, so that memory does not grow with the data."""
 COLLINEAR = 1e-10
 """A candidate whose part orthogonal to the law's free terms is below this is one of them."""
+CANCELLED = 1e-13
+"""Forces on a body whose squared sum is below this share of their squares are rounding."""
 
 
 class RowScorer:
@@ -26,18 +27,12 @@ class RowScorer:
         self.block = block
         rows = search.rows
         regression = search.regression
-        if any(batch.whitener is not None for batch in regression.batches):
-            raise SettingsError(
-                f"grammar {search.grammar.name} mixes motion and properties in one factor, which "
-                "exhaustive search scores under independent errors only; use the likelihood "
-                "'one_step', or the grammar physics"
-            )
-        scale = _flat_scale(regression, rows)
+        scale = flat_scale(regression, rows)
         weighted = vector * scale
         active = np.flatnonzero(np.any(weighted, axis=1))
         self.active = active
         self.weighted = weighted[active]
-        receiver = _receiver_index(rows)[active]
+        receiver = receiver_index(rows)[active]
         self.receiver = receiver
         targets = [_spread(regression, rows, ys[:, k])[active] for k in range(ys.shape[1])]
         self.q_rows = np.stack([np.einsum("rd,rd->r", self.weighted, t) for t in targets])
@@ -59,8 +54,15 @@ class RowScorer:
     def _denominator(self, left, right):
         first, second = _row_pairs(self.receiver)
         k = np.einsum("rd,rd->r", self.weighted[first], self.weighted[second])
-        k = np.where(first == second, k, 2 * k)
-        used = np.flatnonzero(k)
+        own = first == second
+        apart = self._paired(left, right, first, second, k, np.flatnonzero(own & (k != 0)))
+        crossed = np.flatnonzero(~own & (k != 0))
+        total = apart + self._paired(left, right, first, second, 2 * k, crossed)
+        # Forces of several bodies that cancel leave rounding, which is no law.
+        return np.where(total > CANCELLED * apart, total, 0.0)
+
+    def _paired(self, left, right, first, second, k, used):
+        """Sum over the pairs of rows `used` of the products of their values, (n_left, n_right)."""
         total = np.zeros((len(left), len(right)))
         step = max(1, TILE_BYTES // (8 * (len(left) + len(right))))
         for start in range(0, len(used), step):
@@ -76,7 +78,7 @@ def values_of(side):
     return side._stacked
 
 
-def _receiver_index(rows):
+def receiver_index(rows):
     """Which (instant, scene, receiver) each valid row belongs to."""
     if not hasattr(rows, "_receiver"):
         parts, offset = [], 0
@@ -104,7 +106,7 @@ def _row_pairs(receiver):
     return np.concatenate(firsts), np.concatenate(seconds)
 
 
-def _flat_scale(regression, rows):
+def flat_scale(regression, rows):
     parts = [
         np.broadcast_to(batch.scale[:, :, :, None], (*shape, batch.scale.shape[-1])).reshape(
             -1, batch.scale.shape[-1]

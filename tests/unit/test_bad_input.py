@@ -175,7 +175,7 @@ COMMANDS = {
         ["simulate", "data", "--law", LAW, "--substeps", "1e9", "--out", "out"], ["--substeps"],
     ),
     "grammar: no action": (["grammar"], ["ACTION"]),
-    "grammar: unknown": (["grammar", "show", "latin"], ["'latin'", "newtonian, physics"]),
+    "grammar: unknown": (["grammar", "show", "latin"], ["'latin'", "newtonian, newtonian_free"]),
     "grammar: broken": (["grammar", "count", M], [M, "TOML"]),
     "grammar: absurd": (["grammar", "count", "newtonian", "--levels", "1000000"], ["--levels"]),
     "grammar: no data": (["grammar", "show", "physics", "--data", "nowhere"], ["nowhere"]),

@@ -132,7 +132,8 @@ def objective():
 
 
 def test_presets():
-    shared = {"max_levels": 10, "distinct": False, "uniform_share": 0.0, "patience": None}
+    shared = {"max_levels": 10, "distinct": False, "uniform_share": 0.0, "patience": None,
+              "pool": None}  # fmt: skip
     for name, numbers in {
         "paper": (1000, 800, 200), "paper-weak": (800, 600, 200), "paper-small": (400, 300, 100)
     }.items():  # fmt: skip
@@ -150,7 +151,7 @@ def reward(objective, rule):
         out = []
         for tree, old in zip(trees, score(trees), strict=True):
             cost = float(rule not in set(tree.rules())) if old.law >= 0 else np.inf
-            out.append(made.setdefault(tree, dataclasses.replace(old, cost=cost)))
+            out.append(made.setdefault(tree, old._replace(cost=cost)))
         return out
 
     objective.score = changed
@@ -176,7 +177,7 @@ def test_the_grammar_learns_the_elite(objective):
 
 
 def elite_counts(objective, distinct):
-    strategy = CrossEntropy(population=150, elite=10, distinct=distinct)
+    strategy = CrossEntropy(population=150, elite=10, distinct=distinct, pool=None)
     pcfg = Pcfg.uniform(objective.grammar)
     trees = pcfg.sample_many(np.random.default_rng(3), objective.start, strategy.max_levels, 150)
     # Five of the best law, as if it had been drawn again and again.
@@ -209,13 +210,13 @@ def test_the_elite(objective, distinct):
 
 def test_no_rule_dies_out(objective, monkeypatch):
     drawn = []
-    sample_many = Pcfg.sample_many
+    sample_crossed = Pcfg.sample_crossed
 
     def spy(self, *args):
         drawn.append(self.probabilities)
-        return sample_many(self, *args)
+        return sample_crossed(self, *args)
 
-    monkeypatch.setattr(Pcfg, "sample_many", spy)
+    monkeypatch.setattr(Pcfg, "sample_crossed", spy)
     strategy = CrossEntropy(population=60, elite=3, smoothing=0.0, uniform_share=0.2)
     rng = np.random.default_rng(0)
     state = strategy.init(objective, rng)
@@ -232,13 +233,13 @@ def test_no_rule_dies_out(objective, monkeypatch):
 
 def test_it_begins_anew_when_stuck(objective, monkeypatch):
     drawn = []
-    sample_many = Pcfg.sample_many
+    sample_crossed = Pcfg.sample_crossed
 
     def spy(self, *args):
         drawn.append(self.probabilities)
-        return sample_many(self, *args)
+        return sample_crossed(self, *args)
 
-    monkeypatch.setattr(Pcfg, "sample_many", spy)
+    monkeypatch.setattr(Pcfg, "sample_crossed", spy)
     strategy = CrossEntropy(population=30, elite=5, patience=3)
     rng = np.random.default_rng(0)
     state = strategy.init(objective, rng) | {"best": -1.0}  # which no law beats
@@ -270,7 +271,7 @@ def test_no_law_with_a_value_is_no_elite():
     """Where nothing can be scored the grammar stays uniform and the search goes on."""
     regression = regression_of()
     objective = Objective(regression, grammar_of(MIXED), "pair")
-    objective._class = lambda role, formula: None
+    objective.recogniser.law = lambda expression: None
     strategy = CrossEntropy(population=20)
     rng = np.random.default_rng(0)
     state = strategy.init(objective, rng)

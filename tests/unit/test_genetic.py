@@ -1,7 +1,6 @@
 """Genetic programming: typed variation within the bound, fast selection, nothing global."""
 
 import itertools
-import json
 import random
 
 import numpy as np
@@ -94,7 +93,7 @@ def states(strategy, objective, n, seed=0):
     state = strategy.init(objective, rng)
     yield state
     for _ in range(n):
-        state = strategy.step(json.loads(json.dumps(state)), objective, rng)
+        state = strategy.step(state, objective, rng)
         yield state
 
 
@@ -103,7 +102,7 @@ def test_a_population_holds_distinct_laws_within_the_bound():
     strategy = Genetic(population=25, offspring=60, max_levels=7)
     best = []
     for state in states(strategy, objective, 5):
-        population = [from_lists(lists, MASKED) for lists in state["population"]]
+        population = state["population"]
         assert 15 <= len(population) <= 25
         for tree in population:
             check(tree, MASKED, 7)
@@ -129,7 +128,7 @@ def test_the_front_survives_selection():
     """NSGA-II: laws that no other of the pool dominates are kept where there is room."""
     objective = objective_of()
     state = SMALL.init(objective, np.random.default_rng(0))
-    scores = objective.known([from_lists(lists, MASKED) for lists in state["population"]])
+    scores = objective.known(state["population"])
     kept = {(score.loss, score.complexity) for score in scores}
     pool = [(s.loss, s.complexity) for s in objective._scores.values() if s.law >= 0]
     for loss, complexity in pool:
@@ -177,14 +176,14 @@ def test_stagnation_keeps_the_best_alone():
     state = strategy.init(objective, rng) | {"best": -1.0}  # which no law beats
     stuck = []
     for _ in range(3):
-        before = [from_lists(lists, MASKED) for lists in state["population"]]
+        before = state["population"]
         state = strategy.step(state, objective, rng)
         stuck.append(state["stuck"])
     assert stuck == [1, 2, 1]
     # The new pool is the best of the old one and sixty fresh trees.
     best = min(before, key=lambda tree: objective.known([tree])[0].cost)
     fresh = {score.law for score in objective.known(objective.history[-1])}
-    after = [from_lists(lists, MASKED) for lists in state["population"]]
+    after = state["population"]
     laws = {score.law for score in objective.known(after)}
     assert objective.known([best])[0].law in laws
     old = {score.law for score in objective.known(before)}
@@ -206,14 +205,15 @@ def test_immigrants_come_from_the_whole_grammar(monkeypatch):
 
 def test_it_goes_on_when_no_law_has_a_value():
     objective = Objective(regression_of(), grammar_of(MIXED), "pair")
-    known, objective._class = objective._class, lambda role, formula: None
+    recogniser = objective.recogniser
+    known, recogniser.law = recogniser.law, lambda expression: None
     strategy = Genetic(population=10, offspring=20, patience=None)
     rng = np.random.default_rng(0)
     state = strategy.init(objective, rng)
     assert state["population"] == []
-    state = strategy.step(json.loads(json.dumps(state)), objective, rng)
+    state = strategy.step(state, objective, rng)
     assert state["population"] == []
-    objective._class = known
+    recogniser.law = known
     state = strategy.step(state, objective, rng)
     assert len(state["population"]) > 1
 

@@ -1,0 +1,95 @@
+"""Products of factors that mix properties and motion, under errors correlated along time.
+
+Of two factors that multiply, if either depends on properties only, rows of one receiver and
+source can be summed first. Only products of two factors that vary along time are formed one by
+one, whitened as columns: some thousand per direction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.search.columns import BATCH_BYTES, Columns
+from bsp_gp.search.products import Block, Side
+from bsp_gp.search.scoring import COLLINEAR, GroupScorer, values_of
+
+__all__ = ["CorrelatedScorer"]
+
+
+class CorrelatedScorer:
+    """Numerators and denominators of all products of two mixed banks; see `scoring`."""
+
+    def __init__(self, search, block, vector, q, ys):
+        self.search = search
+        self.block = block
+        self.vector = vector
+        self.q = q
+        self.ys = ys
+
+    def products(self):
+        parts = _parts(self.block)
+        shape = self.block.allowed.shape
+        numerators = np.zeros((self.ys.shape[1], *shape))
+        denominator = np.zeros(shape)
+        for block, rows, columns, is_turned in parts.static:
+            found, size = self._grouped(block)
+            if is_turned:
+                found, size = np.swapaxes(found, 1, 2), size.T
+            numerators[:, rows[:, None], columns] = found
+            denominator[np.ix_(rows, columns)] = size
+        self._moving(parts.moving_left, parts.moving_right, numerators, denominator)
+        return numerators, denominator
+
+    def _grouped(self, block):
+        return GroupScorer(self.search, block, self.vector, self.q, self.ys).products()
+
+    def _moving(self, rows, columns, numerators, denominator):
+        """Products of two factors that both vary along time, as whitened columns."""
+        left, right = values_of(self.block.left), values_of(self.block.right)
+        made = Columns(self.search.rows, self.ys[:, 0], self.q)
+        step = max(1, BATCH_BYTES // (8 * self.vector.size))
+        for a in rows:
+            wanted = columns[self.block.allowed[a, columns]]
+            for start in range(0, len(wanted), step):
+                part = wanted[start : start + step]
+                spread = made.spread(left[a] * right[part], self.vector)
+                raw = np.einsum("kn,kn->k", spread, spread)
+                size = raw - np.square(spread @ self.q).sum(axis=1)
+                numerators[:, a, part] = (spread @ self.ys).T
+                denominator[a, part] = np.where(size > COLLINEAR * raw, size, 0.0)
+
+
+class _Parts:
+    """A block parted by whether its factors vary along time."""
+
+    def __init__(self, block):
+        left, right = (
+            np.array([e.is_static for e in s.entries]) for s in (block.left, block.right)
+        )
+        everything = np.arange(len(right))
+        self.moving_left, self.moving_right = np.flatnonzero(~left), np.flatnonzero(~right)
+        still_left, still_right = np.flatnonzero(left), np.flatnonzero(right)
+        self.static = []
+        if len(still_left):
+            part = _block(block, _some(block.left, still_left), block.right)
+            self.static.append((part, still_left, everything, False))
+        if len(still_right) and len(self.moving_left):
+            # A product is the same with its factors turned round; inverses are values here.
+            one, other = _some(block.right, still_right), _some(block.left, self.moving_left)
+            part = _block(block, one, other)
+            self.static.append((part, self.moving_left, still_right, True))
+
+
+def _parts(block):
+    if not hasattr(block, "_parts"):
+        block._parts = _Parts(block)
+    return block._parts
+
+
+def _some(side, index):
+    return Side([side.entries[k] for k in index])
+
+
+def _block(block, left, right):
+    allowed = np.ones((len(left.entries), len(right.entries)), dtype=bool)
+    return Block(left, right, allowed, block.cost, block.constant)
