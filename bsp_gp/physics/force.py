@@ -223,7 +223,8 @@ def settle(force, term, bodies, shape, per_entity=False):
     """
     if term.kind == "pair":
         full = (*shape[:-1], bodies.others.shape[1], shape[-1])
-        force = np.broadcast_to(force, full).sum(axis=-2)
+        with np.errstate(invalid="ignore"):  # inf - inf is nan, which the caller refuses
+            force = np.broadcast_to(force, full).sum(axis=-2)
     if term.needs_mass:
         mass = bodies.column("mass")[:, bodies.receivers]
         force = force / np.where(np.isnan(mass), 1.0 if per_entity else np.inf, mass)[..., None]

@@ -130,8 +130,15 @@ class Regression:
         """Accelerations of a law at the instants of a batch, shape (n, S, R, d)."""
         return law.acceleration(batch.bodies, batch.positions, batch.velocities, batch.times)
 
-    def column(self, term, per_entity=False):
+    def column(self, term, per_entity=False, cache=None):
         """Whitened acceleration of a constant-free term: one vector, or a column per receiver.
+
+        Parameters
+        ----------
+        term : Term
+        per_entity : bool
+        cache : list of dict, one per batch, optional
+            Values of sub-formulas, kept between calls for terms of one kind.
 
         Returns
         -------
@@ -140,12 +147,13 @@ class Regression:
             Receiver names for ``per_entity``, else ``("",)``.
         """
         parts = []
-        for batch in self.batches:
+        for index, batch in enumerate(self.batches):
             lookup = law_inputs(
                 term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
             )
+            known = None if cache is None else cache[index]
             value = settle(
-                evaluate(term.acceleration_formula, lookup),
+                evaluate(term.acceleration_formula, lookup, cache=known),
                 term,
                 batch.bodies,
                 batch.target.shape,

@@ -172,30 +172,36 @@ def _fit_nonlinear(regression, law, starts):
 
 
 def _descend(regression, law, names, x0, nonlinear):
-    """L-BFGS-B from one start, the linear constants solved before and after."""
+    """L-BFGS-B from one start over the constants that do not enter linearly.
+
+    The linear ones are solved in closed form at every step (variable projection, Golub and
+    Pereyra 1973); at their optimum the gradient by the others is that of the full problem.
+    """
     from scipy.optimize import minimize
 
-    x0 = _solve_linear(regression, law, names, x0, nonlinear)
-    value, _ = _value_and_gradient(regression, law, names, x0)
-    unit = np.where(x0 != 0, np.abs(x0), 1.0)
-    top = max(value, 1e-300)
+    moving = [k for k, n in enumerate(names) if n in nonlinear]
+    x = _solve_linear(regression, law, names, x0, nonlinear)
+    top = max(_value_and_gradient(regression, law, names, x)[0], 1e-300)
+    unit = np.where(x != 0, np.abs(x), 1.0)[moving]
+    best = {"value": np.inf, "x": x}
 
     def scaled(z):
         try:
-            value, gradient = _value_and_gradient(regression, law, names, z * unit)
+            trial = np.array(best["x"])
+            trial[moving] = z * unit
+            trial = _solve_linear(regression, law, names, trial, nonlinear)
+            value, gradient = _value_and_gradient(regression, law, names, trial)
         except EvaluationError:
             return 1e300, np.zeros(len(z))  # a wall for the line search, not a fit
-        return value / top, gradient * unit / top
+        if value < best["value"]:
+            best.update(value=value, x=trial)
+        return value / top, gradient[moving] * unit / top
 
-    result = minimize(
-        scaled,
-        x0 / unit,
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12},
-    )
-    x = _solve_linear(regression, law, names, result.x * unit, nonlinear)
-    return _value_and_gradient(regression, law, names, x)[0], x
+    options = {"maxiter": 500, "ftol": 1e-15, "gtol": 1e-12}
+    minimize(scaled, x[moving] / unit, jac=True, method="L-BFGS-B", options=options)
+    if not np.isfinite(best["value"]):
+        raise EvaluationError("the law has no finite value from this start")
+    return best["value"], best["x"]
 
 
 def _nonlinear_names(law):

@@ -35,6 +35,7 @@ from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.correlated import CorrelatedScorer
 from bsp_gp.search.factoring import plan_of
 from bsp_gp.search.products import Block, Kept, Side
+from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.scoring import GroupScorer, RowScorer
 
 __all__ = ["law_pool", "search_exhaustive"]
@@ -161,6 +162,8 @@ class _Exhaustive:
         self.parts = []
         self.kept = Kept(top_k)
         self.null_best = []
+        share = CACHE_BYTES // max(len(regression.batches), 1)
+        self.subtrees = [BoundedCache(share) for _ in regression.batches]
 
     def set_target(self, target, nuisance, groups, null_targets):
         y = self.regression.target() if target is None else np.asarray(target, dtype=float)
@@ -400,7 +403,7 @@ class _Exhaustive:
     def rescore(self, formula, complexity, ties=()):
         """Candidate with its exact loss, and its fitted whitened accelerations."""
         name, rest = split_linear(formula)
-        column = self.regression.column(Term(rest, self.kind))[0][:, 0]
+        column = self.regression.column(Term(rest, self.kind), cache=self.subtrees)[0][:, 0]
         scale = np.max(np.abs(column)) or 1.0
         column = column / scale
         constants, fitted, total = [], np.zeros(len(column)), 0.0
@@ -437,17 +440,19 @@ def _merge_equal(rescored):
     order = sorted(rescored, key=lambda item: (item[0].loss, item[0].complexity))
     merged = []
     for candidate, fitted in order:
-        for k, (other, other_fitted) in enumerate(merged):
-            close = abs(candidate.loss - other.loss) <= 1e-9 * (candidate.loss + other.loss) + floor
-            if (
-                close
-                and np.square(fitted - other_fitted).sum()
-                <= 1e-16 * np.square(fitted).sum() + floor
-            ):
-                merged[k] = (_absorb(other, candidate), other_fitted)
+        same = None
+        for k in range(len(merged) - 1, -1, -1):
+            other, other_fitted = merged[k]
+            if candidate.loss - other.loss > 1e-9 * (candidate.loss + other.loss) + floor:
+                break  # in order of their losses: no further one is close
+            apart = np.square(fitted - other_fitted).sum()
+            if apart <= 1e-16 * np.square(fitted).sum() + floor:
+                same = k
                 break
-        else:
+        if same is None:
             merged.append((candidate, fitted))
+        else:
+            merged[same] = (_absorb(merged[same][0], candidate), merged[same][1])
     candidates = sorted((c for c, _ in merged), key=lambda c: c.loss)
     return candidates
 

@@ -27,7 +27,7 @@ from bsp_gp.language.formula import (
 from bsp_gp.language.grammar import Slot, fill
 from bsp_gp.search.banks import fingerprints
 
-__all__ = ["Law", "Recogniser"]
+__all__ = ["BoundedCache", "CACHE_BYTES", "Law", "Recogniser"]
 
 CACHE_BYTES = 1 << 28
 """Bound on the values kept, and on those of subtrees."""
@@ -84,7 +84,7 @@ class Recogniser:
         self._values = OrderedDict()
         self._bytes = 0
         self._inputs = _FlatInputs(rows, grammar)
-        self._subtrees = _BoundedCache(CACHE_BYTES)
+        self._subtrees = BoundedCache(CACHE_BYTES)
         self._weights = np.random.default_rng(20211).standard_normal((rows.n_rows, rows.n_dims, 3))
         self._per_mass = (1.0 / rows.input("m_i", False))[:, None]
 
@@ -235,7 +235,7 @@ class _FlatInputs(dict):
         return self[name]
 
 
-class _BoundedCache(dict):
+class BoundedCache(dict):
     """Values of sub-formulas; emptied when it has grown beyond its bound."""
 
     def __init__(self, most_bytes):

@@ -25,7 +25,7 @@ class RowScorer:
 
     def __init__(self, search, block, vector, q, ys):
         self.block = block
-        rows = search.rows
+        self.rows = rows = search.rows
         regression = search.regression
         scale = flat_scale(regression, rows)
         weighted = vector * scale
@@ -52,7 +52,7 @@ class RowScorer:
         return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0)
 
     def _denominator(self, left, right):
-        first, second = _row_pairs(self.receiver)
+        first, second = self._pairs()
         k = np.einsum("rd,rd->r", self.weighted[first], self.weighted[second])
         own = first == second
         apart = self._paired(left, right, first, second, k, np.flatnonzero(own & (k != 0)))
@@ -60,6 +60,15 @@ class RowScorer:
         total = apart + self._paired(left, right, first, second, 2 * k, crossed)
         # Forces of several bodies that cancel leave rounding, which is no law.
         return np.where(total > CANCELLED * apart, total, 0.0)
+
+    def _pairs(self):
+        """Pairs of rows with one receiver; the last ones are kept, since directions share them."""
+        known = self.rows.__dict__.setdefault("_row_pairs", {})
+        key = self.receiver.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = _row_pairs(self.receiver)
+        return known[key]
 
     def _paired(self, left, right, first, second, k, used):
         """Sum over the pairs of rows `used` of the products of their values, (n_left, n_right)."""
