@@ -342,3 +342,23 @@ def test_stacked_draws_give_the_weighted_mean_of_losses():
     assert np.square(stacked.residual(law)).sum() == pytest.approx(weights @ single / 4, rel=1e-12)
     with pytest.raises(SettingsError, match="weights must be 3 numbers"):
         stack_draws(regressions, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("method", ["one_step", "gls"])
+def test_rows_with_an_unsure_contact_are_left_out(method):
+    """A disc crosses a mat: near the edges nobody knows under noise whether it is on."""
+    disc = Entity("disc", "disc", radius=0.5, properties={"mass": 1.0})
+    mat = Entity("mat", "rect_mat", width=4.0, height=4.0, is_static=True)
+    times = 0.1 * np.arange(61)
+    positions = np.zeros((61, 2, 2))
+    positions[:, 0, 0] = -3.0 + times  # over the edges at x = -2 and x = 2
+    scene = Scene("s", times, positions, (disc, mat))
+    regression = build_regression([scene], method=method, sigma=0.03, contact_margin=4.0)
+    x = positions[1:-1, 0, 0]
+    left_out = np.abs(np.abs(x) - 2.0) < 0.12
+    assert left_out.sum() == 4
+    (batch,) = regression.batches
+    np.testing.assert_array_equal(batch.valid[:, 0, 0, 0], ~left_out)
+    assert np.all(batch.whiten(batch.target)[left_out] == 0)
+    everything = build_regression([scene], method=method, sigma=0.03)
+    assert everything.n_rows == regression.n_rows + 2 * left_out.sum()
