@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 from common import options, reference_data, write_table
+from scenes import with_noise
 
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.language.grammar import load_grammar
@@ -41,18 +42,6 @@ def run(scenario, numbers, noise, seed):
         "next_left": 2 * result.candidates[1].loss / result.best.total,
         "certificate": result.certificate.text(),
     }  # fmt: skip
-
-
-def with_noise(scene, noise, rng):
-    """The scene with white noise on the bodies that move."""
-    from dataclasses import replace
-
-    if not noise:
-        return scene
-    positions = np.array(scene.positions)
-    shape = positions[:, scene.dynamic].shape
-    positions[:, scene.dynamic] += noise * rng.standard_normal(shape)
-    return replace(scene, positions=positions)
 
 
 def main():

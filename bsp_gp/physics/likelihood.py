@@ -5,12 +5,15 @@ Three ways to read them off a track, one interface (`Regression`):
 ``one_step``
     The paper's vectorised likelihood (section 3.3.1): velocity by backward difference, one
     symplectic Euler step, independent Gaussian errors of position.
+``one_step_gls``
+    The same accelerations and velocities with the exact covariance that white position noise
+    gives to second differences (sigma^2 times 6, -4, 1): generalised least squares. For noisy
+    data made by steps, as the paper's are.
 ``central``
-    The same with the velocity by central difference, an order better for smooth motion.
+    One step with the velocity by central difference, an order better for smooth motion.
 ``gls``
-    The same second differences with the exact covariance that white position noise gives to
-    them, and velocities by central difference: generalised least squares, equivalent to fitting
-    positions with free initial states.
+    Generalised least squares with velocities by central difference, for motion in continuous
+    time: equivalent to fitting positions with free initial states.
 ``derivative``
     For data with *measured* velocities: their derivative by a central difference of high order.
 
@@ -37,7 +40,7 @@ __all__ = [
     "stack_draws",
 ]
 
-METHODS = ("one_step", "central", "gls", "derivative")
+METHODS = ("one_step", "one_step_gls", "central", "gls", "derivative")
 DERIVATIVE_POINTS = 11
 DENSE_LIMIT = 1500
 """Longest track (rows) whose whitening matrix is kept dense."""
@@ -95,8 +98,7 @@ class Regression:
     batches : tuple of RegressionBatch
     method : str
     sigma : ndarray, shape (d,)
-        Standard deviation used: of positions, metres (``one_step``, ``gls``) or of
-        accelerations (``derivative``).
+        Standard deviation used: of positions, metres, or of accelerations (``derivative``).
     scenes : tuple of Scene
     """
 
@@ -326,7 +328,7 @@ def _regression_batch(batch, method, sigma, sources, given, contact_margin):
     target = np.where(valid, target, 0.0)
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
-    if method == "gls":
+    if method in ("gls", "one_step_gls"):
         whitener = _gls_whitener(batch.times, valid)
     names = tuple(scene.name for scene in batch.scenes)
     return RegressionBatch(
@@ -378,12 +380,13 @@ def _from_positions(batch, method, sigma):
     step_back = (p[1:-1] - p[:-2]) / before
     step_on = (p[2:] - p[1:-1]) / after
     target = (step_on - step_back) / ((before + after) / 2)
-    if method == "one_step":
+    if method in ("one_step", "one_step_gls"):
         velocities = step_back
     else:
         velocities = (before * step_on + after * step_back) / (before + after)
     # Back to an error of position; the exact covariance does that by itself.
-    scale = np.ones_like(after) if method == "gls" else after * (before + after) / 2
+    correlated = method in ("gls", "one_step_gls")
+    scale = np.ones_like(after) if correlated else after * (before + after) / 2
     static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
     still = static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
     velocities = np.where(still[:, None] & np.isfinite(velocities), 0.0, velocities)

@@ -222,13 +222,14 @@ class Objective:
             self.n_failed += 1
             self._scores[expression] = Score(-1, np.inf, complexity, np.inf)
             return
-        cost = self._cost(loss, complexity, n_constants)
+        cost = self.cost(loss, complexity, n_constants)
         score = self._scores[expression] = Score(number, loss, complexity, cost)
         kept = self.best.get(number)
         if kept is None or complexity < kept[1].complexity:
             self.best[number] = (expression, score)
 
-    def _cost(self, loss, complexity, n_constants):
+    def cost(self, loss, complexity, n_constants):
+        """What searches minimise, nats."""
         if self.criterion == "prior":
             return loss + self.beta * complexity
         n = self.regression.n_rows

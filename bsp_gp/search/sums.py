@@ -304,7 +304,7 @@ class _Sums:
     def guarantee(self):
         return (
             f"sums of up to {len(self.names)} terms: every step tried all these laws, all "
-            "constants refitted jointly; no law can be added to the best sum, take the place of one of its "
-            "terms or be left out and shorten its description (fit, constants and prior); a "
-            "better sum that differs in two terms or more is not ruled out"
+            "constants refitted jointly; no law can be added to the best sum, take the place of "
+            "one of its terms or be left out and shorten its description (fit, constants and "
+            "prior); a better sum that differs in two terms or more is not ruled out"
         )

@@ -309,8 +309,8 @@ def test_derivative_needs_velocities_and_rows():
 
 
 def test_settings_are_checked():
-    assert METHODS == ("one_step", "central", "gls", "derivative")
-    with pytest.raises(SettingsError, match="one_step, central, gls, derivative, got 'weak'"):
+    assert METHODS == ("one_step", "one_step_gls", "central", "gls", "derivative")
+    with pytest.raises(SettingsError, match="one_step, one_step_gls, central, gls, derivative, got 'weak'"):
         build_regression([scene_of(1)], method="weak")
     gone = np.full((4, 2), np.nan)
     scene = Scene("s", np.arange(4.0), gone[:, None], (ball("a", 1.0),))
@@ -344,14 +344,14 @@ def test_stacked_draws_give_the_weighted_mean_of_losses():
         stack_draws(regressions, [1.0, 2.0])
 
 
-@pytest.mark.parametrize("method", ["one_step", "gls"])
+@pytest.mark.parametrize("method", ["one_step", "one_step_gls", "gls"])
 def test_rows_with_an_unsure_contact_are_left_out(method):
     """A disc crosses a mat: near the edges nobody knows under noise whether it is on."""
     disc = Entity("disc", "disc", radius=0.5, properties={"mass": 1.0})
     mat = Entity("mat", "rect_mat", width=4.0, height=4.0, is_static=True)
     times = 0.1 * np.arange(61)
     positions = np.zeros((61, 2, 2))
-    positions[:, 0, 0] = -3.0 + times  # over the edges at x = -2 and x = 2
+    positions[:, 0, 0] = -3.03 + times  # over the edges at x = -2 and x = 2
     scene = Scene("s", times, positions, (disc, mat))
     regression = build_regression([scene], method=method, sigma=0.03, contact_margin=4.0)
     x = positions[1:-1, 0, 0]
@@ -362,3 +362,28 @@ def test_rows_with_an_unsure_contact_are_left_out(method):
     assert np.all(batch.whiten(batch.target)[left_out] == 0)
     everything = build_regression([scene], method=method, sigma=0.03)
     assert everything.n_rows == regression.n_rows + 2 * left_out.sum()
+
+
+def test_one_step_gls_is_one_step_with_the_covariance_of_second_differences():
+    """Same targets and states; the whitened target has the quadratic form of the covariance."""
+    rng = np.random.default_rng(0)
+    scene = Scene("s", 0.1 * np.arange(9), rng.standard_normal((9, 2, 2)), pair_of_bodies())
+    plain, exact, central = (
+        build_regression([scene], method=method, sigma=0.2)
+        for method in ("one_step", "one_step_gls", "gls")
+    )
+    (one,), (other,), (third,) = plain.batches, exact.batches, central.batches
+    np.testing.assert_array_equal(one.velocities, other.velocities)
+    np.testing.assert_array_equal(one.target, other.target)
+    np.testing.assert_array_equal(third.whitener, other.whitener)
+    assert not np.array_equal(third.velocities, other.velocities)
+    second = np.array([1.0, -2.0, 1.0]) / 0.1**2
+    matrix = sum(np.eye(7, 9, k) * weight for k, weight in enumerate(second))
+    precision = np.linalg.inv(0.2**2 * matrix @ matrix.T)
+    y = other.target[:, 0, 0, 0]
+    white = other.whiten(other.target)[:, 0, 0, 0]
+    assert white @ white == pytest.approx(y @ precision @ y, rel=1e-8)
+
+
+def pair_of_bodies():
+    return (Entity("a", properties={"mass": 1.0}), Entity("b", properties={"mass": 2.0}))

@@ -397,7 +397,7 @@ def test_trials_must_be_one_or_more():
 
 
 def test_checkpoints_cost_little(tmp_path, monkeypatch):
-    """The file grows with the run; it is written at most a twentieth of the time, and at the end."""
+    """The file grows with the run: it is written a twentieth of the time, and at the end."""
     writes, write = [], Path.write_text
 
     def spy(self, *args, **kwargs):
