@@ -310,7 +310,7 @@ def test_derivative_needs_velocities_and_rows():
 
 def test_settings_are_checked():
     assert METHODS == ("one_step", "one_step_gls", "central", "gls", "derivative")
-    with pytest.raises(SettingsError, match="one_step, one_step_gls, central, gls, derivative, got 'weak'"):
+    with pytest.raises(SettingsError, match="one_step, one_step_gls, .*, got 'weak'"):
         build_regression([scene_of(1)], method="weak")
     gone = np.full((4, 2), np.nan)
     scene = Scene("s", np.arange(4.0), gone[:, None], (ball("a", 1.0),))
