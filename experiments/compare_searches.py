@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 from common import options, reference_data, run_jobs, save_figure, write_text
-from scenes import LAWS, fresh_columns, noisy_scenes, scenario
+from scenes import LAWS, is_true, noisy_scenes, scenario
 
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_text
@@ -103,13 +103,6 @@ def row_of(outcome, optimum, name, n_scenes, noise, likelihood, seed):
         "law": to_text(best.formula), "constants": " ".join(f"{v:.7g}" for v in
                                                            best.constants.values()),
     }  # fmt: skip
-
-
-def is_true(name, formula):
-    """Whether a law is the true one up to a factor, on scenes that no search has seen."""
-    truth, found = fresh_columns(name, formula)
-    sizes = np.linalg.norm(truth) * np.linalg.norm(found)
-    return bool(sizes > 0 and abs(truth @ found) > (1 - 1e-9) * sizes)
 
 
 def jobs_of(quick, seed):

@@ -18,14 +18,16 @@ def one_step_errors(scenes, law, up=None):
     Returns
     -------
     list of ndarray, one per scene, shape (T - 2, N), metres
-        Static entities included, with error 0; nan where a track has a gap.
+        Static entities included, with error 0; nan where a track has a gap, inf where the law
+        has no finite value.
     """
     errors = {}
     for batch in stack(scenes, up):
         regression = build_regression(batch.scenes, up=up)
         part = regression.batches[0]
-        residual = np.where(part.valid, part.target - regression.predict(part, law), np.nan)
-        size = np.linalg.norm(residual * part.scale, axis=-1)
+        residual = part.target - regression.predict(part, law)
+        residual = np.where(np.isfinite(residual), residual, np.inf)
+        size = np.linalg.norm(np.where(part.valid, residual * part.scale, np.nan), axis=-1)
         n_entities = part.positions.shape[2]
         for s, scene in enumerate(batch.scenes):
             full = np.zeros((len(scene.times) - 2, n_entities))

@@ -387,3 +387,15 @@ def test_one_step_gls_is_one_step_with_the_covariance_of_second_differences():
 
 def pair_of_bodies():
     return (Entity("a", properties={"mass": 1.0}), Entity("b", properties={"mass": 2.0}))
+
+
+def test_a_law_without_a_value_has_no_finite_error():
+    """Its errors may not be taken for gaps of the track, which do not count."""
+    positions = np.cumsum(np.ones((6, 2, 2)), axis=0)
+    positions[:, 1] = positions[:, 0]  # on top of each other: 1 / 0
+    scene = Scene("s", 0.1 * np.arange(6), positions, pair_of_bodies())
+    text = "c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(v_i)"
+    law = law_of(text, c1=1.0)
+    with np.errstate(all="ignore"):
+        assert one_step_nrmse([scene], law) == np.inf
+    assert one_step_nrmse([scene], ForceLaw(())) == pytest.approx(0.0, abs=1e-12)
