@@ -233,10 +233,11 @@ def effect(name, value, *, is_declared=True, **options):
     for option in options:
         if option not in allowed:
             raise SettingsError(
-                f"effect {name!r} has no option {option!r}; "
-                f"it has {', '.join(allowed) or 'none'}"
+                f"effect {name!r} has no option {option!r}; it has {', '.join(allowed) or 'none'}"
             )
-    return Effect(name, (("value", value), *options.items()), is_declared, **build(value, **options))
+    return Effect(
+        name, (("value", value), *options.items()), is_declared, **build(value, **options)
+    )
 
 
 def parse_effect(text, is_declared=True):
@@ -250,9 +251,7 @@ def parse_effect(text, is_declared=True):
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))
         if not (key and equals and value):
-            raise SettingsError(
-                f"effect must be NAME=VALUE[,OPTION=VALUE...], got {text!r:.80}"
-            )
+            raise SettingsError(f"effect must be NAME=VALUE[,OPTION=VALUE...], got {text!r:.80}")
         if key in dict(pairs):
             raise SettingsError(f"effect {text!r:.80} gives {key!r} twice")
         pairs.append((key, value))

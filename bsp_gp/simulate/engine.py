@@ -50,7 +50,11 @@ class Contacts:
     has_contacts: bool = True
 
     def __post_init__(self):
-        for name, high in (("restitution", 1), ("overlap_correction", 1), ("surface_friction", np.inf)):
+        for name, high in (
+            ("restitution", 1),
+            ("overlap_correction", 1),
+            ("surface_friction", np.inf),
+        ):
             value = getattr(self, name)
             if not 0 <= value <= high:
                 raise SettingsError(f"{name} of contacts must be from 0 to {high}, got {value}")
@@ -114,9 +118,7 @@ def run_pymunk(worlds, motion):
     worlds = tuple(worlds)
     if len({len(world.entities) for world in worlds}) > 1:
         raise SettingsError("worlds moved together must have the same number of entities")
-    blocks = [
-        _Block(worlds[k : k + BLOCK], motion).run() for k in range(0, len(worlds), BLOCK)
-    ]
+    blocks = [_Block(worlds[k : k + BLOCK], motion).run() for k in range(0, len(worlds), BLOCK)]
     positions, velocities, touched = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     lost = ~np.isfinite(positions).all(axis=(1, 2, 3))
     if lost.any():

@@ -210,9 +210,7 @@ class PeriodicPush(Force):
             raise SettingsError(f"period of a push must be positive, got {self.period:g}")
 
     def on(self, bodies, p, v, t):
-        size = self.strength * math.cos(
-            2 * math.pi * t / self.period + math.radians(self.phase)
-        )
+        size = self.strength * math.cos(2 * math.pi * t / self.period + math.radians(self.phase))
         mass = bodies.mass if self.per_mass else np.ones_like(bodies.mass)
         return (size * mass)[..., None] * unit_vector(self.angle)
 

@@ -220,9 +220,7 @@ class Mat(Layout):
             uniform(rng, self.width, n), uniform(rng, self.height, n),
             uniform(rng, self.friction, n), strict=True,
         )  # fmt: skip
-        mats = [
-            mat(str(n + k + 1), *size, mass=self.mat_mass) for k, size in enumerate(sizes)
-        ]
+        mats = [mat(str(n + k + 1), *size, mass=self.mat_mass) for k, size in enumerate(sizes)]
         bodies = [disc(str(k + 1), radii[k], masses[k]) for k in range(n)]
         return World([*bodies, *mats], np.vstack([start, place]), np.vstack([v, 0 * v]))
 
@@ -270,9 +268,7 @@ class Magnet(Layout):
         span = (-self.half_width, self.half_width)
         p = separate(rng, self.spacing * radii, lambda: uniform(rng, span, (n, 2)))
         v = polar(uniform(rng, self.speed, n), uniform(rng, (0, 2 * math.pi), n))
-        bodies = [
-            disc(str(k + 1), radii[k], masses[k], charge=charges[k]) for k in range(n)
-        ]
+        bodies = [disc(str(k + 1), radii[k], masses[k], charge=charges[k]) for k in range(n)]
         return World(bodies, p, v)
 
 

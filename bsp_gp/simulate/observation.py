@@ -38,7 +38,9 @@ class Observation:
     def __post_init__(self):
         for name, high in (("noise", math.inf), ("memory", 1), ("outliers", 1)):
             value = getattr(self, name)
-            if not (0 <= value <= high and math.isfinite(value)) or (name == "memory" and value == 1):
+            if not (0 <= value <= high and math.isfinite(value)) or (
+                name == "memory" and value == 1
+            ):
                 raise SettingsError(f"{name} must not be negative or too large, got {value}")
         if not self.outlier_factor > 0:
             raise SettingsError(f"outlier_factor must be positive, got {self.outlier_factor}")

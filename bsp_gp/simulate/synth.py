@@ -14,14 +14,14 @@ from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.effects import Effect
 from bsp_gp.simulate.engine import Contacts, Motion, run_pymunk
-from bsp_gp.simulate.forces import Force, PairForce
+from bsp_gp.simulate.forces import AnchorSpring, Force, PairForce
 from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Spring
 from bsp_gp.simulate.observation import Observation
 from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
 from bsp_gp.units import UnitSystem
 
-__all__ = ["PRESETS", "Settings", "configured", "make", "preset"]
+__all__ = ["PRESETS", "Settings", "configured", "make", "numbers_of", "preset", "read_numbers"]
 
 _SI = {"length": "m", "time": "s", "mass": "kg"}
 
@@ -71,7 +71,23 @@ class Settings:
             raise SettingsError(f"train_share must lie between 0 and 1, got {self.train_share}")
         if self.forces is None:
             object.__setattr__(self, "forces", self.layout.forces)
-        self.motion()  # complains about what cannot move
+        if self.up not in (None, "x", "y", "-x", "-y"):
+            raise SettingsError(f"up must be x, y, -x, -y or none, got {self.up!r}")
+        self._require_hidden_to_act(self.motion().forces)
+
+    def _require_hidden_to_act(self, forces):
+        sources = {force.column for force in forces if isinstance(force, PairForce)}
+        sources |= {"stiffness"} if any(isinstance(f, AnchorSpring) for f in forces) else set()
+        for effect in self.effects:
+            body = effect.body
+            if body is None or not body.is_hidden or body.entity.shape != "point":
+                continue
+            if not sources & set(body.entity.properties):
+                raise SettingsError(
+                    f"a hidden body acts by its {' and '.join(body.entity.properties)}, and no "
+                    f"force of {self.name} does; add one, such as the effect "
+                    f"pair=1,column={next(iter(body.entity.properties))}"
+                )
 
     def motion(self, effects=None):
         """What moves the worlds, with all effects or those given."""
@@ -189,6 +205,44 @@ def numbers_of(settings):
     parts = (settings.layout, settings, settings.contacts, settings.observation)
     skipped = ("name", "layout", "contacts", "observation", "forces", "effects", "world")
     return {n: getattr(p, n) for p in parts for n in _names(p) if n not in skipped}
+
+
+def read_numbers(settings, texts):
+    """Numbers for `configured` from texts: ``{"mass": "0.1..2", "n_bodies": "5"}``.
+
+    Parameters
+    ----------
+    settings : Settings
+    texts : mapping of str to str
+        A number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
+
+    Returns
+    -------
+    dict
+    """
+    known = numbers_of(settings)
+    numbers = {}
+    for name, text in texts.items():
+        if name not in known:
+            configured(settings, **{name: text})  # complains, and says which there are
+        numbers[name] = _value(name, text.strip(), known[name])
+    return numbers
+
+
+def _value(name, text, now):
+    try:
+        if isinstance(now, bool):
+            return {"yes": True, "no": False, "1": True, "0": False}[text.lower()]
+        if isinstance(now, tuple):
+            low, dots, high = text.partition("..")
+            return (float(low), float(high if dots else low))
+        if now is None or isinstance(now, str):
+            return None if text.lower() == "none" else text
+        return int(text) if isinstance(now, int) else float(text)
+    except (ValueError, KeyError):
+        allowed = {bool: "yes or no", tuple: "a number or a range a..b", int: "a whole number"}
+        what = allowed.get(type(now), "a number")
+        raise SettingsError(f"{name} must be {what}, got {text[:40]!r}") from None
 
 
 def make(settings, rng, engine=run_pymunk):

@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data.scene import Scene
 from bsp_gp.errors import OutputError
 from bsp_gp.simulate.world import States, World
 
-__all__ = ["STATES", "TRUTH", "Truth", "save_truth"]
+__all__ = ["PIXELS", "STATES", "TRUTH", "Truth", "save_truth"]
 
-TRUTH, STATES = "truth.json", "states.csv"
+TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,15 @@ class Truth:
     def undeclared(self):
         """Effects that the declared model lacks."""
         return tuple(effect for effect in self.effects if not effect.is_declared)
+
+    def scene(self, k):
+        """Scene k (from 0) as it really was, with exact velocities; nothing hidden is shown."""
+        world, states = self.worlds[k], self.states
+        seen = world.seen
+        return Scene(
+            self.scenes[k], states.times, states.positions[k][:, seen],
+            [world.entities[i] for i in seen], states.velocities[k][:, seen],
+        )  # fmt: skip
 
     def to_dict(self):
         """What ``truth.json`` holds."""
@@ -106,7 +116,7 @@ def _record(value):
     return value
 
 
-def save_truth(truth, folder, overwrite=False):
+def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
     """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) as a folder, whole.
 
     Parameters
@@ -116,6 +126,10 @@ def save_truth(truth, folder, overwrite=False):
         Must not be the data set's own folder or inside of it.
     overwrite : bool
         Replace an older truth there; a folder with anything else in it is never touched.
+    pixels : DataFrame, optional
+        Where bodies are in the frames of films; written as ``pixels.csv``.
+    seed : int, optional
+        Of the generator that the data were made with, for the record.
 
     Returns
     -------
@@ -128,7 +142,7 @@ def save_truth(truth, folder, overwrite=False):
     """
     folder = Path(folder)
     if folder.exists():
-        if not folder.is_dir() or {p.name for p in folder.iterdir()} - {TRUTH, STATES}:
+        if not folder.is_dir() or {p.name for p in folder.iterdir()} - {TRUTH, STATES, PIXELS}:
             raise OutputError(f"{folder} holds other files, never overwritten; choose another name")
         if not overwrite:
             raise OutputError(f"{folder} exists already; choose another name, or overwrite")
@@ -137,9 +151,13 @@ def save_truth(truth, folder, overwrite=False):
     except OSError as error:
         raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
     try:
-        text = json.dumps(truth.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(
+            {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
+        )
         (partial / TRUTH).write_text(f"{text}\n", encoding="utf-8")
         _states_table(truth).to_csv(partial / STATES, index=False, lineterminator="\n")
+        if pixels is not None:
+            pixels.to_csv(partial / PIXELS, index=False, lineterminator="\n")
         partial.chmod(0o755)
         if folder.exists():
             old = partial.with_name(f"{partial.name}-old")

@@ -98,9 +98,7 @@ class World:
         """The same world with a further property of its moving bodies, in order."""
         values = iter(values)
         entities = [
-            e
-            if e.is_static
-            else replace(e, properties={**e.properties, name: float(next(values))})
+            e if e.is_static else replace(e, properties={**e.properties, name: float(next(values))})
             for e in self.entities
         ]
         return World(entities, self.positions, self.velocities, self.hidden)
