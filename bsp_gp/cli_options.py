@@ -223,7 +223,7 @@ def _add_simulate(commands):
 
 def _add_make(commands):
     parser = _add(
-        commands, "make", "make up scenes with a physics engine, as a data set with its truth apart",
+        commands, "make", "make up scenes with a physics engine: a data set, and its truth apart",
         _MAKE_HELP,
     )  # fmt: skip
     parser.add_argument(
@@ -292,7 +292,7 @@ def _add_make(commands):
     _seed(parser)
     parser.add_argument(
         "--out", required=True, metavar="DIR",
-        help="folder of the data set; DIR-truth, DIR-model.toml, DIR-scenes.png, DIR-film beside it",
+        help="folder of the data; beside it DIR-truth, DIR-model.toml, DIR-scenes.png, DIR-film",
     )  # fmt: skip
     _common(parser)
 

@@ -1,4 +1,4 @@
-"""A picture of scenes: where bodies go, with what does not move in grey (as the paper's figure 3)."""
+"""A picture of scenes: where bodies go, and in grey what does not move (paper, figure 3)."""
 
 from __future__ import annotations
 

@@ -195,7 +195,9 @@ class _Block:
                     t = ((frame - 1) * motion.substeps + k + 1) * h
                     p, v, a, hit = self._step(p, v, t)
                     touched[:, frame - 1] |= hit
-                positions[:, frame], velocities[:, frame] = p, v - a * (h / 2)
+                positions[:, frame] = p
+                # Half a kick back, but not out of a contact.
+                velocities[:, frame] = v - np.where(hit[..., None], 0.0, a * (h / 2))
         return positions, velocities, touched
 
     def _step(self, p, v, t):

@@ -19,7 +19,9 @@ def _known(properties):
 
 def disc(name, radius, mass, **properties):
     """A body that moves: a disc with a mass in kg and further properties."""
-    return Entity(name, "disc", radius=radius, properties=_known({"mass": mass, **properties}))
+    return Entity(
+        name, "disc", radius=float(radius), properties=_known({"mass": mass, **properties})
+    )
 
 
 def point(name, **properties):
@@ -30,14 +32,15 @@ def point(name, **properties):
 def wall(name, width, height, **properties):
     """A rectangle that discs bounce off; it does not move."""
     return Entity(
-        name, "rect_wall", width=width, height=height, is_static=True, properties=_known(properties)
-    )
+        name, "rect_wall", width=float(width), height=float(height), is_static=True,
+        properties=_known(properties),
+    )  # fmt: skip
 
 
 def mat(name, width, height, friction, **properties):
     """A rectangle that discs slide over, with a friction coefficient."""
     return Entity(
-        name, "rect_mat", width=width, height=height, is_static=True,
+        name, "rect_mat", width=float(width), height=float(height), is_static=True,
         properties=_known({"friction": friction, **properties}),
     )  # fmt: skip
 

@@ -31,6 +31,7 @@ _GREYS = {"rect_wall": (150.0, 150.0, 150.0), "rect_mat": (222.0, 222.0, 222.0)}
 _ANCHOR = (90.0, 90.0, 90.0)
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
 _MAX_PIXELS = 40_000_000
+_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ class Look:
     least_radius : float, pixels
         Discs and anchors are drawn at least so large.
     background : int, grey level
+        Not quite white, so that noise is not cut off.
     """
 
     exposure: float = 0.0
@@ -117,7 +119,7 @@ class Look:
     noise: float = 0.0
     quality: int | None = None
     least_radius: float = 3.0
-    background: int = 255
+    background: int = 240
 
     def __post_init__(self):
         if not 0 <= self.exposure <= 1:
@@ -240,8 +242,11 @@ def _paint(picture, x, y, half_width, half_height, coverage, colour):
 
 
 def _disc(dx, dy, radius, _):
-    """Share of every pixel inside of a disc; its edge is taken as straight within a pixel."""
-    return np.clip(radius + 0.5 - np.hypot(dx, dy), 0.0, 1.0)
+    """Share of every pixel inside of a disc; its edge is taken as straight in parts of a pixel."""
+    parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+    x, y = (dx[:, None] + parts).ravel(), (dy + parts).ravel()
+    inside = np.clip(_PARTS * (radius - np.hypot(x, y[:, None])) + 0.5, 0.0, 1.0)
+    return inside.reshape(len(dy), _PARTS, len(dx), _PARTS).mean(axis=(1, 3))
 
 
 def _rectangle(dx, dy, half_width, half_height):
