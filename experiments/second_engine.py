@@ -117,7 +117,9 @@ def _rebound_world(world, motion):
         (x, y), (vx, vy) = world.positions[k], world.velocities[k]
         radius = entity.radius if entity.radius > 0 else 0.0
         sim.add(m=entity.mass, x=x, y=y, vx=vx, vy=vy, r=radius)
-    sim.integrator = "ias15"
+    # IAS15 estimates its step from the forces, and complains where there are none.
+    sim.integrator = "ias15" if motion.forces else "leapfrog"
+    sim.dt = motion.dt / motion.substeps
     if has_contacts:
         sim.collision = "direct"
         sim.collision_resolve = "hardsphere"

@@ -45,7 +45,7 @@ def test_data_truth_model_and_picture(capsys, tmp_path):
     assert truth["seed"] == 1 and truth["effects"][0]["parameters"] == {"value": 0.1}
     assert "drag" not in (tmp_path / "orbits-model.toml").read_text()
     assert b"PNG" in (tmp_path / "orbits-scenes.png").read_bytes()[:8]
-    status, fitted, err = (main(["fit", str(out), "--model", f"{out}-model.toml"]),
+    status, _, err = (main(["fit", str(out), "--model", f"{out}-model.toml"]),
                            *capsys.readouterr())  # fmt: skip
     assert status == 0, err
 
