@@ -46,6 +46,7 @@ CASES = {
     "bounce": (("pymunk", 1), ("pymunk", 4), ("pymunk", 20), ("mujoco", 100)),
     "mat": (("pymunk", 1), ("pymunk", 4), ("pymunk", 20)),
 }
+N_TRAIN = {"nbody": (2, 5), "bounce": (2, 5), "mat": (2, 5, 20)}
 N_TEST = 20
 
 
@@ -258,7 +259,7 @@ def cradle_row(engine, substeps, iterations, gap):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    seeds = range(args.seed, args.seed + (1 if args.quick else 5))
+    seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     zero = table(args, "zero_force.csv", lambda: zero_force(100, seeds))
     searches = [
         {"name": name, "engine": engine, "substeps": substeps, "grammar_name": grammar,
@@ -266,7 +267,7 @@ def main():
         for name in SYNTH
         for engine, substeps in CASES[name]
         for grammar in ("newtonian", "physics")
-        for n_train in ((2,) if args.quick else (2, 5, 10))
+        for n_train in ((2,) if args.quick else N_TRAIN[name])
         for seed in (seeds if not args.quick else seeds[:1])
     ]  # fmt: skip
     results = resumed(args, "results.csv", searches, search)

@@ -17,11 +17,13 @@ import numpy as np
 
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import OutputError
-from bsp_gp.simulate.world import States, World
+from bsp_gp.simulate.engine import acceleration
+from bsp_gp.simulate.world import Ensemble, States, World
 
 __all__ = ["PIXELS", "STATES", "TRUTH", "Truth", "save_truth"]
 
 TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
+_INSTANT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,32 @@ class Truth:
             self.scenes[k], states.times, states.positions[k][:, seen],
             [world.entities[i] for i in seen], states.velocities[k][:, seen],
         )  # fmt: skip
+
+    def accelerations(self, of_declared=False):
+        """Accelerations along the true motion, contacts left out.
+
+        The difference of the two is what a loop has to find.
+
+        Parameters
+        ----------
+        of_declared : bool
+            Those of the declared model, which knows no hidden bodies, in place of all that act.
+
+        Returns
+        -------
+        ndarray, shape (S, T, N, 2), m/s^2
+            Of the entities that the data show.
+        """
+        effects = [e for e in self.effects if e.is_declared] if of_declared else None
+        forces = self.settings.motion(effects).forces
+        seen = self.worlds[0].seen
+        kept = seen if of_declared else np.arange(len(self.worlds[0].entities))
+        bodies = Ensemble([world.only(kept) for world in self.worlds])
+        p, v = (a[:, :, kept] for a in (self.states.positions, self.states.velocities))
+        out = np.empty_like(p)
+        for k, t in enumerate(self.states.times):
+            out[:, k] = acceleration(forces, bodies, p[:, k], v[:, k], t, _INSTANT)
+        return out if of_declared else out[:, :, seen]
 
     def to_dict(self):
         """What ``truth.json`` holds."""

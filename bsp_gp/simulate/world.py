@@ -88,6 +88,12 @@ class World:
         """Indices of the entities that the data show."""
         return np.array([k for k, e in enumerate(self.entities) if e.name not in self.hidden])
 
+    def only(self, indices):
+        """The same world with these entities alone."""
+        entities = [self.entities[k] for k in indices]
+        hidden = self.hidden & {entity.name for entity in entities}
+        return World(entities, self.positions[indices], self.velocities[indices], hidden)
+
     def joined_by(self, entity, position, velocity=(0.0, 0.0), *, is_hidden=False):
         """The same world with one more entity."""
         return World(

@@ -323,3 +323,26 @@ def test_contacts_are_recorded():
         turned = np.flatnonzero(np.abs(np.diff(v, axis=0)).max(axis=(1, 2)) > 1e-9) + 1
         assert scene["frames_with_contact"] == turned.tolist()
         assert len(turned) > 0
+
+
+def test_true_accelerations_are_those_of_the_motion():
+    """A leapfrog step a frame: second differences are accelerations."""
+    dark = effect("hidden", 300.0, is_declared=False, x=0.0, y=200.0)
+    dataset, truth = made("nbody", dark, n_scenes=2, substeps=1, has_contacts=False)
+    p = positions(dataset)
+    second = (p[:, 2:] - 2 * p[:, 1:-1] + p[:, :-2]) / 0.02**2
+    a = truth.accelerations()
+    np.testing.assert_allclose(a[:, 1:-1], second, atol=1e-8)
+    missing = a - truth.accelerations(of_declared=True)
+    gap = np.array([0.0, 200.0]) - p
+    pull = 8167.007 * 300 * gap / np.linalg.norm(gap, axis=-1, keepdims=True) ** 3
+    np.testing.assert_allclose(missing, pull, atol=1e-9)
+
+
+def test_what_is_undeclared_is_what_a_loop_has_to_find():
+    changes = [effect("drag", 0.3, is_declared=False), effect("wind", 2.0)]
+    dataset, truth = made("magnet", *changes, n_scenes=2, has_contacts=False)
+    missing = truth.accelerations() - truth.accelerations(of_declared=True)
+    masses = np.array([[e.mass for e in scene.entities] for scene in dataset.scenes])
+    drag = -0.3 * truth.states.velocities / masses[:, None, :, None]
+    np.testing.assert_allclose(missing, drag, atol=1e-12)
