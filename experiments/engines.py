@@ -349,12 +349,12 @@ def draw(path, zero, results, contacts):
                 left.errorbar(
                     k + shift + np.linspace(-0.06, 0.06, len(rows)), rows.nrmse / scale,
                     rows.standard_error / scale, fmt="o", ms=3, lw=0.8, color=colour,
-                    label={"paper's law": "BOUNCE moved by the paper's law"}.get(source, source)
+                    label={"paper's law": "moved by its law"}.get(source, source)
                     if k == 1 else None,
                 )  # fmt: skip
         left.axhspan(0.75, 1.25, color="#EEEEEE", zorder=0, lw=0)
         left.set_xticks(range(3), [name.upper() for name in SYNTH])
-        left.set_title("error without force, over the paper's")
+        left.set_title("error without force,\nover that of the paper's data")
         left.set_ylim(bottom=0)
         left.legend(frameon=False, loc="lower left")
         found = results[(results.engine == "pymunk") & (results.grammar == "physics")]
@@ -362,22 +362,25 @@ def draw(path, zero, results, contacts):
         for name, colour in zip(SYNTH, (FLOOR, BEFORE, AFTER), strict=True):
             part = found[found.scenario == name].groupby("substeps")
             ratio = part.nrmse_true.median() / part.nrmse_zero.median()
-            middle.plot(ratio.index, np.maximum(ratio, 1e-13), "o-", ms=3, lw=1, color=colour)
-            middle.annotate(name.upper(), (ratio.index[-1], max(ratio.iloc[-1], 1e-13)),
-                            textcoords="offset points", xytext=(-4, 5), ha="right")  # fmt: skip
+            middle.plot(
+                ratio.index, np.maximum(ratio, 1e-13), "o-", ms=3, lw=1, color=colour,
+                label=name.upper(),
+            )  # fmt: skip
         middle.set(xscale="log", yscale="log", xlabel="engine's steps per frame")
         middle.set_xticks([1, 4, 20], ["1", "4", "20"])
         middle.minorticks_off()
         log_ticks(middle.yaxis)
-        middle.set_title("held-out error of the true law, over no force")
-        for engine, colour in (("pymunk", AFTER), ("rebound", FLOOR), ("mujoco", BEFORE)):
+        middle.set_title("held-out error of the true law,\nover that of no force")
+        middle.legend(frameon=False)
+        styles = (("pymunk", AFTER, "o-"), ("rebound", FLOOR, "x:"), ("mujoco", BEFORE, "o-"))
+        for engine, colour, mark in styles:
             part = contacts[contacts.engine == engine]
             part = part[part.substeps == part.substeps.max()]
             if len(part):
                 right.errorbar(part.restitution, part.measured - part.restitution,
-                               part.measured_sd, fmt="o-", ms=3, lw=1, color=colour,
+                               part.measured_sd, fmt=mark, ms=4, lw=1, color=colour,
                                label=engine)  # fmt: skip
-        right.set_title("restitution, measured less nominal")
+        right.set_title("restitution,\nmeasured less nominal")
         right.set_xlabel("nominal restitution")
         right.legend(frameon=False)
         for axes in (left, middle, right):
@@ -385,7 +388,7 @@ def draw(path, zero, results, contacts):
         left.set_xticks(range(3), [name.upper() for name in SYNTH])
         middle.set_xticks([1, 4, 20], ["1", "4", "20"])
 
-    path.write_bytes(png_bytes(new_figure(panels, 2.6)))
+    path.write_bytes(png_bytes(new_figure(panels, 3.0)))
 
 
 def summary(zero, results, contacts, cradle):

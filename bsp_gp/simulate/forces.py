@@ -31,8 +31,6 @@ __all__ = [
     "UniformField",
 ]
 
-_AXES = {(1, 0): "e_x", (0, 1): "e_y"}
-
 
 def unit_vector(angle):
     """Direction at an angle in degrees from x towards y, exact along the axes."""
