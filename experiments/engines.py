@@ -13,7 +13,7 @@ from common import options, reference_data, write_table
 
 from bsp_gp.cli_inputs import masked_grammar
 from bsp_gp.data.tables import load_dataset
-from bsp_gp.errors import MissingDependencyError
+from bsp_gp.errors import EvaluationError, MissingDependencyError
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
@@ -176,15 +176,24 @@ def search(name, engine, substeps, grammar_name, n_train, seed):
         "left": 2 * best.loss / best.total,
         "next_left": 2 * result.candidates[1].loss / best.total,
         "true_constant": true.constants["c1"],
-        "nrmse_zero": one_step_nrmse(test, ForceLaw()), "nrmse_found": one_step_nrmse(test, found),
+        "nrmse_zero": one_step_nrmse(test, ForceLaw()), "nrmse_found": held_out(test, found),
         "nrmse_true": one_step_nrmse(test, true),
     }  # fmt: skip
+
+
+def held_out(scenes, law):
+    """The error of a law, nan where it has no finite value on scenes that it was not found on."""
+    try:
+        return one_step_nrmse(scenes, law)
+    except EvaluationError:
+        return np.nan
 
 
 def cosine(regression, one, other):
     """Likeness of two laws without their constants, on all scenes: 1 if they are proportional."""
     columns = [regression.column(Term(split_linear(f)[1], "pair"))[0][:, 0] for f in (one, other)]
-    a, b = (c / (np.linalg.norm(c) or 1.0) for c in columns)
+    a, b = (np.nan_to_num(c, posinf=0.0, neginf=0.0) for c in columns)
+    a, b = (c / (np.linalg.norm(c) or 1.0) for c in (a, b))
     return float(abs(a @ b))
 
 
