@@ -191,9 +191,13 @@ def held_out(scenes, law):
 
 def cosine(regression, one, other):
     """Likeness of two laws without their constants, on all scenes: 1 if they are proportional."""
-    columns = [regression.column(Term(split_linear(f)[1], "pair"))[0][:, 0] for f in (one, other)]
-    a, b = (np.nan_to_num(c, posinf=0.0, neginf=0.0) for c in columns)
-    a, b = (c / (np.linalg.norm(c) or 1.0) for c in (a, b))
+    try:
+        columns = [
+            regression.column(Term(split_linear(f)[1], "pair"))[0][:, 0] for f in (one, other)
+        ]
+    except EvaluationError:  # no finite value somewhere, which the true laws have
+        return 0.0
+    a, b = (c / (np.linalg.norm(c) or 1.0) for c in columns)
     return float(abs(a @ b))
 
 
