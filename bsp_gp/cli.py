@@ -221,6 +221,23 @@ def _simulate(args):
     print(f"Data set: {out}")
 
 
+def _make(args):
+    from bsp_gp.cli_make import FILES, SUFFIXES, make_data, read_settings
+
+    out = _free_folder(args.out, args.overwrite, FILES[""])
+    for suffix in SUFFIXES:
+        beside = out.with_name(out.name + suffix)
+        if suffix in FILES:
+            _free_folder(beside, args.overwrite, FILES[suffix])
+        elif beside.is_dir() or (beside.exists() and not args.overwrite):
+            raise OutputError(f"{beside}: exists already; pass --overwrite or choose another --out")
+    settings = read_settings(args)
+    with _Progress(args.quiet) as progress:
+        lines = make_data(args, settings, out, progress)
+    args.written.append(out)
+    print("\n".join(lines))
+
+
 def _grammar(args):
     from bsp_gp.language.grammar import load_grammar
 
@@ -312,6 +329,7 @@ _COMMANDS = {
     "close": _close,
     "fit": _fit,
     "simulate": _simulate,
+    "make": _make,
     "grammar": _grammar,
     "demo": _demo,
 }

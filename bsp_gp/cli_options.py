@@ -11,6 +11,7 @@ from bsp_gp.errors import SettingsError
 __all__ = ["build_parser", "joined"]
 
 MAX_LEVELS, MAX_COUNTED_LEVELS, MAX_ROUNDS, MAX_WORKERS = 20, 16, 100, 256
+MAX_SCENES = 100_000
 MIN_ALPHA = 1e-4
 _OPTION = re.compile(r"-h|--|--[a-z][a-z-]*(=.*)?", re.DOTALL)
 _TAKES_DASH = ("--declare", "--law", "--up", "--set")
@@ -18,6 +19,12 @@ _LAW_HELP = """\
 A law is one force, with v_i, p_j, m_i, norm(...), normalize(...), up, down, e_x, ...:
   --declare "9.81 [m/s^2] * m_i * down" --declare="-c1 * v_i"
 A number carries its unit in brackets and is fixed; a name that is no property is fitted."""
+
+_MAKE_HELP = """\
+Effects: drag, quadratic_drag, wind, field, perpendicular, magnetic, push, friction, mat, spring,
+pair, exponent, hidden, inelastic; each NAME=VALUE[,OPTION=VALUE...].
+  bsp-gp make nbody --scenes 100 --seed 1 --effect drag=0.1 --undeclared --out orbits
+  bsp-gp close orbits --model orbits-model.toml"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -114,6 +121,7 @@ def build_parser():
     _add_close(commands)
     _add_fit(commands)
     _add_simulate(commands)
+    _add_make(commands)
     _add_grammar(commands)
     _add_demo(commands)
     return parser
@@ -211,6 +219,91 @@ def _add_simulate(commands):
     _seed(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the new data set")
     _common(parser)
+
+
+def _add_make(commands):
+    parser = _add(
+        commands, "make", "make up scenes with a physics engine: a data set, and its truth apart",
+        _MAKE_HELP,
+    )  # fmt: skip
+    parser.add_argument(
+        "preset", metavar="PRESET", help="nbody, bounce, mat, magnet, fall or spring"
+    )
+    _count = _integer(1, MAX_SCENES)
+    parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")
+    parser.add_argument("--frames", type=_integer(3, 10**6), metavar="T", help="frames a scene")
+    clock = parser.add_mutually_exclusive_group()
+    clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
+    clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help="seconds per frame")
+    parser.add_argument(
+        "--substeps", type=_integer(1, 10_000), metavar="N", help="steps of the engine per frame"
+    )
+    parser.add_argument(
+        "--effect",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what is different from the preset: drag=0.1, push=2,period=0.5, ...; repeat for more",
+    )
+    parser.add_argument(
+        "--undeclared",
+        nargs="*",
+        metavar="NAME",
+        help="effects that the declared model lacks (without names: all)",
+    )
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        default=[],
+        metavar="NAME=VALUE",
+        help="any number of the preset: n_bodies=6 mass=0.1..2 restitution=0.9 memory=0.5 ...",
+    )
+    parser.add_argument(
+        "--noise", type=_number(0, math.inf, "[)"), metavar="SIGMA", help="of positions, metres"
+    )
+    film = parser.add_argument_group("film")
+    film.add_argument(
+        "--film",
+        nargs="?",
+        type=_integer(1, MAX_SCENES),
+        const=1,
+        default=0,
+        metavar="N",
+        help="film the first N scenes (default 1), with where bodies are in the truth",
+    )
+    film.add_argument("--png", action="store_true", help="single frames as PNG files as well")
+    film.add_argument("--size", type=_size, default=(640, 480), metavar="WxH", help="pixels")
+    film.add_argument(
+        "--exposure", type=_number(0, 1, "[]"), default=0.0, metavar="SHARE",
+        help="share of the time between frames that the shutter is open (motion blur)",
+    )  # fmt: skip
+    film.add_argument(
+        "--blur", type=_number(0, 1000, "[]"), default=0.0, metavar="PX", help="defocus"
+    )
+    film.add_argument(
+        "--grain", type=_number(0, 255, "[]"), default=0.0, metavar="LEVELS", help="pixel noise"
+    )
+    film.add_argument(
+        "--quality", type=_integer(1, 100), metavar="Q", help="JPEG quality of every frame"
+    )
+    _seed(parser)
+    parser.add_argument(
+        "--out", required=True, metavar="DIR",
+        help="folder of the data; beside it DIR-truth, DIR-model.toml, DIR-scenes.png, DIR-film",
+    )  # fmt: skip
+    _common(parser)
+
+
+def _size(text):
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if not match:
+        raise argparse.ArgumentTypeError(
+            f"must be WIDTHxHEIGHT, such as 640x480, got {text[:60]!r}"
+        )
+    return int(match[1]), int(match[2])
 
 
 def _add_grammar(commands):

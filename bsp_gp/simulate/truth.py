@@ -1,0 +1,225 @@
+"""What a made-up data set really contains, kept apart from it: nothing that reads data reads this.
+
+The folder of a truth stands beside the data set's, not in it, so that a loop cannot peek and a
+test can score its verdict.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bsp_gp.data.scene import Scene
+from bsp_gp.errors import OutputError
+from bsp_gp.simulate.engine import acceleration
+from bsp_gp.simulate.world import Ensemble, States, World
+
+__all__ = ["PIXELS", "STATES", "TRUTH", "Truth", "save_truth"]
+
+TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
+_INSTANT = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The answer to a made-up data set.
+
+    Attributes
+    ----------
+    name : str
+    declared : tuple of str
+        Laws of the model that goes with the data, as typed on the command line.
+    acting : tuple of str
+        Laws of all forces that act, as far as the language can say them.
+    effects : tuple of Effect
+    unsaid : tuple of str
+        Names of what acts and no law says: contacts, and effects without words.
+    worlds : tuple of World
+        As they started, hidden entities included.
+    scenes : tuple of str
+        Their names in the data set.
+    states : States
+        Exact places and velocities, without noise.
+    settings : Settings
+    """
+
+    name: str
+    declared: tuple[str, ...]
+    acting: tuple[str, ...]
+    effects: tuple
+    unsaid: tuple[str, ...]
+    worlds: tuple[World, ...]
+    scenes: tuple[str, ...]
+    states: States
+    settings: object
+
+    @property
+    def undeclared(self):
+        """Effects that the declared model lacks."""
+        return tuple(effect for effect in self.effects if not effect.is_declared)
+
+    def scene(self, k):
+        """Scene k (from 0) as it really was, with exact velocities; nothing hidden is shown."""
+        world, states = self.worlds[k], self.states
+        seen = world.seen
+        return Scene(
+            self.scenes[k], states.times, states.positions[k][:, seen],
+            [world.entities[i] for i in seen], states.velocities[k][:, seen],
+        )  # fmt: skip
+
+    def accelerations(self, of_declared=False):
+        """Accelerations along the true motion, contacts left out.
+
+        The difference of the two is what a loop has to find.
+
+        Parameters
+        ----------
+        of_declared : bool
+            Those of the declared model, which knows no hidden bodies, in place of all that act.
+
+        Returns
+        -------
+        ndarray, shape (S, T, N, 2), m/s^2
+            Of the entities that the data show.
+        """
+        effects = [e for e in self.effects if e.is_declared] if of_declared else None
+        forces = self.settings.motion(effects).forces
+        seen = self.worlds[0].seen
+        kept = seen if of_declared else np.arange(len(self.worlds[0].entities))
+        bodies = Ensemble([world.only(kept) for world in self.worlds])
+        p, v = (a[:, :, kept] for a in (self.states.positions, self.states.velocities))
+        out = np.empty_like(p)
+        for k, t in enumerate(self.states.times):
+            out[:, k] = acceleration(forces, bodies, p[:, k], v[:, k], t, _INSTANT)
+        return out if of_declared else out[:, :, seen]
+
+    def to_dict(self):
+        """What ``truth.json`` holds."""
+        touched = self.states.touched.any(axis=2)
+        return {
+            "schema": 1,
+            "name": self.name,
+            "declared": list(self.declared),
+            "acting": list(self.acting),
+            "unsaid": list(self.unsaid),
+            "effects": [
+                {
+                    **_record(effect),
+                    "parameters": dict(effect.parameters),
+                    "laws": [law for force in effect.forces for law in force.laws],
+                }
+                for effect in self.effects
+            ],
+            "settings": _record(self.settings),
+            "scenes": [
+                {
+                    "name": name,
+                    "hidden": sorted(world.hidden),
+                    "frames_with_contact": (np.flatnonzero(hit) + 1).tolist(),
+                }
+                for name, world, hit in zip(self.scenes, self.worlds, touched, strict=True)
+            ],
+        }
+
+
+def _record(value):
+    """Settings as JSON can say them; a dataclass with its type."""
+    if isinstance(value, World):
+        return {"type": "World", "entities": [e.name for e in value.entities]}
+    if is_dataclass(value):
+        items = {f.name: _record(getattr(value, f.name)) for f in fields(value)}
+        return {"type": type(value).__name__, **items}
+    if isinstance(value, tuple | list):
+        return [_record(item) for item in value]
+    if hasattr(value, "items"):
+        return {key: _record(item) for key, item in value.items()}
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
+    """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) as a folder, whole.
+
+    Parameters
+    ----------
+    truth : Truth
+    folder : path-like
+        Must not be the data set's own folder or inside of it.
+    overwrite : bool
+        Replace an older truth there; a folder with anything else in it is never touched.
+    pixels : DataFrame, optional
+        Where bodies are in the frames of films; written as ``pixels.csv``.
+    seed : int, optional
+        Of the generator that the data were made with, for the record.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, exists, or holds a data set.
+    """
+    folder = Path(folder)
+    if folder.exists():
+        if not folder.is_dir() or {p.name for p in folder.iterdir()} - {TRUTH, STATES, PIXELS}:
+            raise OutputError(f"{folder} holds other files, never overwritten; choose another name")
+        if not overwrite:
+            raise OutputError(f"{folder} exists already; choose another name, or overwrite")
+    try:
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
+    try:
+        text = json.dumps(
+            {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
+        )
+        (partial / TRUTH).write_text(f"{text}\n", encoding="utf-8")
+        _states_table(truth).to_csv(partial / STATES, index=False, lineterminator="\n")
+        if pixels is not None:
+            pixels.to_csv(partial / PIXELS, index=False, lineterminator="\n")
+        partial.chmod(0o755)
+        if folder.exists():
+            old = partial.with_name(f"{partial.name}-old")
+            os.replace(folder, old)
+            os.replace(partial, folder)
+            shutil.rmtree(old)
+        else:
+            os.replace(partial, folder)
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {error.strerror}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def _states_table(truth):
+    import pandas as pd
+
+    states = truth.states
+    n_scenes, n_times, n_entities = states.positions.shape[:3]
+    names = [entity.name for world in truth.worlds for entity in world.entities]
+    per_scene = np.array(names, dtype=object).reshape(n_scenes, 1, n_entities)
+    touched = np.zeros((n_scenes, n_times, n_entities), dtype=int)
+    touched[:, 1:] = states.touched
+    shape = (n_scenes, n_times, n_entities)
+    return pd.DataFrame(
+        {
+            "scene": np.repeat(np.array(truth.scenes, dtype=object), n_times * n_entities),
+            "t": np.broadcast_to(states.times[None, :, None], shape).ravel(),
+            "entity": np.broadcast_to(per_scene, shape).ravel(),
+            "x": states.positions[..., 0].ravel(),
+            "y": states.positions[..., 1].ravel(),
+            "vx": states.velocities[..., 0].ravel(),
+            "vy": states.velocities[..., 1].ravel(),
+            "touched": touched.ravel(),
+        }
+    )
