@@ -27,7 +27,8 @@ def one_step_errors(scenes, law, up=None):
         part = regression.batches[0]
         residual = part.target - regression.predict(part, law)
         residual = np.where(np.isfinite(residual), residual, np.inf)
-        size = np.linalg.norm(np.where(part.valid, residual * part.scale, np.nan), axis=-1)
+        scale = np.where(part.valid, part.scale, np.nan)
+        size = np.linalg.norm(residual * scale, axis=-1)
         n_entities = part.positions.shape[2]
         for s, scene in enumerate(batch.scenes):
             full = np.zeros((len(scene.times) - 2, n_entities))
