@@ -38,8 +38,9 @@ slow: $(VENV)/.ok  ## run the slower tests
 lint: $(VENV)/.dev  ## check the code with ruff
 	@$(BIN)/ruff check $(ARGS) .
 
-bench: $(VENV)/.dev  ## time the hot paths (experiments/bench/bench_*.py)
-	@$(BIN)/python -m pytest -o python_files='bench_*.py' --benchmark-only experiments/bench $(ARGS)
+bench: $(VENV)/.dev  ## time the searches, other tools beside them
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[peers]'
+	@$(BIN)/python experiments/bench/searches.py $(ARGS)
 
 clean:  ## remove .venv, build products and caches
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks

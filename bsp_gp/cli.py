@@ -238,6 +238,40 @@ def _make(args):
     print("\n".join(lines))
 
 
+def _compare(args):
+    files = ("results.csv", "certificate.txt")
+    out = _free_folder(args.out, args.overwrite, files) if args.out else None
+    laws = read_laws(args)
+    dataset = read_dataset(args)
+    import numpy as np
+    import pandas as pd
+
+    from bsp_gp.language.grammar import load_grammar
+    from bsp_gp.loop.comparison import compare_searches
+
+    grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
+    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+        progress("comparing searches")
+        rows, certificate = compare_searches(
+            dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
+            seeds=args.seeds, n_scored=args.laws, exclude=excluded_inputs(args, grammar, dataset),
+            searches=args.searches, executor=pool, missing_inputs=missing,
+        )  # fmt: skip
+    table = pd.DataFrame(rows)
+    for row in table.itertuples():
+        print(
+            f"{row.search:14s} seed {row.seed}: explains {row.share:7.3%}, regret "
+            f"{row.regret_nats:8.3g} nats, {row.n_evaluated:>9,} laws, {row.seconds:6.2f} s; "
+            f"held-out data left {row.left_test:.4g} m/s^2\n    {row.constants}: {row.law}"
+        )
+    print(f"Exhaustive: {certificate.text()}")
+    if out is not None:
+        texts = (table.to_csv(index=False), f"{certificate.text()}\n")
+        _write_folder(out, dict(zip(files, texts, strict=True)))
+        args.written.append(out)
+        print(f"Table: {out / files[0]}")
+
+
 def _grammar(args):
     from bsp_gp.language.grammar import load_grammar
 
@@ -330,6 +364,7 @@ _COMMANDS = {
     "fit": _fit,
     "simulate": _simulate,
     "make": _make,
+    "compare": _compare,
     "grammar": _grammar,
     "demo": _demo,
 }

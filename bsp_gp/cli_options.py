@@ -122,6 +122,7 @@ def build_parser():
     _add_fit(commands)
     _add_simulate(commands)
     _add_make(commands)
+    _add_compare(commands)
     _add_grammar(commands)
     _add_demo(commands)
     return parser
@@ -173,6 +174,49 @@ def _add_fit(commands):
         "folder for fit.json and fit.txt (with a law; default: print only), or of "
         "the report (default: NAME-report here)",
     )
+
+
+def _add_compare(commands):
+    parser = _add(
+        commands, "compare",
+        "search what a model leaves with every search, and compare them with the certified optimum",
+        _LAW_HELP,
+    )  # fmt: skip
+    _data(parser)
+    model = parser.add_mutually_exclusive_group()
+    model.add_argument(
+        "--declare", action="append", metavar="LAW",
+        help="a force that is there already; repeat for more (default: none)",
+    )  # fmt: skip
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    group = parser.add_argument_group("search")
+    group.add_argument(
+        "--grammar", default="physics", metavar="NAME",
+        help="what may be said: a name or a .toml file (default physics)",
+    )  # fmt: skip
+    group.add_argument(
+        "--kind", choices=("pair", "field"), help="forces of bodies on each other, or on each alone"
+    )
+    group.add_argument(
+        "--searches", nargs="+", metavar="NAME",
+        help="cross_entropy, genetic, random (default all); the exhaustive one always runs",
+    )  # fmt: skip
+    group.add_argument(
+        "--seeds", type=_integer(1, 1000), default=5, metavar="N", help="runs of each (default 5)"
+    )
+    group.add_argument(
+        "--laws", type=_integer(1, 10**9), default=20_000, metavar="N",
+        help="budget of a run, in scored laws (default 20000)",
+    )  # fmt: skip
+    group.add_argument(
+        "--exclude", action="extend", nargs="+", default=[], metavar="INPUT",
+        help="inputs that laws may not use, such as v_i (t is always one)",
+    )  # fmt: skip
+    group.add_argument("--allow-time", action="store_true", help="let laws use t")
+    _workers(parser)
+    _seed(parser)
+    parser.add_argument("--out", metavar="DIR", help="folder for results.csv and certificate.txt")
+    _common(parser)
 
 
 def _add_simulate(commands):

@@ -50,19 +50,24 @@ class Budget:
     seconds : float or None
         Not reproducible by itself: the result records its counts so that it can be replayed.
     n_steps : int or None
+    n_idle : int
+        Steps in a row without a law not seen before, after which the grammar counts as
+        exhausted.
     """
 
     n_scored: int | None = None
     seconds: float | None = None
     n_steps: int | None = None
+    n_idle: int = 100
 
     def __post_init__(self):
         if self.n_scored is None and self.seconds is None and self.n_steps is None:
             raise SettingsError("a budget needs n_scored, seconds or n_steps")
 
-    def is_spent(self, objective, started, steps):
+    def is_spent(self, objective, started, steps, idle=0):
         return (
-            (self.n_scored is not None and objective.n_scored >= self.n_scored)
+            idle >= self.n_idle
+            or (self.n_scored is not None and objective.n_scored >= self.n_scored)
             or (self.seconds is not None and time.perf_counter() - started >= self.seconds)
             or (self.n_steps is not None and steps >= self.n_steps)
         )
@@ -180,9 +185,11 @@ def _steps(strategy, objective, budget, entropy, callback, path):
         if state is None:
             state = strategy.init(objective, streams.next())
             checkpoint.save(state, 0, objective)
-        while not budget.is_spent(objective, started, steps):
+        while not budget.is_spent(objective, started, steps, checkpoint.idle):
+            known = objective.n_scored
             state = strategy.step(state, objective, streams.next())
             steps += 1
+            checkpoint.idle = checkpoint.idle + 1 if objective.n_scored == known else 0
             checkpoint.save(state, steps, objective)
             if callback is not None and callback(steps, objective):
                 break
@@ -242,6 +249,7 @@ class _Checkpoint:
         self.identity = identity
         self.due = 0.0
         self.steps = None
+        self.idle = 0
 
     def save(self, state, steps, objective, at_once=False):
         """Write the state; seldom enough to cost a twentieth of the time, unless `at_once`."""
@@ -253,7 +261,7 @@ class _Checkpoint:
             "steps": steps,
             "state": state,
             "seen": objective.history,
-            "counts": [objective.n_trees, objective.n_repeats],
+            "counts": [objective.n_trees, objective.n_repeats, self.idle],
         }
         temporary = self.path.with_name(self.path.name + ".part")
         try:
@@ -276,7 +284,7 @@ class _Checkpoint:
             content = json.loads(path.read_text(encoding="utf-8"))
             matches = content["search"] == self.identity
             steps, state, seen = int(content["steps"]), dict(content["state"]), content["seen"]
-            n_trees, n_repeats = map(int, content["counts"])
+            n_trees, n_repeats, idle = map(int, content["counts"])
         except OSError as error:
             raise OutputError(f"checkpoint {path} cannot be read: {error.strerror}") from None
         except (ValueError, KeyError, TypeError, RecursionError):
@@ -298,5 +306,5 @@ class _Checkpoint:
         for part in seen:
             objective.score(part)
         objective.n_trees, objective.n_repeats = n_trees, n_repeats
-        self.steps = steps
+        self.steps, self.idle = steps, idle
         return state, steps

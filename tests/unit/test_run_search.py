@@ -20,7 +20,7 @@ from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget, _run, run_search
-from tests.unit.test_banks_exhaustive import regression_of
+from tests.unit.test_banks_exhaustive import MIXED, derivations, grammar_of, regression_of
 from tests.unit.test_objective import newtonian_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -119,6 +119,26 @@ def test_the_budget_of_seconds():
 def test_a_budget_needs_a_bound():
     with pytest.raises(SettingsError, match="a budget needs n_scored, seconds or n_steps"):
         Budget()
+
+
+@pytest.mark.parametrize("cut", [None, 4])
+def test_an_exhausted_grammar_ends_the_search(cut, tmp_path):
+    """More laws than a grammar has can be asked for; the count of idle steps is resumed."""
+    grammar = grammar_of(MIXED)
+    path = None if cut is None else tmp_path / "run.json"
+    steps = []
+    first = [Budget(n_steps=cut, n_idle=7)] if cut else []
+    for budget in (*first, Budget(n_scored=10**6, n_idle=7)):
+        objective = Objective(world()[0], grammar, "pair")
+        result = run_search(
+            RandomSearch(population=3000, max_levels=4), objective, budget, checkpoint=path,
+            rng=np.random.default_rng(0), callback=lambda k, objective: steps.append(k),
+        )  # fmt: skip
+    everything = Objective(world()[0], grammar, "pair")
+    everything.score(list(derivations(grammar, "Force", 4)))
+    assert result.n_evaluated == everything.n_scored
+    assert len(steps) in range(7, 20)
+    assert steps == list(range(1, len(steps) + 1))
 
 
 def test_a_callback_stops():

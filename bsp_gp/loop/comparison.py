@@ -1,0 +1,128 @@
+"""Searches compared on a user's data: for what the declared model leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.errors import EvaluationError, SettingsError
+from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.close import declared_law
+from bsp_gp.loop.naming import fresh_name
+from bsp_gp.loop.preparing import observe
+from bsp_gp.physics.force import Term
+from bsp_gp.physics.metrics import residual_acceleration
+from bsp_gp.search.compare import STRATEGIES, compare
+from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.objective import Objective
+from bsp_gp.search.run import Budget
+
+__all__ = ["compare_searches"]
+
+
+def compare_searches(
+    dataset,
+    laws,
+    grammar,
+    *,
+    rng,
+    kind=None,
+    seeds=5,
+    n_scored=20_000,
+    exclude=(),
+    searches=None,
+    executor=None,
+    missing_inputs=(),
+):
+    """Search what a declared model leaves with every strategy, from several seeds.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    laws : sequence of str
+        The declared model; empty for no force at all.
+    grammar : Grammar
+        Masked to the data.
+    rng : numpy.random.Generator
+    kind : str, optional
+        "pair" or "field"; by default the grammar's first.
+    seeds : int
+        Runs of each strategy.
+    n_scored : int
+        Budget of a run, in scored laws.
+    exclude : collection of str
+        Inputs that laws may not use.
+    searches : sequence of str, optional
+        Names out of `bsp_gp.search.compare.STRATEGIES`; all by default. The exhaustive search
+        always runs, as the measure of the others.
+    executor : concurrent.futures.Executor, optional
+    missing_inputs : tuple of str
+        For the certificate.
+
+    Returns
+    -------
+    rows : list of dict
+        One per run: search, seed, law, constants, share of the residual explained, description
+        length, regret, n_evaluated, seconds, and the residual accelerations that are left on
+        training and held-out data, m/s^2.
+    certificate : Certificate
+    """
+    names = tuple(STRATEGIES) if searches is None else tuple(searches)
+    unknown = [name for name in names if name not in STRATEGIES]
+    if unknown:
+        raise SettingsError(f"search must be one of {', '.join(STRATEGIES)}, got {unknown[0]!r}")
+    kind = kind or next(iter(grammar.start))
+    law = declared_law(dataset, laws)
+    observation = observe(dataset, law, rng.spawn(1)[0])
+    regression = observation.train_regression
+    fit = fit_constants(regression, law)
+    objective = Objective(
+        regression,
+        grammar.without_inputs(exclude),
+        kind,
+        target=fit.residual,
+        nuisance=fit.jacobian,
+        criterion="mdl",
+    )
+    outcomes = compare(
+        objective,
+        Budget(n_scored=n_scored),
+        seeds=seeds,
+        rng=rng,
+        strategies={name: STRATEGIES[name] for name in names},
+        executor=executor,
+        missing_inputs=missing_inputs,
+    )
+    optimum = outcomes[0].cost
+    rows = [_row(outcome, optimum, fit.law, observation) for outcome in outcomes]
+    return rows, outcomes[0].certificate
+
+
+def _row(outcome, optimum, law, observation):
+    row = {
+        "search": outcome.search, "seed": outcome.seed, "law": "", "constants": "",
+        "share": 0.0, "description_nats": outcome.cost, "regret_nats": outcome.cost - optimum,
+        "n_evaluated": outcome.n_evaluated, "n_to_best": outcome.n_to_best,
+        "seconds": round(outcome.seconds, 3), "left_train": np.nan, "left_test": np.nan,
+    }  # fmt: skip
+    best = outcome.best
+    if best is None:
+        return row
+    names = {}
+    for name in best.formula.constants:
+        names[name] = fresh_name(law) if not names else f"{fresh_name(law)}_{len(names) + 1}"
+    term = Term(rename_constants(best.formula, names), best.kind)
+    whole = law.plus(term, {names[n]: v for n, v in best.constants.items()})
+    try:
+        whole = fit_constants(observation.train_regression, whole).law
+        left = [
+            residual_acceleration(regression, whole)
+            for regression in (observation.train_regression, observation.test_regression)
+        ]
+    except EvaluationError:
+        left = [np.nan, np.inf]  # no finite value on held-out data
+    constants = "; ".join(f"{name} = {value:.6g}" for name, value in best.constants.items())
+    return row | {
+        "law": to_text(best.formula), "constants": constants, "share": best.share,
+        "left_train": left[0], "left_test": left[1],
+    }  # fmt: skip

@@ -1,0 +1,107 @@
+"""Searches side by side: regret against the certified optimum, the same rows on any executor."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bsp_gp.cli import main
+from bsp_gp.cli_inputs import masked_grammar
+from bsp_gp.data.tables import save_dataset
+from bsp_gp.errors import SettingsError
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.comparison import compare_searches
+from bsp_gp.search.compare import certified, compare, run_one
+from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
+from bsp_gp.search.objective import Objective
+from bsp_gp.search.run import Budget
+from tests.planted import orbit_dataset
+from tests.unit.test_banks_exhaustive import MIXED, grammar_of, regression_of
+
+SMALL = {"cross_entropy": CrossEntropy(population=100, elite=10), "random": RandomSearch(100)}
+
+
+def outcomes(executor=None):
+    objective = Objective(regression_of(), grammar_of(MIXED), "pair", criterion="mdl")
+    return compare(
+        objective, Budget(n_steps=4), seeds=2, rng=np.random.default_rng(0), strategies=SMALL,
+        executor=executor,
+    )  # fmt: skip
+
+
+def test_the_optimum_is_the_measure_of_the_others():
+    found = outcomes()
+    assert [o.search for o in found] == ["exhaustive", *["cross_entropy"] * 2, *["random"] * 2]
+    assert [o.seed for o in found] == [0, 0, 1, 0, 1]
+    # The little grammar has no laws beyond eight levels that are not equal to shallower ones.
+    assert all(o.cost >= found[0].cost - 1e-9 for o in found)
+    assert any(o.cost == pytest.approx(found[0].cost) for o in found[1:])
+    for outcome in found:
+        assert 0 < outcome.n_to_best <= outcome.n_evaluated <= outcome.n_trees
+        assert 0 <= outcome.seconds_to_best <= outcome.seconds
+    assert found[0].certificate is not None
+
+
+def test_rows_are_the_same_on_an_executor():
+    with ThreadPoolExecutor(2) as pool:
+        there = outcomes(pool)
+    for one, other in zip(outcomes(), there, strict=True):
+        assert (one.search, one.seed, one.cost, one.n_evaluated, one.n_to_best) == (
+            other.search, other.seed, other.cost, other.n_evaluated, other.n_to_best,
+        )  # fmt: skip
+
+
+def test_a_run_ends_when_it_is_told():
+    objective = Objective(regression_of(), grammar_of(MIXED), "pair")
+    optimum = certified(objective)
+    outcome = run_one(
+        objective, "random", RandomSearch(50), 0, Budget(n_steps=400),
+        rng=np.random.default_rng(1), is_done=lambda tree, score: score.cost < optimum.cost + 5,
+    )  # fmt: skip
+    assert outcome.n_trees < 400 * 50
+    assert outcome.cost < optimum.cost + 5
+    assert objective.n_trees == 0  # runs have objectives of their own
+
+
+def test_a_model_on_a_users_data():
+    """Drag is missing from orbits: the learners and the certified search find the same law."""
+    dataset = orbit_dataset(0, n_train=2, n_test=2, drag=0.05, sigma=1e-3)
+    grammar, missing = masked_grammar(load_grammar("physics"), dataset)
+    rows, certificate = compare_searches(
+        dataset, ["1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"],
+        grammar, rng=np.random.default_rng(0), kind="field", seeds=2, n_scored=150,
+        searches=("cross_entropy",), exclude=("t",), missing_inputs=missing,
+    )  # fmt: skip
+    assert [row["search"] for row in rows] == ["exhaustive", "cross_entropy", "cross_entropy"]
+    assert rows[0]["regret_nats"] == 0
+    assert "not sayable" in certificate.text()
+    for row in rows:
+        assert "v_i" in row["law"]
+        assert row["share"] > 0.5
+        assert row["left_test"] > 0
+
+
+def test_unknown_searches_are_refused():
+    with pytest.raises(SettingsError, match="must be one of cross_entropy, genetic, random"):
+        compare_searches(
+            None, [], None, rng=np.random.default_rng(0), searches=("annealing",)
+        )  # fmt: skip
+
+
+def test_the_command(tmp_path, capsys):
+    save_dataset(orbit_dataset(1, n_train=2, n_test=2, drag=0.05, sigma=1e-3), tmp_path / "orbits")
+    words = [
+        "compare", str(tmp_path / "orbits"), "--kind", "field", "--seeds", "1", "--laws", "100",
+        "--declare", "1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)",
+        "--out", str(tmp_path / "out"), "--quiet",
+    ]  # fmt: skip
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "out" / "results.csv")
+    assert list(table["search"]) == ["exhaustive", "cross_entropy", "genetic", "random"]
+    assert printed.count("regret") == 4
+    assert "all scored with their best constants" in printed
+    assert (tmp_path / "out" / "certificate.txt").read_text().startswith("grammar physics")
+    assert main(words) == 2
+    assert "exists" in capsys.readouterr().err
