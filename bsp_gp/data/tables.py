@@ -255,6 +255,8 @@ def _latents(declaration, conversion, rows, roster):
         changes = {
             "low": latent.low * scale,
             "high": latent.high * scale,
+            "mean": latent.mean * scale,
+            "sd": latent.sd * scale,
             "values": tuple(value * scale for value in latent.values),
             "entities": entities,
         }

@@ -238,7 +238,15 @@ def checked(values, batch):
 
 
 def build_regression(
-    scenes, *, method="one_step", sigma=None, up=None, velocity="ignore", sources=True, states=None
+    scenes,
+    *,
+    method="one_step",
+    sigma=None,
+    up=None,
+    velocity="ignore",
+    sources=True,
+    states=None,
+    unsure=None,
 ):
     """Read accelerations off measured tracks.
 
@@ -260,6 +268,9 @@ def build_regression(
         Scene name -> positions and velocities (T, R, d) of the receivers at which laws are
         evaluated in the place of the measured ones (``gls``); the accelerations to be explained
         stay those of the measured positions.
+    unsure : float, optional
+        Rows whose contact or region condition would flip if a body moved by less than this,
+        metres, are left out: with position noise they are as likely wrong as right.
 
     Raises
     ------
@@ -277,7 +288,7 @@ def build_regression(
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"
     batches = [
-        _regression_batch(batch, method, sigma, sources, states or {})
+        _regression_batch(batch, method, sigma, sources, states or {}, unsure)
         for batch in stack(scenes, up, measured)
     ]
     regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
@@ -289,7 +300,7 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources, given):
+def _regression_batch(batch, method, sigma, sources, given, unsure):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
@@ -302,6 +313,8 @@ def _regression_batch(batch, method, sigma, sources, given):
     if sources:
         own &= (np.isfinite(positions) & np.isfinite(velocities)).all(axis=(-1, -2))[..., None]
     valid &= own[..., None]
+    if unsure:
+        valid &= ~_is_unsure(bodies, positions, unsure)[..., None]
     target = np.where(valid, target, 0.0)
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
@@ -311,6 +324,15 @@ def _regression_batch(batch, method, sigma, sources, given):
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
     )
+
+
+def _is_unsure(bodies, positions, distance):
+    """Whether a condition of a receiver and any source is about to flip, (n, S, R)."""
+    here, there = bodies.receivers, bodies.others
+    margin = bodies.shapes[:, here, None].contact_margin(
+        positions[:, :, here, None], bodies.shapes[:, there], positions[:, :, there]
+    )
+    return (margin < distance).any(axis=-1)
 
 
 def _replaced(state, batch, given):
