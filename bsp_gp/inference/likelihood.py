@@ -1,0 +1,111 @@
+"""How a law is compared with the data when properties are unknown: a choice of likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.errors import SettingsError
+from bsp_gp.inference.horizon import HorizonMisfit
+from bsp_gp.inference.misfit import MotionBank, misfit_of
+from bsp_gp.physics.likelihood import build_regression
+
+__all__ = ["KINDS", "Likelihood"]
+
+KINDS = ("one_step", "gls", "ahead")
+UNSURE = 4.0
+"""Rows whose contact flag lies within so many sigma of flipping are left out of noisy data."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Settings of a likelihood.
+
+    Attributes
+    ----------
+    kind : str
+        "one_step": the paper's one symplectic Euler step, independent Gaussian errors; exact for
+        errors that enter the motion, and for exact data. "gls": the same second differences with
+        the covariance that position noise gives to them. "ahead": the paper's code, `n_ahead`
+        steps from every instant (`bsp_gp.inference.horizon`).
+    sigma : float
+        Standard deviation of a position, metres; for "ahead" the protocol's noise level.
+    n_ahead : int
+    velocities : str
+        "backward" differences (motion made in Euler steps, contacts) or "central" ones (smooth
+        motion), at which "gls" evaluates laws.
+    drops_unsure : bool
+        Whether rows are left out whose contact flag lies within 4 sigma of flipping; for data
+        with noise.
+    up : str, optional
+        Declared vertical axis.
+    sources : bool
+        Whether laws may name other bodies.
+    """
+
+    kind: str = "one_step"
+    sigma: float = 1.0
+    n_ahead: int = 5
+    velocities: str = "backward"
+    drops_unsure: bool = False
+    up: str | None = None
+    sources: bool = True
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise SettingsError(f"likelihood must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        if not np.all(np.asarray(self.sigma) > 0):
+            raise SettingsError(f"sigma must be positive, got {self.sigma!r}")
+        if self.velocities not in ("backward", "central"):
+            raise SettingsError(
+                f"velocities must be backward or central, got {self.velocities!r}"
+            )
+
+    @property
+    def for_search(self):
+        """The likelihood of the M-step: one step, independent errors, as searches score laws."""
+        sigma = np.sqrt(self.sigma / 2) if self.kind == "ahead" else self.sigma
+        if self.kind == "gls":  # a second difference of white noise has the variance 6 sigma^2
+            sigma = np.sqrt(6.0) * np.asarray(sigma)
+        return replace(self, kind="one_step", sigma=sigma)
+
+    def regression(self, scenes):
+        """The regression behind "one_step" and "gls"."""
+        unsure = UNSURE * float(np.nanmax(self.sigma)) if self.drops_unsure else None
+        states = None
+        if self.kind == "gls" and self.velocities == "backward":
+            states = {scene.name: _backward(scene) for scene in scenes}
+        return build_regression(
+            scenes, method="gls" if self.kind == "gls" else "one_step", sigma=self.sigma,
+            up=self.up, states=states, unsure=unsure, sources=self.sources,
+        )  # fmt: skip
+
+    def bank(self, scenes):
+        """Motion parts of laws on these scenes, to share between laws; None for "ahead"."""
+        return None if self.kind == "ahead" else MotionBank(self.regression(scenes))
+
+    def misfit(self, law, latents, scenes, bank=None):
+        """The misfit of a law on scenes.
+
+        Raises
+        ------
+        EvaluationError
+            If the law has no finite value on the data.
+        """
+        if self.kind == "ahead":
+            return HorizonMisfit(
+                law, latents, scenes, n_ahead=self.n_ahead, level=float(self.sigma), up=self.up
+            )
+        if bank is None:
+            return misfit_of(law, latents, self.regression(scenes))
+        return misfit_of(law, latents, bank.regression, bank)
+
+
+def _backward(scene):
+    """Places and backward velocities of the receivers, as `build_regression` takes states."""
+    moving = scene.dynamic
+    p = scene.positions[:, moving]
+    v = np.full_like(p, np.nan)
+    v[1:] = np.diff(p, axis=0) / np.diff(scene.times)[:, None, None]
+    return p, v
