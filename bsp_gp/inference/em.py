@@ -50,8 +50,8 @@ class EmSettings:
         False is the ablation "EM alone": the best law of the M-step is taken as it is.
     e_step : EStep
         Between iterations.
-    final : EStep
-        After the last.
+    final : EStep or None
+        After the last; None keeps the posterior of the best start's last iteration.
     refine : bool
         Whether constants and latents of the found law are sampled together at the end.
     tolerance : float
@@ -66,7 +66,7 @@ class EmSettings:
     beta: float = 1e-6
     use_beam: bool = True
     e_step: EStep = field(default_factory=lambda: EStep(n_eff=200, max_steps=1500))
-    final: EStep = field(default_factory=lambda: EStep(n_eff=1000))
+    final: EStep | None = field(default_factory=lambda: EStep(n_eff=1000))
     refine: bool = True
     tolerance: float = 0.1
 
@@ -247,11 +247,7 @@ class _Em:
             if self._is_settled(bests):
                 break
         best = min(bests, key=lambda c: c.cost)
-        self.progress("posterior under the found law")
-        posterior = infer(
-            best.law, self.scenes, self.latents, self.e_likelihood, rng=final_rng,
-            settings=self.settings.final,
-        )  # fmt: skip
+        posterior = self._final(best, final_rng)
         notes = list(posterior.notes)
         joint = self._joint(best, joint_rng, notes)
         ranked = self.beam.ranked() if self.settings.use_beam else sorted(
@@ -262,6 +258,17 @@ class _Em:
             time.perf_counter() - started, tuple(dict.fromkeys(notes)),
         )  # fmt: skip
 
+    def _final(self, best, rng):
+        mine = [step for step in self.trace if step.law is best.law]
+        if self.settings.final is None and mine:
+            return mine[-1].posterior
+        self.progress("posterior under the found law")
+        return infer(
+            best.law, self.scenes, self.latents, self.e_likelihood, rng=rng,
+            settings=self.settings.final,
+            previous=mine[-1].posterior if mine else None,
+        )  # fmt: skip
+
     def _joint(self, best, rng, notes):
         if not self.settings.refine or self.latents.is_discrete.any():
             return None
@@ -270,7 +277,7 @@ class _Em:
             joint = refine(
                 best.profile, self.scenes, self.latents, self.likelihood, rng=rng,
                 settings=self.settings.final,
-            )  # fmt: skip
+            )  # fmt: skip  (None: the defaults)
         except FitError as error:
             notes.append(str(error))
             return None
