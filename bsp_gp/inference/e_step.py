@@ -39,7 +39,7 @@ class EStep:
     method : str
         "auto" (emcee for continuous latents, enumeration for discrete ones, both mixed),
         "emcee", "importance" (from the prior, as in the paper), "laplace" or "tempered"
-        (importance with these proposals), "enumeration".
+        (importance with these proposals; emcee where their weights collapse), "enumeration".
     n_eff : float
         Effective sample size to stop at (emcee).
     max_steps : int
@@ -161,7 +161,9 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
             misfit.log_likelihood, latents, rng=rng, n_draws=settings.n_draws, proposal=method,
             mode=mean, covariance=covariance,
         )  # fmt: skip
-        return posterior, profile
+        if posterior.converged:
+            return posterior, profile
+        # Collapsed weights are no posterior: the ensemble needs no good proposal.
     start = places if warm is None or warm.shape[1] != len(latents) else warm
     return _ensemble(misfit, latents, start, settings, rng), profile
 

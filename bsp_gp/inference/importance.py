@@ -92,7 +92,8 @@ def _weighted(latents, values, log_weight, log_joint, proposal):
             f"worth {n_eff:.1f}"
             + ("; use the proposal 'laplace' or 'tempered', or emcee" if proposal == "prior" else "")
         )
-        logger.warning("%s", notes[-1])
+        level = logging.WARNING if proposal == "prior" else logging.INFO
+        logger.log(level, "%s", notes[-1])
     return Posterior(
         latents.names, values, weights, log_joint, f"importance ({proposal})",
         np.full(len(latents), n_eff), np.full(len(latents), np.nan),

@@ -25,7 +25,7 @@ class Latent:
     Attributes
     ----------
     name : str
-        ``mass[scene/entity]``, ``mass[entity]`` if one body is in several scenes, ``mass`` if
+        ``mass[scene:entity]``, ``mass[entity]`` if one body is in several scenes, ``mass`` if
         all share it.
     column : str
         The property.
@@ -390,4 +390,4 @@ def _label(column, share, key, names):
     if share != "entity":
         return f"{column}[{share}={key:g}]"
     scene, entity = names[0]
-    return f"{column}[{scene}/{entity}]" if len(names) == 1 else f"{column}[{entity}]"
+    return f"{column}[{scene}:{entity}]" if len(names) == 1 else f"{column}[{entity}]"

@@ -182,10 +182,11 @@ class Posterior:
             raise MissingDependencyError(
                 "ArviZ export needs arviz-base: pip install 'bsp_gp[bayes]'"
             ) from error
+        names = [name.replace("/", "|") for name in self.names]  # "/" is a path to xarray
         if self.chain is not None:
-            posterior = {n: self.chain[:, :, k].T for k, n in enumerate(self.names)}
+            posterior = {n: self.chain[:, :, k].T for k, n in enumerate(names)}
             return from_dict({"posterior": posterior})
-        posterior = {n: self.draws[None, :, k] for k, n in enumerate(self.names)}
+        posterior = {n: self.draws[None, :, k] for k, n in enumerate(names)}
         stats = {"lp": self.log_prob[None], "weight": self.weights[None]}
         return from_dict({"posterior": posterior, "sample_stats": stats})
 
