@@ -174,6 +174,9 @@ def _run_loop(args, progress):
 
 
 def _fit(args):
+    if args.latent:
+        _with_latents(args, "run_learn", "LEARN_FILES", "Law and posterior")
+        return
     if not args.declare and not args.model:
         _close(args)
         return
@@ -197,6 +200,29 @@ def _fit(args):
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
+def _infer(args):
+    _with_latents(args, "run_infer", "INFER_FILES", "Posterior")
+
+
+def _with_latents(args, command, names, what):
+    from bsp_gp import cli_latents
+
+    names = getattr(cli_latents, names)
+    out = _free_folder(args.out, args.overwrite, names) if args.out else None
+    laws = read_laws(args)
+    dataset = read_dataset(args)
+    import json
+
+    with _Progress(args.quiet) as progress:
+        text, data, files = getattr(cli_latents, command)(args, dataset, laws, progress)
+    if out is not None:
+        _write_folder(out, files)
+        args.written.append(out)
+    print(json.dumps(data, indent=1, ensure_ascii=False) if args.json else text)
+    if out is not None:
+        print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
 
 
 def _simulate(args):
@@ -311,6 +337,7 @@ def _finish(args, out):
 _COMMANDS = {
     "close": _close,
     "fit": _fit,
+    "infer": _infer,
     "simulate": _simulate,
     "grammar": _grammar,
     "demo": _demo,
@@ -380,15 +407,16 @@ def _free_folder(folder, overwrite, names):
 
 
 def _write_folder(folder, files):
-    """Write texts as the files of a folder, whole or not at all."""
+    """Write texts or bytes as the files of a folder, whole or not at all."""
     import shutil
     import tempfile
     from pathlib import Path
 
     fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        for name, text in files.items():
-            (fresh / name).write_text(text, encoding="utf-8")
+        for name, content in files.items():
+            content = content.encode("utf-8") if isinstance(content, str) else content
+            (fresh / name).write_bytes(content)
         fresh.chmod(0o755)
         if folder.exists():
             old = fresh.with_name(f"{fresh.name}-old")

@@ -29,6 +29,7 @@ ROOMS = (
     "demo",
     "cli_options",
     "cli_inputs",
+    "cli_latents",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it.

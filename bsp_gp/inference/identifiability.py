@@ -159,7 +159,8 @@ def _direction(names, powers, information, members, k):
     )
     return FreeDirection(
         names, powers, information,
-        f"{strength} a common factor: multiplying {together} changes nothing that was measured",
+        f"{strength} a common factor: multiplying {together} changes "
+        f"{'nothing' if information < FREE else 'little'} that was measured",
         remedy,
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ class Likelihood:
     def __post_init__(self):
         if self.kind not in KINDS:
             raise SettingsError(f"likelihood must be one of {', '.join(KINDS)}, got {self.kind!r}")
-        if not np.all(np.asarray(self.sigma) > 0):
+        if np.any(np.asarray(self.sigma) <= 0):
             raise SettingsError(f"sigma must be positive, got {self.sigma!r}")
         if self.velocities not in ("backward", "central"):
             raise SettingsError(
