@@ -144,6 +144,10 @@ def _run_loop(args, progress):
     grammar = load_grammar(args.grammar)
     declared = read_laws(args)
     dataset = read_dataset(args)
+    if args.latent or args.prior or dataset.latents:
+        from bsp_gp.cli_latents import with_declared_latents
+
+        dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "n_null": max(299, round(1 / args.alpha)),
@@ -154,7 +158,7 @@ def _run_loop(args, progress):
 
     from bsp_gp.loop.close import close_loop, declared_law
 
-    law = declared_law(dataset, declared)
+    law = declared if dataset.latents else declared_law(dataset, declared)
     with _pool(args.workers) as pool:
         report = close_loop(
             dataset,

@@ -8,7 +8,14 @@ from pathlib import Path
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["INFER_FILES", "LEARN_FILES", "read_priors", "run_infer", "run_learn"]
+__all__ = [
+    "INFER_FILES",
+    "LEARN_FILES",
+    "read_priors",
+    "run_infer",
+    "run_learn",
+    "with_declared_latents",
+]
 
 INFER_FILES = ("infer.json", "infer.txt", "posterior.csv", "draws.csv", "trace.png", "corner.png",
                "rollout.png")  # fmt: skip
@@ -40,9 +47,7 @@ def read_priors(pairs, dataset):
         kind, *rest = text.split(":")
         try:
             if kind == "values":
-                out[name] = Prior(
-                    "discrete", values=[float(v) * scale for v in rest[0].split(",")]
-                )
+                out[name] = Prior("discrete", values=[float(v) * scale for v in rest[0].split(",")])
                 continue
             numbers = [float(v) * scale for v in rest]
             if kind in ("normal", "truncated-normal"):
@@ -61,13 +66,39 @@ def read_priors(pairs, dataset):
     return out
 
 
+def with_declared_latents(args, dataset):
+    """The data set with the unknowns of the options in the place of, or beside, its own."""
+    from dataclasses import replace
+
+    from bsp_gp.data.scene import LatentDeclaration
+
+    declared = {d.name: d for d in dataset.latents}
+    priors = read_priors(args.prior, dataset)
+    for name, prior in priors.items():
+        old = declared.get(name, LatentDeclaration(name))
+        ends = {} if prior.is_discrete else {"low": prior.low, "high": prior.high}
+        declared[name] = replace(
+            old, prior=prior.kind, values=prior.values, mean=prior.mean, sd=prior.sd, **ends
+        )
+    for option, key in (("entities", "entities"), ("share", "share")):
+        for name, text in getattr(args, option) or ():
+            value = tuple(text.split(",")) if key == "entities" else text
+            declared[name] = replace(declared.get(name, LatentDeclaration(name)), **{key: value})
+    chosen = args.latent or list(declared)
+    missing = [name for name in chosen if name not in declared]
+    if missing:
+        raise SettingsError(
+            f"--latent {missing[0]}: it has no prior; give --prior {missing[0]}=uniform:LOW:HIGH "
+            f"or [latent.{missing[0]}] in dataset.toml"
+        )
+    return replace(dataset, latents=tuple(declared[name] for name in chosen))
+
+
 def _problem(args, dataset, rng, **settings):
     from bsp_gp.inference.problem import latent_problem
 
-    entities = {name: tuple(text.split(",")) for name, text in args.entities or ()}
     return latent_problem(
-        dataset, args.latent, rng=rng, priors=read_priors(args.prior, dataset), entities=entities,
-        share=dict(args.share or ()), kind=args.likelihood.replace("-", "_"),
+        with_declared_latents(args, dataset), rng=rng, kind=args.likelihood.replace("-", "_"),
         noise=dataset.noise if args.noise is not None else None, **settings,
     )  # fmt: skip
 
@@ -192,9 +223,7 @@ def run_learn(args, dataset, laws, progress):
         )  # fmt: skip
         draws = held.draw(100, rng=draw_rng)
         for label, law in (("found", em.law), ("zero force", ForceLaw())):
-            errors = posterior_nrmse(
-                law, problem.test, problem.test_latents, draws, up=dataset.up
-            )
+            errors = posterior_nrmse(law, problem.test, problem.test_latents, draws, up=dataset.up)
             scores[label] = float(errors.mean())
     members = em.equivalents()
     notes = [*problem.notes, *em.notes]

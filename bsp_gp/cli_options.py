@@ -140,6 +140,7 @@ def _add_close(commands):
     )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     _loop(parser)
+    _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
 
 
@@ -358,14 +359,14 @@ def _loop(parser):
     _seed(parser)
 
 
-def _latents(parser):
+def _unknowns(parser):
     group = parser.add_argument_group("unknown properties")
     group.add_argument(
         "--latent",
         action="extend",
         nargs="+",
         metavar="PROPERTY",
-        help="properties that are unknown, such as mass (infer: default those of [latent.*])",
+        help="properties that are unknown, such as mass (default: those of [latent.*])",
     )
     group.add_argument(
         "--prior",
@@ -392,6 +393,11 @@ def _latents(parser):
         metavar="PROPERTY=HOW",
         help="entity (default), all, or a column of entities.csv",
     )
+
+
+def _latents(parser):
+    _unknowns(parser)
+    group = parser.add_argument_group("inference")
     group.add_argument(
         "--likelihood",
         choices=("auto", "one-step", "gls", "ahead"),

@@ -119,9 +119,7 @@ def write_summary(table, folder):
         band = simultaneous_band(len(ranks), 0.99)
         ordered = np.sort(ranks)
         n = len(ordered)
-        worst = max(
-            (np.arange(1, n + 1) / n - ordered).max(), (ordered - np.arange(n) / n).max()
-        )
+        worst = max((np.arange(1, n + 1) / n - ordered).max(), (ordered - np.arange(n) / n).max())
         covers = []
         for level in LEVELS:
             share, error = coverage(part[f"inside_{level * 100:.0f}"], part["index"])

@@ -168,9 +168,11 @@ def write_summary(table, folder):
             "vs clean", "paper", "zero force", "s")  # fmt: skip
     lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for (name, method, n_train, noise), part in table.groupby(KEY[:4], sort=False):
+
         def stat(column, part=part):
             known = part[column].notna().any() if column in part else False
             return quartiles(part[column]) if known else ""
+
         paper, zero = PAPER[name]
         lines.append("| " + " | ".join([
             name, method, str(n_train), f"{noise:g}", str(len(part)),

@@ -20,10 +20,10 @@ from bsp_gp.inference.enumeration import (
     enumerate_posterior,
     n_combinations,
 )
+from bsp_gp.inference.findings import findings
 from bsp_gp.inference.importance import sample_importance
 from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import fit_profile
-from bsp_gp.inference.findings import findings
 
 __all__ = ["EStep", "METHODS", "infer", "refine", "start_places"]
 

@@ -275,7 +275,11 @@ class _Em:
         self.progress("constants and latents together")
         try:
             joint = refine(
-                best.profile, self.scenes, self.latents, self.likelihood, rng=rng,
+                best.profile,
+                self.scenes,
+                self.latents,
+                self.likelihood,
+                rng=rng,
                 settings=self.settings.final,
             )  # fmt: skip  (None: the defaults)
         except FitError as error:
@@ -328,9 +332,7 @@ class _Em:
     def _m(self, posterior, draw_rng, m_rng, beam_rng):
         """Best contender of one M-step."""
         draws, weights = posterior.thinned(self.settings.n_draws, rng=draw_rng)
-        regression = averaged_regression(
-            self.scenes, self.latents, draws, weights, self.likelihood
-        )
+        regression = averaged_regression(self.scenes, self.latents, draws, weights, self.likelihood)
         candidates, scored = self.m_step.candidates(
             regression, self.grammar, self.kinds, self.base, m_rng
         )
@@ -359,7 +361,14 @@ class _Em:
     def _note(self, start, iteration, law, text, loss, expected, scored, posterior, began):
         self.trace.append(
             EmIteration(
-                start, iteration, law, text, float(loss), float(expected), int(scored),
-                posterior, time.perf_counter() - began,
+                start,
+                iteration,
+                law,
+                text,
+                float(loss),
+                float(expected),
+                int(scored),
+                posterior,
+                time.perf_counter() - began,
             )  # fmt: skip
         )

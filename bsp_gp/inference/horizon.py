@@ -63,9 +63,7 @@ class HorizonMisfit(_Misfit):
         """Weighted errors (W, m); half their sum of squares is minus the log-likelihood."""
         values = np.atleast_2d(np.asarray(values, dtype=float))
         constants = self._constants(constants, len(values))
-        size = sum(
-            n * b.positions[0].size * b.bodies.others.shape[1] for b, _, n in self.groups
-        )
+        size = sum(n * b.positions[0].size * b.bodies.others.shape[1] for b, _, n in self.groups)
         step = max(1, CHUNK_NUMBERS // size)
         parts = [
             self._chunk(values[k : k + step], constants[k : k + step])
@@ -154,7 +152,7 @@ class HorizonMisfit(_Misfit):
                     motion = np.broadcast_to(motion, shape)[:, :, :, None]
                 if first:
                     motion = np.tile(motion, (1, n_draws, *(1,) * (motion.ndim - 2)))
-                for j in range(weight.shape[-1]):  # few sources: faster than a sum over a short axis
+                for j in range(weight.shape[-1]):  # faster than a sum over a short axis
                     total = total + motion[:, :, :, j] * weight[:, :, j, None]
             return total
 

@@ -96,7 +96,9 @@ def identifiability(profile, latents, posterior=None):
     Identifiability
     """
     k = len(latents)
-    constants = tuple(n for n in profile.law.names if not hasattr(profile.law.constants[n], "items"))
+    constants = tuple(
+        n for n in profile.law.names if not hasattr(profile.law.constants[n], "items")
+    )
     constants = constants[: len(profile.constants)]
     names = (*latents.names, *constants)
     directions = _directions(profile, latents, names, k)
@@ -139,9 +141,7 @@ def _directions(profile, latents, names, k):
 
 
 def _direction(names, powers, information, members, k):
-    strength = (
-        "the data do not determine" if information < FREE else "the data hardly determine"
-    )
+    strength = "the data do not determine" if information < FREE else "the data hardly determine"
     if len(names) == 1:
         return FreeDirection(
             names, powers, information, f"{strength} {names[0]}",

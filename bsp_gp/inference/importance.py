@@ -90,7 +90,11 @@ def _weighted(latents, values, log_weight, log_joint, proposal):
         notes.append(
             f"the weights have collapsed: {len(values)} draws from the {proposal} proposal are "
             f"worth {n_eff:.1f}"
-            + ("; use the proposal 'laplace' or 'tempered', or emcee" if proposal == "prior" else "")
+            + (
+                "; use the proposal 'laplace' or 'tempered', or emcee"
+                if proposal == "prior"
+                else ""
+            )
         )
         level = logging.WARNING if proposal == "prior" else logging.INFO
         logger.log(level, "%s", notes[-1])
@@ -118,9 +122,7 @@ def _fitted(log_likelihood, latents, n_draws, mode, covariance, rng):
         values = latents.from_coordinate(places)
     log_prior = latents.log_prior(values) + latents.log_jacobian(places)
     log_t = _log_t(places - mode, factor)
-    log_q = np.logaddexp(
-        math.log(1 - DEFENSIVE) + log_t, math.log(DEFENSIVE) + log_prior
-    )
+    log_q = np.logaddexp(math.log(1 - DEFENSIVE) + log_t, math.log(DEFENSIVE) + log_prior)
     inside = np.isfinite(log_prior)
     log_like = np.full(len(values), -np.inf)
     if inside.any():
@@ -168,7 +170,6 @@ def _temper(log_likelihood, latents, n_draws, rng):
 
 def _next_power(log_like, base):
     """Largest exponent of the likelihood that keeps `KEPT_SHARE` of the draws effective."""
-
     known = np.where(np.isfinite(log_like), log_like, 0.0)
     base = np.where(np.isfinite(log_like), base, -np.inf)
 

@@ -160,7 +160,7 @@ class Latents:
         return out
 
     def log_jacobian(self, coordinates):
-        """log |d value / d coordinate|, shape (...): density of coordinates = prior times this."""
+        """Log |d value / d coordinate|, shape (...): density of coordinates = prior times this."""
         total = np.zeros(np.shape(coordinates)[:-1])
         for k, item in enumerate(self.items):
             if item.prior.is_logarithmic:

@@ -58,9 +58,7 @@ class Likelihood:
         if np.any(np.asarray(self.sigma) <= 0):
             raise SettingsError(f"sigma must be positive, got {self.sigma!r}")
         if self.velocities not in ("backward", "central"):
-            raise SettingsError(
-                f"velocities must be backward or central, got {self.velocities!r}"
-            )
+            raise SettingsError(f"velocities must be backward or central, got {self.velocities!r}")
 
     @property
     def for_search(self):

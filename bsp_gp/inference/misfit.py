@@ -71,9 +71,7 @@ class MotionBank:
         key = (kind, motion, index)
         if key not in self._fields:
             batch = self.regression.batches[index]
-            lookup = law_inputs(
-                kind, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
+            lookup = law_inputs(kind, batch.bodies, batch.positions, batch.velocities, batch.times)
             n, s, r, d = batch.target.shape
             sources = batch.bodies.others.shape[1] if kind == "pair" else 1
             value = evaluate(motion, lookup)
@@ -176,9 +174,7 @@ class DirectMisfit(_Misfit):
             self.tables.append(PropertyTable(batch.bodies, batch.scene_names, latents))
             row_scene.append(np.repeat(np.arange(s) + len(names), n * r * d))
             names += batch.scene_names
-        super().__init__(
-            law, latents, names, np.concatenate(row_scene), np.zeros(len(names))
-        )
+        super().__init__(law, latents, names, np.concatenate(row_scene), np.zeros(len(names)))
         self.n_rows = regression.n_rows
 
     def residual(self, values, constants=None):

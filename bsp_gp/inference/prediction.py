@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.inference.misfit import DirectMisfit, constant_values, repeated
 from bsp_gp.inference.latents import PropertyTable
+from bsp_gp.inference.misfit import DirectMisfit, constant_values, repeated
 from bsp_gp.physics.bodies import Batch, stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
@@ -118,9 +118,7 @@ def predictive_bands(
     bodies = repeated(batch.bodies, n_draws, table.columns(values))
     names = tuple(n for n in law.names if n in column and not hasattr(law.constants[n], "items"))
     constants = np.stack([draws[:, column[n]] for n in names], axis=1) if names else None
-    given = constant_values(
-        law, names, constants if names else np.zeros((n_draws, 0)), bodies
-    )
+    given = constant_values(law, names, constants if names else np.zeros((n_draws, 0)), bodies)
     many = Batch(
         (scene,) * n_draws, bodies, *(np.repeat(a, n_draws, axis=1) for a in
                                       (batch.times, batch.positions)), None

@@ -9,7 +9,7 @@ import numpy as np
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError
-from bsp_gp.inference.latents import Latents, declared_latents, latents_of
+from bsp_gp.inference.latents import Latents, declared_latents
 from bsp_gp.inference.likelihood import Likelihood
 
 __all__ = ["LatentProblem", "latent_problem", "stand_ins"]
@@ -46,30 +46,23 @@ class LatentProblem:
     notes: tuple[str, ...] = ()
 
 
-def latent_problem(
-    dataset, columns=None, *, rng, priors=None, entities=None, share=None, kind="auto", noise=None,
-    everything=False, test=True,
-):  # fmt: skip
+def latent_problem(dataset, *, rng, kind="auto", noise=None, everything=False, test=True):
     """Make a data set ready for inference.
 
     Parameters
     ----------
     dataset : Dataset
-    columns : sequence of str, optional
-        Properties that are unknown; by default those that ``[latent.*]`` declares.
+        With latents declared.
     rng : numpy.random.Generator
         For a split that is not declared.
-    priors : mapping of str to Prior, optional
-        In place of, or beside, the declared ones.
-    entities : mapping of str to sequence of str, optional
-        Column -> entities that it is unknown of.
-    share : mapping of str to str, optional
     kind : str
         Of likelihood: "auto" takes "one_step" for exact positions and "gls" for noisy ones.
     noise : float or sequence of float, optional
         Standard deviation of a position, metres, in place of the data's.
     everything : bool
         Use all scenes for training.
+    test : bool
+        Whether held-out scenes are wanted.
 
     Returns
     -------
@@ -78,13 +71,9 @@ def latent_problem(
     Raises
     ------
     SettingsError
-        If a property has no prior.
+        If nothing is latent, or a declared prior is none.
     """
-    priors, entities, share = priors or {}, entities or {}, share or {}
-    columns = tuple(columns or ()) or tuple(
-        dict.fromkeys([*(d.name for d in dataset.latents), *priors])
-    )
-    if not columns:
+    if not dataset.latents:
         raise SettingsError(
             "nothing is declared latent; write [latent.mass] with a prior in dataset.toml, or "
             "give --latent mass --prior mass=uniform:LOW:HIGH"
@@ -96,10 +85,8 @@ def latent_problem(
     else:
         train, held, split_note = choose_split(dataset, rng)
     held = tuple(held) if test else ()
-    latents = _unknowns(dataset, train, columns, priors, entities, share)
-    test_latents = (
-        _unknowns(dataset, held, columns, priors, entities, share) if held else Latents()
-    )
+    latents = declared_latents(dataset, train)
+    test_latents = declared_latents(dataset, held) if held else Latents()
     likelihood, note = _likelihood(dataset, kind, noise)
     filled = replace(dataset, scenes=stand_ins(dataset.scenes, _all(latents, test_latents)))
     return LatentProblem(
@@ -122,27 +109,6 @@ def stand_ins(scenes, latents):
     """The scenes with unknown properties at the medians of their priors."""
     medians = [float(item.prior.ppf(0.5)) for item in latents.items]
     return latents.filled(scenes, medians)
-
-
-def _unknowns(dataset, scenes, columns, priors, entities, share):
-    declared = {d.name: d for d in dataset.latents}
-    out = Latents()
-    for column in columns:
-        if column in priors:
-            given = declared.get(column)
-            who = entities.get(column) or (given.entities if given else None) or None
-            how = share.get(column) or (given.share if given else "entity")
-            more = latents_of(scenes, column, priors[column], entities=who, share=how)
-        else:
-            more = declared_latents(dataset, scenes, columns=[column])
-            if column in entities or column in share:
-                more = latents_of(
-                    scenes, column, more.items[0].prior,
-                    entities=entities.get(column) or declared[column].entities or None,
-                    share=share.get(column) or declared[column].share,
-                )  # fmt: skip
-        out = Latents((*out.items, *more.items))
-    return out
 
 
 def _likelihood(dataset, kind, noise):

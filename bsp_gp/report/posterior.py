@@ -86,9 +86,7 @@ def corner_figure(posterior, path, most=6):
                 ax.hist(draws[:, row], bins=30, weights=weights, color="C0")
                 ax.set_yticks([])
             else:
-                ax.hist2d(
-                    draws[:, column], draws[:, row], bins=40, weights=weights, cmap="Blues"
-                )
+                ax.hist2d(draws[:, column], draws[:, row], bins=40, weights=weights, cmap="Blues")
                 if np.isfinite(truth[row]):
                     ax.axhline(truth[row], color="k", lw=0.7)
             if np.isfinite(truth[column]):
