@@ -65,8 +65,8 @@ def run(task):
         true_law(name), [made], latents, likelihood, rng=rng, settings=EStep(n_eff=400)
     )
     seconds = time.perf_counter() - started
-    low, high = (posterior.interval(level).T for level in LEVELS), None
-    inside = [(a <= truth) & (truth <= b) for a, b in low]
+    intervals = [posterior.interval(level).T for level in LEVELS]
+    inside = [(low <= truth) & (truth <= high) for low, high in intervals]
     return [
         {
             "scenario": name, "noise": kind, "index": index, "seed": seed, "latent": latent,

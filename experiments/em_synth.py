@@ -162,7 +162,7 @@ def write_summary(table, folder):
     lines = ["# EM with unknown properties on SYNTH (Table 1)", "",
              "E-step: one step, independent errors, sigma = the protocol's noise level; beside it "
              "the protocol's five steps. Noisy data: the covariance of position noise in second "
-             "differences. nRMSE: mean over posterior draws; median (quartiles) over runs.", ""]  # fmt: skip
+             "differences. nRMSE: mean over posterior draws; median (quartiles).", ""]  # fmt: skip
     head = ("scenario", "method", "train", "noise", "runs", "form", f"within {CLASS_NATS:g} nats",
             "listed", "nRMSE", "contact-free", "five-step", "at posterior mean", "true law",
             "vs clean", "paper", "zero force", "s")  # fmt: skip

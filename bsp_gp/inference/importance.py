@@ -87,14 +87,10 @@ def _weighted(latents, values, log_weight, log_joint, proposal):
         weights = weights / weights.sum()
     n_eff = effective_size(weights) if finite.any() else 0.0
     if n_eff < COLLAPSED * len(values):
+        remedy = "; use the proposal 'laplace' or 'tempered', or emcee"
         notes.append(
             f"the weights have collapsed: {len(values)} draws from the {proposal} proposal are "
-            f"worth {n_eff:.1f}"
-            + (
-                "; use the proposal 'laplace' or 'tempered', or emcee"
-                if proposal == "prior"
-                else ""
-            )
+            f"worth {n_eff:.1f}" + (remedy if proposal == "prior" else "")
         )
         level = logging.WARNING if proposal == "prior" else logging.INFO
         logger.log(level, "%s", notes[-1])

@@ -1,4 +1,4 @@
-"""Which numbers are unknown: one `Latent` per unknown, who shares it, and how values get into scenes.
+"""Which numbers are unknown, who shares them, and how drawn values get into scenes.
 
 A latent belongs to one property of one or several entities. With ``share = "entity"`` every row of
 ``entities.csv`` has its own value: an entity listed without a scene is one body in all scenes.
