@@ -34,7 +34,9 @@ class Likelihood:
     n_ahead : int
     velocities : str
         "backward" differences (motion made in Euler steps, contacts) or "central" ones (smooth
-        motion), at which "gls" evaluates laws.
+        motion), at which laws are evaluated. With "gls", a smooth motion's second differences
+        are compared with accelerations averaged over three rows (Numerov's rule), so that the
+        time step may be as coarse as the motion allows.
     drops_unsure : bool
         Whether rows are left out whose contact flag lies within 4 sigma of flipping; for data
         with noise.
@@ -74,14 +76,23 @@ class Likelihood:
         states = None
         if self.kind == "gls" and self.velocities == "backward":
             states = {scene.name: _backward(scene) for scene in scenes}
+        central = self.velocities == "central"
+        method = "gls" if self.kind == "gls" else "central" if central else "one_step"
         return build_regression(
-            scenes, method="gls" if self.kind == "gls" else "one_step", sigma=self.sigma,
+            scenes, method=method, sigma=self.sigma,
             up=self.up, states=states, unsure=unsure, sources=self.sources,
         )  # fmt: skip
 
     def bank(self, scenes):
         """Motion parts of laws on these scenes, to share between laws; None for "ahead"."""
-        return None if self.kind == "ahead" else MotionBank(self.regression(scenes))
+        if self.kind == "ahead":
+            return None
+        return MotionBank(self.regression(scenes), is_smooth=self.is_smooth)
+
+    @property
+    def is_smooth(self):
+        """Whether the motion is taken for smooth between rows (Numerov's rule)."""
+        return self.kind == "gls" and self.velocities == "central"
 
     def misfit(self, law, latents, scenes, bank=None):
         """The misfit of a law on scenes.
@@ -95,9 +106,7 @@ class Likelihood:
             return HorizonMisfit(
                 law, latents, scenes, n_ahead=self.n_ahead, level=float(self.sigma), up=self.up
             )
-        if bank is None:
-            return misfit_of(law, latents, self.regression(scenes))
-        return misfit_of(law, latents, bank.regression, bank)
+        return misfit_of(law, latents, bank or self.bank(scenes))
 
 
 def _backward(scene):

@@ -59,10 +59,18 @@ class _Misfit:
 
 
 class MotionBank:
-    """Whitened motion parts on a regression, kept between laws that share them."""
+    """Whitened motion parts on a regression, kept between laws that share them.
 
-    def __init__(self, regression):
+    Parameters
+    ----------
+    regression : Regression
+    is_smooth : bool
+        Whether accelerations are averaged over three rows as Numerov's rule has it.
+    """
+
+    def __init__(self, regression, is_smooth=False):
         self.regression = regression
+        self.is_smooth = is_smooth
         self._fields = {}
         self._factors = {}
 
@@ -81,6 +89,8 @@ class MotionBank:
             bad = ~np.isfinite(value).all(axis=3) & batch.valid
             if bad.any():
                 raise EvaluationError(f"the law has no finite value at {int(bad.sum())} instants")
+            if self.is_smooth:
+                value = averaged(value, batch)
             self._fields[key] = batch.whiten(value)
         return self._fields[key]
 
@@ -166,8 +176,9 @@ class ReducedMisfit(_Misfit):
 class DirectMisfit(_Misfit):
     """Of any law: all instants are evaluated for every draw."""
 
-    def __init__(self, law, latents, regression):
+    def __init__(self, law, latents, regression, is_smooth=False):
         self.regression = regression
+        self.is_smooth = is_smooth
         names, row_scene, self.tables = [], [], []
         for batch in regression.batches:
             n, s, r, d = batch.target.shape
@@ -202,10 +213,38 @@ class DirectMisfit(_Misfit):
             a = np.moveaxis(a.reshape(a.shape[0], n_draws, *batch.target.shape[1:]), 1, 3)
             valid = np.broadcast_to(batch.valid[:, :, :, None], a.shape)
             a = np.where(valid & ~np.isfinite(a), np.inf, a)
+            if self.is_smooth:
+                a = averaged(a, batch)
             with np.errstate(invalid="ignore"):
                 part = batch.whiten(batch.target[:, :, :, None] - a)
             out.append(np.moveaxis(part, (3, 1), (0, 1)).reshape(n_draws, -1))
         return np.concatenate(out, axis=1)
+
+
+def averaged(values, batch):
+    """Accelerations averaged over three rows: what the second difference of a motion sees.
+
+    Numerov's rule, p(t + h) - 2 p(t) + p(t - h) = h^2 (a(t + h) + 10 a(t) + a(t - h)) / 12 + O(h^6),
+    on even times; at the ends of a track and beside gaps the second difference of the
+    accelerations is that of the next row, or 0.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, S, R, ..., d)
+    batch : RegressionBatch
+    """
+    if len(values) < 3:
+        return values
+    seen = batch.valid.any(axis=-1)
+    inner = seen[:-2] & seen[1:-1] & seen[2:]
+    steps = np.diff(batch.times, axis=0)
+    with np.errstate(invalid="ignore"):
+        even = np.abs(steps[1:] - steps[:-1]) <= 1e-3 * np.abs(steps[1:])
+    inner &= even[..., None]
+    mask = inner[(...,) + (None,) * (values.ndim - 3)]
+    with np.errstate(invalid="ignore"):
+        bend = np.where(mask, values[2:] - 2 * values[1:-1] + values[:-2], 0.0)
+    return values + np.concatenate([bend[:1], bend, bend[-1:]]) / 12
 
 
 def repeated(bodies, n_draws, columns):
@@ -235,7 +274,7 @@ def constant_values(law, names, constants, bodies):
     return given
 
 
-def misfit_of(law, latents, regression, bank=None):
+def misfit_of(law, latents, bank):
     """The misfit of a law, compressed where its terms allow it.
 
     Parameters
@@ -243,9 +282,8 @@ def misfit_of(law, latents, regression, bank=None):
     law : ForceLaw
         Constants with one value per receiver stay as they are; the others are free.
     latents : Latents
-    regression : Regression
-    bank : MotionBank, optional
-        Of the same regression, to share motion parts between laws.
+    bank : MotionBank
+        Of the regression; shares motion parts between laws.
 
     Raises
     ------
@@ -258,8 +296,9 @@ def misfit_of(law, latents, regression, bank=None):
     separated = [separate(t, latents.columns) if is_plain else None for t in law.terms]
     shared = [s.constant for s in separated if s is not None and s.constant is not None]
     if all(s is not None for s in separated) and len(set(shared)) == len(shared):
-        return ReducedMisfit(law, latents, bank or MotionBank(regression), tuple(separated))
-    misfit = DirectMisfit(law, latents, regression)
+        return ReducedMisfit(law, latents, bank, tuple(separated))
+    regression = bank.regression
+    misfit = DirectMisfit(law, latents, regression, bank.is_smooth)
     for batch in regression.batches:
         if not latents.columns:
             checked(regression.predict(batch, law), batch)

@@ -13,7 +13,9 @@ import numpy as np
 
 __all__ = ["Profile", "fit_profile", "linear_constants"]
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 100
+STIFF = 1e3
+"""Damping at which a step is so short that a failure means an optimum."""
 STEP = 1e-7
 """Finite-difference step, in standard deviations of the prior."""
 ENOUGH = 1e-13
@@ -97,8 +99,10 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
         trial_loss = problem.loss(trial_r, trial)
         better = trial_loss < loss[live]
         gained = np.where(better, loss[live] - trial_loss, 0.0)
-        slow[live] = np.where(gained > SLOW * loss[live], 0, slow[live] + 1)
-        damping[live] = np.clip(np.where(better, damping[live] / 5, damping[live] * 4), 1e-15, 1e8)
+        # A step that was too long says nothing about convergence, unless it was a short one.
+        is_slow = (gained <= SLOW * loss[live]) & (better | (damping[live] > STIFF))
+        slow[live] = np.where(gained > SLOW * loss[live], 0, slow[live] + is_slow)
+        damping[live] = np.clip(np.where(better, damping[live] / 5, damping[live] * 8), 1e-15, 1e8)
         kept = live[better]
         x[kept], r[kept], loss[kept] = trial[better], trial_r[better], trial_loss[better]
     return problem.profile(x, loss)

@@ -9,14 +9,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import EvaluationError
 from bsp_gp.inference.beam import contains_latent
 from bsp_gp.inference.e_step import EStep, infer
-from bsp_gp.inference.em import EmSettings, fit_em
+from bsp_gp.inference.em import CLASS_NATS, EmSettings, fit_em
+from bsp_gp.inference.findings import CONTRADICTED
 from bsp_gp.inference.identifiability import identifiability
 from bsp_gp.inference.latents import Latents
+from bsp_gp.inference.m_step import Exhaustive
 from bsp_gp.inference.problem import latent_problem, stand_ins
 from bsp_gp.inference.profile import fit_profile
 from bsp_gp.language.inputs import property_of
@@ -60,14 +63,14 @@ def close_with_unknowns(dataset, declared, close, read_law, *, rng, progress, **
     train, test, _ = choose_split(known, split_rng)
     if {s.name for s in train}.isdisjoint(s.name for s in test) and not known.train:
         known = replace(known, train=tuple(s.name for s in train), test=tuple(s.name for s in test))
-    state = _Unknowns(latents, problem.likelihood, train, test)
+    state = _Unknowns(latents, problem.likelihood, train, test, settings["max_levels"])
     state.start(law, known, settings.get("grammar", "physics"), fit_rng, progress)
-    for number, stream in enumerate(pass_rngs):
+    for stream in pass_rngs:
         loop_rng, start_rng = stream.spawn(2)
         filled = replace(known, scenes=latents.filled(known.scenes, state.values))
         report = close(filled, law, rng=loop_rng, progress=progress, **settings)
-        if not any(r.adopted for r in report.rounds) and number:
-            break
+        if not any(r.adopted for r in report.rounds):
+            break  # the law is the one that the values were inferred under
         progress("unknown properties under the found law")
         before, moved = state.values.copy(), 0.0
         if state.fit(report.law, start_rng):
@@ -80,8 +83,9 @@ def close_with_unknowns(dataset, declared, close, read_law, *, rng, progress, **
 class _Unknowns:
     """Current values of all unknowns of a data set."""
 
-    def __init__(self, latents, likelihood, train, test):
+    def __init__(self, latents, likelihood, train, test, max_levels):
         self.latents = latents
+        self.max_levels = max_levels
         self.likelihood = likelihood
         self.train = tuple(train)
         self.mine, self.index = latents.of_scenes([scene.name for scene in train])
@@ -93,20 +97,31 @@ class _Unknowns:
         self.profile = None
 
     def start(self, law, dataset, grammar, rng, progress):
-        """First values: under the declared law if it feels the unknowns, otherwise by EM."""
+        """First values.
+
+        Under the declared law if it feels the unknowns and explains the data: a law that lacks
+        something bends the unknowns to hide it, and what is missing is then not found. Otherwise
+        by EM: the declared law and one term more, fitted together with the unknowns.
+        """
         fit_rng, em_rng = rng.spawn(2)
-        if any(contains_latent(term, self.latents.columns) for term in law.terms):
-            self.fit(law, fit_rng)
+        feels = any(contains_latent(term, self.latents.columns) for term in law.terms)
+        if feels and self.fit(law, fit_rng) and not self._is_contradicted():
             return
         grammar = _masked(grammar, dataset)
+        progress("unknown properties together with what may be missing")
         em = fit_em(
             self.train, self.mine, grammar, self.likelihood, rng=em_rng, base=law,
             kinds=[k for k in grammar.start if k != "pair" or self.likelihood.sources],
             settings=EmSettings(n_starts=2, max_iterations=2, refine=False, final=None),
-            progress=progress,
+            m_step=Exhaustive(max_levels=self.max_levels), progress=progress,
         )  # fmt: skip
-        self._take(em.best.profile)
-        self._fit_heads(em.law, fit_rng)
+        if self.profile is None or em.best.loss < self.profile.loss - CLASS_NATS:
+            self._take(em.best.profile)
+            self._fit_heads(em.law, fit_rng)
+
+    def _is_contradicted(self):
+        free = max(self.profile.n_rows - len(self.mine), 1)
+        return bool(chi2.logsf(self.profile.chisq, free) < np.log(CONTRADICTED))
 
     def fit(self, law, rng):
         """Refit under a law; False (and no change) where it has no finite value."""
