@@ -208,7 +208,7 @@ def run_learn(args, dataset, laws, progress):
     grammar, _ = masked_grammar(load_grammar(args.grammar), problem.dataset)
     base = declared_law(problem.dataset, laws) if laws else ForceLaw()
     kinds = [k for k in grammar.start if k != "pair" or problem.likelihood.sources]
-    settings = EmSettings(n_starts=args.starts, final=_e_step(args))
+    settings = EmSettings.for_noise(problem.likelihood, n_starts=args.starts, final=_e_step(args))
     em = fit_em(
         problem.train, problem.latents, grammar, problem.likelihood, rng=em_rng, settings=settings,
         m_step=Exhaustive(max_levels=args.max_levels), base=base, kinds=kinds, progress=progress,

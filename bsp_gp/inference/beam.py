@@ -25,6 +25,8 @@ CHANGES = 1e-6
 """Relative change of the pull on a body, between draws, above which a law contains a latent."""
 HOPELESS = 200.0
 """Factor on the best loss above which a fit is not finished."""
+PER_COMPLEXITY, SIMPLE = 2, 14.0
+"""Places for every unit of complexity, up to so many nats."""
 EXACT = 1e-9
 """Losses below this are those of a law that fits exactly."""
 POLISHED = 3
@@ -100,11 +102,24 @@ class Beam:
         self._polished = set()
 
     def choose(self, candidates):
-        """The candidates that get a place: the best, then the best that contain a latent."""
+        """The candidates that get a place.
+
+        The best; then the best that contain a latent; and the best few of every unit of
+        complexity of each kind, since a simple law may need its latents to be right before it
+        shows.
+        """
         ordered = sorted(candidates, key=lambda c: c.loss + self.beta * c.complexity)
         chosen = ordered[: self.n_best]
         rest = [c for c in ordered[self.n_best :] if self.contains(c.formula, c.kind)]
-        return chosen + rest[: self.n_reserved]
+        simple, counts = [], {}
+        for candidate in ordered:
+            level = (candidate.kind, int(candidate.complexity))
+            counts[level] = counts.get(level, 0) + 1
+            if counts[level] <= PER_COMPLEXITY and candidate.complexity <= SIMPLE:
+                simple.append(candidate)
+        chosen += rest[: self.n_reserved] + simple
+        out = {(c.formula, c.kind): c for c in chosen}
+        return list(out.values())
 
     def contains(self, formula, kind):
         """Whether accelerations under a law depend on a latent; kept."""

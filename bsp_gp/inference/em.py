@@ -45,7 +45,9 @@ class EmSettings:
     n_best, n_reserved : int
         Places of the beam, see `bsp_gp.inference.beam.Beam`.
     beta : float
-        Weight of the complexity of a law, nats per nat.
+        Weight of the complexity of a law, nats per nat. Next to nothing for exact data, where a
+        likelihood's sigma is nominal; 1 (the prior of the grammar) where the noise is real:
+        `for_noise`.
     use_beam : bool
         False is the ablation "EM alone": the best law of the M-step is taken as it is.
     e_step : EStep
@@ -69,6 +71,11 @@ class EmSettings:
     final: EStep | None = field(default_factory=lambda: EStep(n_eff=1000))
     refine: bool = True
     tolerance: float = 0.1
+
+    @classmethod
+    def for_noise(cls, likelihood, **changes):
+        """Settings with the weight of the complexity that fits a likelihood."""
+        return cls(beta=1.0 if likelihood.kind == "gls" else cls.beta, **changes)
 
     def __post_init__(self):
         for name in ("n_starts", "n_draws", "max_iterations", "n_best"):

@@ -56,6 +56,9 @@ class Prior:
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         if kind not in KINDS:
             raise SettingsError(f"prior must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        if kind != "truncated_normal":  # one nan for all, so that equal priors compare equal
+            object.__setattr__(self, "mean", math.nan)
+            object.__setattr__(self, "sd", math.nan)
         if kind == "discrete":
             if not self.values or not np.isfinite(self.values).all():
                 raise SettingsError("a discrete prior needs a list of finite values")

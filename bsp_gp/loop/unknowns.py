@@ -112,7 +112,9 @@ class _Unknowns:
         em = fit_em(
             self.train, self.mine, grammar, self.likelihood, rng=em_rng, base=law,
             kinds=[k for k in grammar.start if k != "pair" or self.likelihood.sources],
-            settings=EmSettings(n_starts=2, max_iterations=2, refine=False, final=None),
+            settings=EmSettings.for_noise(
+                self.likelihood, n_starts=2, max_iterations=2, refine=False, final=None
+            ),
             m_step=Exhaustive(max_levels=self.max_levels), progress=progress,
         )  # fmt: skip
         if self.profile is None or em.best.loss < self.profile.loss - CLASS_NATS:
