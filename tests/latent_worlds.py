@@ -66,3 +66,45 @@ def law_of(*texts, **constants):
     types = dataset_types(dataset(1))
     law = ForceLaw(tuple(Term(parse_formula(text, types)) for text in texts))
     return law.with_constants({name: constants.get(name, 1.0) for name in law.names})
+
+GRAMMAR = """
+[grammar]
+name = "pulls"
+start = "Force"
+kind = "pair"
+[types]
+Const = "scalar *"
+Kg = "scalar kg"
+KgSq = "scalar kg^2"
+Meter = "scalar m"
+MeterSq = "scalar m^2"
+Direction = "vector 1"
+BasicCoeff = "scalar *"
+Coeff = "scalar *"
+Force = "vector *"
+[inputs]
+m_i = "scalar kg"
+m_j = "scalar kg"
+p_i = "point m"
+p_j = "point m"
+v_i = "vector m/s"
+[constants]
+c1 = "scalar *"
+[rules]
+Const = "c1"
+Kg = "m_i | m_j | add(m_i, m_j)"
+KgSq = "mul(m_i, m_j) | square(Kg)"
+Meter = "norm(sub(p_i, p_j))"
+MeterSq = "square(Meter)"
+Direction = "normalize(sub(p_i, p_j)) | normalize(v_i)"
+BasicCoeff = "Kg | KgSq | Meter | MeterSq"
+Coeff = "BasicCoeff | mul(BasicCoeff, BasicCoeff) | div(BasicCoeff, BasicCoeff)"
+Force = "mul(Const, mul(Coeff, Direction))"
+"""
+
+
+def grammar_file(folder):
+    """A small grammar that can say the pull, as a file."""
+    path = folder / "pulls.toml"
+    path.write_text(GRAMMAR, encoding="utf-8")
+    return path
