@@ -25,6 +25,8 @@ from bsp_gp.physics.bodies import stack
 
 LEVELS = (0.5, 0.9)
 CHUNK = 25
+GROUPS = ["noise", "method", "scenario"]
+E_STEPS = {"importance": EStep("laplace", n_eff=300), "emcee": EStep("emcee", n_eff=300)}
 
 
 def simulated(name, scene, sigma, kind, rng):
@@ -52,7 +54,7 @@ def simulated(name, scene, sigma, kind, rng):
 
 def run(task):
     """One data set: a row for every latent."""
-    name, kind, index, seed = task
+    name, kind, method, index, seed = task
     rng = np.random.default_rng([11, list(SCENARIOS).index(name), index, seed])
     scene = scenes_of(name, [1 + index % 100])[0]
     latents = unknowns(name, [scene])
@@ -62,14 +64,14 @@ def run(task):
     likelihood = likelihood_of(name, sigma if kind == "measurement" else 0.0)
     started = time.perf_counter()
     posterior = infer(
-        true_law(name), [made], latents, likelihood, rng=rng, settings=EStep(n_eff=400)
+        true_law(name), [made], latents, likelihood, rng=rng, settings=E_STEPS[method]
     )
     seconds = time.perf_counter() - started
     intervals = [posterior.interval(level).T for level in LEVELS]
     inside = [(low <= truth) & (truth <= high) for low, high in intervals]
     return [
         {
-            "scenario": name, "noise": kind, "index": index, "seed": seed, "latent": latent,
+            "scenario": name, "noise": kind, "method": method, "index": index, "seed": seed, "latent": latent,
             "truth": truth[k],
             "rank": rank_of(truth[k], posterior.draws[:, k], posterior.weights, rng=rng),
             "inside_50": bool(inside[0][k]), "inside_90": bool(inside[1][k]),
@@ -84,14 +86,15 @@ def main():
     args = options(__doc__.splitlines()[0])
     path = args.out / "results.csv"
     rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    done = {(r["scenario"], r["noise"], r["index"], r["seed"]) for r in rows}
-    n_sets = {"motion": 20 if args.quick else 500, "measurement": 20 if args.quick else 100}
+    done = {(r["scenario"], r["noise"], r["method"], r["index"], r["seed"]) for r in rows}
+    plan = (("motion", "importance", 500), ("motion", "emcee", 200),
+            ("measurement", "importance", 100))  # fmt: skip
     todo = [
-        (name, kind, index, args.seed)
-        for kind, n in n_sets.items()
+        (name, kind, method, index, args.seed)
+        for kind, method, n in plan
         for name in ("mat", "nbody", "bounce")
-        for index in range(n)
-        if (name, kind, index, args.seed) not in done
+        for index in range(20 if args.quick else n)
+        if (name, kind, method, index, args.seed) not in done
     ]
     with ProcessPoolExecutor(args.workers) as pool:
         for start in range(0, len(todo), CHUNK):
@@ -99,7 +102,7 @@ def main():
             results = map(run, part) if args.workers == 1 else pool.map(run, part)
             rows += [row for result in results for row in result]
             write_table(rows, path)
-            print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:3]}", flush=True)
+            print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:4]}", flush=True)
     table = pd.DataFrame(rows)
     write_summary(table, args.out)
     draw_figure(table, args.out / "calibration.png")
@@ -111,10 +114,10 @@ def write_summary(table, folder):
              "a data set; the band holds an empirical distribution of that many independent "
              "uniform numbers with 99 %. Coverage with its distance from nominal in standard "
              "errors (latents of one data set counted as dependent).", "",
-             "| scenario | noise in | data sets | latents | largest deviation | band 99 % | inside "
+             "| scenario | noise in | E-step | data sets | latents | largest deviation | band 99 % | inside "
              "| cover 50 % | cover 90 % | not converged | s a data set |",
-             "|" + "---|" * 11]  # fmt: skip
-    for (kind, name), part in table.groupby(["noise", "scenario"], sort=False):
+             "|" + "---|" * 12]  # fmt: skip
+    for (kind, method, name), part in table.groupby(GROUPS, sort=False):
         ranks = part["rank"].to_numpy()
         band = simultaneous_band(len(ranks), 0.99)
         ordered = np.sort(ranks)
@@ -125,7 +128,7 @@ def write_summary(table, folder):
             share, error = coverage(part[f"inside_{level * 100:.0f}"], part["index"])
             covers.append(f"{100 * share:.1f} % ({(share - level) / error:+.1f} se)")
         lines.append(
-            f"| {name} | {kind} | {part['index'].nunique()} | {n} | {worst:.4f} | {band:.4f} | "
+            f"| {name} | {kind} | {method} | {part['index'].nunique()} | {n} | {worst:.4f} | {band:.4f} | "
             f"{'yes' if worst <= band else 'NO'} | {covers[0]} | {covers[1]} | "
             f"{int((~part.converged.astype(bool)).sum())} | "
             f"{part.seconds.median():.2f} |"
@@ -140,22 +143,22 @@ def draw_figure(table, path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    groups = list(table.groupby(["noise", "scenario"], sort=False))
-    kinds = list(dict.fromkeys(kind for (kind, _), _ in groups))
+    groups = list(table.groupby(GROUPS, sort=False))
+    kinds = list(dict.fromkeys(key[:2] for key, _ in groups))
     fig, axes = plt.subplots(
         len(kinds), 3, figsize=(10, 3.2 * len(kinds)), sharex=True, squeeze=False,
         constrained_layout=True,
     )  # fmt: skip
     columns = {"mat": 0, "nbody": 1, "bounce": 2}
-    for (kind, name), part in groups:
-        ax = axes[kinds.index(kind), columns[name]]
+    for (kind, method, name), part in groups:
+        ax = axes[kinds.index((kind, method)), columns[name]]
         ranks = np.sort(part["rank"].to_numpy())
         n = len(ranks)
         band = simultaneous_band(n, 0.99)
         ax.axhspan(-band, band, color="0.88", label="99 % band")
         ax.step(ranks, np.arange(1, n + 1) / n - ranks, where="post", lw=1.2)
         ax.axhline(0, color="k", lw=0.6)
-        ax.set_title(f"{name.upper()}, noise in the {kind}, {n} latents", fontsize=9)
+        ax.set_title(f"{name.upper()}, {n} latents\nnoise in the {kind}, {method}", fontsize=9)
         ax.set_ylim(-max(4 * band, 0.05), max(4 * band, 0.05))
     for ax in axes[-1]:
         ax.set_xlabel("rank of the true value")

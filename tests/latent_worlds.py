@@ -67,6 +67,7 @@ def law_of(*texts, **constants):
     law = ForceLaw(tuple(Term(parse_formula(text, types)) for text in texts))
     return law.with_constants({name: constants.get(name, 1.0) for name in law.names})
 
+
 GRAMMAR = """
 [grammar]
 name = "pulls"
