@@ -71,7 +71,8 @@ def run(task):
     inside = [(low <= truth) & (truth <= high) for low, high in intervals]
     return [
         {
-            "scenario": name, "noise": kind, "method": method, "index": index, "seed": seed, "latent": latent,
+            "scenario": name, "noise": kind, "method": method, "index": index, "seed": seed,
+            "latent": latent,
             "truth": truth[k],
             "rank": rank_of(truth[k], posterior.draws[:, k], posterior.weights, rng=rng),
             "inside_50": bool(inside[0][k]), "inside_90": bool(inside[1][k]),
@@ -114,8 +115,8 @@ def write_summary(table, folder):
              "a data set; the band holds an empirical distribution of that many independent "
              "uniform numbers with 99 %. Coverage with its distance from nominal in standard "
              "errors (latents of one data set counted as dependent).", "",
-             "| scenario | noise in | E-step | data sets | latents | largest deviation | band 99 % | inside "
-             "| cover 50 % | cover 90 % | not converged | s a data set |",
+             "| scenario | noise in | E-step | data sets | latents | largest deviation | band 99 % "
+             "| inside | cover 50 % | cover 90 % | not converged | s a data set |",
              "|" + "---|" * 12]  # fmt: skip
     for (kind, method, name), part in table.groupby(GROUPS, sort=False):
         ranks = part["rank"].to_numpy()
@@ -128,8 +129,8 @@ def write_summary(table, folder):
             share, error = coverage(part[f"inside_{level * 100:.0f}"], part["index"])
             covers.append(f"{100 * share:.1f} % ({(share - level) / error:+.1f} se)")
         lines.append(
-            f"| {name} | {kind} | {method} | {part['index'].nunique()} | {n} | {worst:.4f} | {band:.4f} | "
-            f"{'yes' if worst <= band else 'NO'} | {covers[0]} | {covers[1]} | "
+            f"| {name} | {kind} | {method} | {part['index'].nunique()} | {n} | {worst:.4f} "
+            f"| {band:.4f} | {'yes' if worst <= band else 'NO'} | {covers[0]} | {covers[1]} | "
             f"{int((~part.converged.astype(bool)).sum())} | "
             f"{part.seconds.median():.2f} |"
         )

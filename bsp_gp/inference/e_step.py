@@ -25,7 +25,7 @@ from bsp_gp.inference.importance import sample_importance
 from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import fit_profile
 
-__all__ = ["EStep", "METHODS", "infer", "refine", "start_places"]
+__all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 

@@ -225,8 +225,8 @@ def averaged(values, batch):
     """Accelerations averaged over three rows: what the second difference of a motion sees.
 
     Numerov's rule: p(t + h) - 2 p(t) + p(t - h) = h^2 (a(t + h) + 10 a(t) + a(t - h)) / 12, with
-    an error of O(h^6), on even times; at the ends of a track and beside gaps the second difference of the
-    accelerations is that of the next row, or 0.
+    an error of O(h^6), on even times; at the ends of a track the second difference of the
+    accelerations is that of the next row, beside gaps 0.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ def test_numerov_is_exact_to_fourth_order():
         positions[:, 1] = track
         scene = dataclasses.replace(some, times=times, positions=positions)
         (batch,) = build_regression([scene], method="gls").batches
-        exact = -4 * np.broadcast_to(batch.positions[:, :, batch.bodies.receivers], batch.target.shape)
+        exact = -4 * np.array(batch.positions[:, :, batch.bodies.receivers])
         gap = (averaged(exact, batch) - batch.target)[1:-1, 0, 1]
         errors.append(np.abs(gap).max())
     assert errors[0] / errors[1] > 14  # 16 for the fourth order
