@@ -118,6 +118,8 @@ def run_infer(args, dataset, laws, progress):
     data : dict
     files : dict of str to str or bytes
     """
+    from dataclasses import replace
+
     import numpy as np
 
     from bsp_gp.inference.e_step import infer, refine
@@ -128,6 +130,8 @@ def run_infer(args, dataset, laws, progress):
     rng = np.random.default_rng(args.seed)
     split_rng, start_rng, sample_rng, draw_rng = rng.spawn(4)
     problem = _problem(args, dataset, split_rng, everything=not args.train, test=False)
+    if args.likelihood == "auto":
+        problem = replace(problem, likelihood=problem.likelihood.for_posterior)
     law = declared_law(problem.dataset, laws)
     settings = _e_step(args)
     misfit = problem.likelihood.misfit(law, problem.latents, problem.train)
@@ -217,8 +221,9 @@ def run_learn(args, dataset, laws, progress):
     scores = {}
     if problem.test:
         progress("held-out scenes")
+        likelihood = problem.likelihood.for_posterior
         held = infer(
-            em.law, problem.test, problem.test_latents, problem.likelihood, rng=test_rng,
+            em.law, problem.test, problem.test_latents, likelihood, rng=test_rng,
             settings=EStep("laplace" if not problem.test_latents.is_discrete.any() else "auto"),
         )  # fmt: skip
         draws = held.draw(100, rng=draw_rng)
@@ -297,7 +302,7 @@ def _figures(law, problem, posterior, rng, args):
         paths = {n: Path(folder) / n for n in ("trace.png", "corner.png", "rollout.png")}
         trace_figure(posterior, paths["trace.png"])
         corner_figure(posterior, paths["corner.png"])
-        euler = problem.likelihood.kind != "gls" or problem.likelihood.velocities == "backward"
+        euler = not problem.likelihood.is_gls or problem.likelihood.velocities == "backward"
         bands = predictive_bands(
             law, problem.train[0], problem.latents, posterior, rng=rng, up=problem.dataset.up,
             integrator="euler" if euler else "rk4",

@@ -400,7 +400,7 @@ def _latents(parser):
     group = parser.add_argument_group("inference")
     group.add_argument(
         "--likelihood",
-        choices=("auto", "one-step", "gls", "ahead"),
+        choices=("auto", "one-step", "gls", "propagated", "ahead"),
         default="auto",
         help="auto: one-step for exact positions, gls for noisy ones; ahead: five steps",
     )

@@ -88,7 +88,10 @@ def unknowns(name, scenes):
 
 
 def likelihood_of(name, noise=0.0):
-    """One step with the protocol's level for exact data; GLS with the noise's sigma otherwise."""
+    """One step with the protocol's level for exact data; GLS with the noise's sigma otherwise.
+
+    Posteriors under noise use its `for_posterior`.
+    """
     if noise:
         return Likelihood("gls", sigma=noise, drops_unsure=True)
     return Likelihood("one_step", sigma=SCENARIOS[name].level)

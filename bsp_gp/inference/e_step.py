@@ -337,6 +337,8 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
     if latents.is_discrete.any():
         raise SettingsError("constants and discrete latents are not sampled together")
     misfit = likelihood.misfit(profile.law, latents, scenes)
+    if likelihood.kind == "propagated":  # sharper than what the optimum was found with
+        profile = fit_profile(misfit, profile.values[None])
     k, n_c = len(latents), len(misfit.constants)
 
     def log_prob(places):

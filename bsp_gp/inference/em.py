@@ -271,9 +271,8 @@ class _Em:
             return mine[-1].posterior
         self.progress("posterior under the found law")
         return infer(
-            best.law, self.scenes, self.latents, self.e_likelihood, rng=rng,
+            best.law, self.scenes, self.latents, self.e_likelihood.for_posterior, rng=rng,
             settings=self.settings.final,
-            previous=mine[-1].posterior if mine else None,
         )  # fmt: skip
 
     def _joint(self, best, rng, notes):
@@ -285,7 +284,7 @@ class _Em:
                 best.profile,
                 self.scenes,
                 self.latents,
-                self.likelihood,
+                self.likelihood.for_posterior,
                 rng=rng,
                 settings=self.settings.final,
             )  # fmt: skip  (None: the defaults)

@@ -9,11 +9,15 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.inference.horizon import HorizonMisfit
 from bsp_gp.inference.misfit import MotionBank, misfit_of
+from bsp_gp.inference.profile import fit_profile
+from bsp_gp.inference.propagation import PropagatedBank
 from bsp_gp.physics.likelihood import build_regression
 
 __all__ = ["KINDS", "Likelihood"]
 
-KINDS = ("one_step", "gls", "ahead")
+KINDS = ("one_step", "gls", "propagated", "ahead")
+REFERENCES = 2
+"""Times that the propagated covariance is found anew at the optimum under the last one."""
 UNSURE = 4.0
 """Rows whose contact flag lies within so many sigma of flipping are left out of noisy data."""
 
@@ -27,7 +31,9 @@ class Likelihood:
     kind : str
         "one_step": the paper's one symplectic Euler step, independent Gaussian errors; exact for
         errors that enter the motion, and for exact data. "gls": the same second differences with
-        the covariance that position noise gives to them. "ahead": the paper's code, `n_ahead`
+        the covariance that position noise gives to them. "propagated": that, and what the noise
+        of the states does to the forces (`bsp_gp.inference.propagation`), about the joint
+        optimum; for posteriors under measurement noise. "ahead": the paper's code, `n_ahead`
         steps from every instant (`bsp_gp.inference.horizon`).
     sigma : float
         Standard deviation of a position, metres; for "ahead" the protocol's noise level.
@@ -63,10 +69,18 @@ class Likelihood:
             raise SettingsError(f"velocities must be backward or central, got {self.velocities!r}")
 
     @property
+    def for_posterior(self):
+        """The likelihood of a posterior that is read: noise propagated through the law."""
+        return replace(self, kind="propagated") if self.kind == "gls" else self
+
+    @property
     def for_search(self):
         """The likelihood of the M-step: one step, independent errors, as searches score laws."""
         sigma = np.sqrt(self.sigma / 2) if self.kind == "ahead" else self.sigma
-        if self.kind == "gls":  # a second difference of white noise has the variance 6 sigma^2
+        if self.kind in (
+            "gls",
+            "propagated",
+        ):  # a second difference of white noise has the variance 6 sigma^2
             sigma = np.sqrt(6.0) * np.asarray(sigma)
         return replace(self, kind="one_step", sigma=sigma)
 
@@ -74,10 +88,10 @@ class Likelihood:
         """The regression behind "one_step" and "gls"."""
         unsure = UNSURE * float(np.nanmax(self.sigma)) if self.drops_unsure else None
         states = None
-        if self.kind == "gls" and self.velocities == "backward":
+        if self.is_gls and self.velocities == "backward":
             states = {scene.name: _backward(scene) for scene in scenes}
         central = self.velocities == "central"
-        method = "gls" if self.kind == "gls" else "central" if central else "one_step"
+        method = "gls" if self.is_gls else "central" if central else "one_step"
         return build_regression(
             scenes, method=method, sigma=self.sigma,
             up=self.up, states=states, unsure=unsure, sources=self.sources,
@@ -92,7 +106,11 @@ class Likelihood:
     @property
     def is_smooth(self):
         """Whether the motion is taken for smooth between rows (Numerov's rule)."""
-        return self.kind == "gls" and self.velocities == "central"
+        return self.is_gls and self.velocities == "central"
+
+    @property
+    def is_gls(self):
+        return self.kind in ("gls", "propagated")
 
     def misfit(self, law, latents, scenes, bank=None):
         """The misfit of a law on scenes.
@@ -106,7 +124,30 @@ class Likelihood:
             return HorizonMisfit(
                 law, latents, scenes, n_ahead=self.n_ahead, level=float(self.sigma), up=self.up
             )
+        if self.kind == "propagated" and bank is None:
+            bank = self._propagated(law, latents, scenes)
         return misfit_of(law, latents, bank or self.bank(scenes))
+
+    def _propagated(self, law, latents, scenes):
+        """Bank whitened about the joint optimum, found with independent errors first."""
+        rng = np.random.default_rng(0)  # start places only
+        misfit = self.for_search.misfit(law, latents, scenes)
+        profile = fit_profile(misfit, latents.sample(8, rng=rng))
+        for _ in range(REFERENCES):
+            filled = latents.filled(scenes, profile.values)
+            backward = self.velocities == "backward"
+            settings = {
+                "method": "gls", "up": self.up, "sources": self.sources,
+                "states": _backward if backward else None,
+            }  # fmt: skip
+            bank = PropagatedBank(
+                self.regression(scenes), filled, profile.law, settings, self.is_smooth
+            )
+            profile = fit_profile(
+                misfit_of(profile.law, latents, bank),
+                np.concatenate([profile.values[None], latents.sample(4, rng=rng)]),
+            )
+        return bank
 
 
 def _backward(scene):

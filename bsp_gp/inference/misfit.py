@@ -94,6 +94,10 @@ class MotionBank:
             self._fields[key] = batch.whiten(value)
         return self._fields[key]
 
+    def direct(self, law, latents):
+        """The misfit of a law that is no product, on the same terms."""
+        return DirectMisfit(law, latents, self.regression, self.is_smooth)
+
     def factors(self, parts, index):
         """QR of the stacked motion parts of a batch.
 
@@ -138,7 +142,7 @@ class ReducedMisfit(_Misfit):
             triangle, target, left = bank.factors(parts, index)
             table = PropertyTable(batch.bodies, batch.scene_names, latents)
             self.blocks.append((table, triangle, target))
-            size = target.shape[1] * target.shape[2]
+            size = int(np.prod(target.shape[1:]))
             row_scene.append(np.repeat(np.arange(target.shape[0]) + len(names), size))
             names += batch.scene_names
             rest.append(left)
@@ -154,13 +158,15 @@ class ReducedMisfit(_Misfit):
         constants = self._constants(constants, len(values))
         out = []
         for table, triangle, target in self.blocks:
-            weights = self._weights(table, values, constants, triangle.shape)
+            weights = self._weights(table, values, constants)
+            if triangle.shape[1] < weights.shape[2]:  # all receivers together
+                weights = weights.reshape(len(values), len(target), 1, -1)
             part = np.einsum("srqp,wsrp->wsrq", triangle, weights) - target
             out.append(part.reshape(len(values), -1))
         return np.concatenate(out, axis=1)
 
-    def _weights(self, table, values, constants, shape):
-        s, r = shape[:2]
+    def _weights(self, table, values, constants):
+        s, r = table.bodies.n_scenes, len(table.bodies.receivers)
         lookups, parts = {}, []
         for kind, separated, place in zip(self.kinds, self.separated, self._place, strict=True):
             if kind not in lookups:
@@ -298,7 +304,7 @@ def misfit_of(law, latents, bank):
     if all(s is not None for s in separated) and len(set(shared)) == len(shared):
         return ReducedMisfit(law, latents, bank, tuple(separated))
     regression = bank.regression
-    misfit = DirectMisfit(law, latents, regression, bank.is_smooth)
+    misfit = bank.direct(law, latents)
     for batch in regression.batches:
         if not latents.columns:
             checked(regression.predict(batch, law), batch)

@@ -129,7 +129,7 @@ class _Unknowns:
         """Refit under a law; False (and no change) where it has no finite value."""
         train_rng, head_rng = rng.spawn(2)
         try:
-            misfit = self.likelihood.misfit(law, self.mine, self.train)
+            misfit = self.likelihood.for_posterior.misfit(law, self.mine, self.train)
         except EvaluationError:
             return False
         starts = np.concatenate([self.values[self.index][None], self.mine.sample(7, rng=train_rng)])
@@ -164,7 +164,7 @@ class _Unknowns:
             )
             mine = Latents(tuple(items.items[k] for k in own))
             posterior = infer(
-                law, stand_ins([filled], mine), mine, self.likelihood, rng=rng,
+                law, stand_ins([filled], mine), mine, self.likelihood.for_posterior, rng=rng,
                 settings=EStep("laplace", max_steps=2000, n_eff=200),
             )  # fmt: skip
             self.values[index[own]] = posterior.mean
@@ -172,7 +172,7 @@ class _Unknowns:
     def notes(self, law, rng):
         """Posterior of every unknown of the training scenes, and what is not determined."""
         posterior = infer(
-            law, self.train, self.mine, self.likelihood, rng=rng,
+            law, self.train, self.mine, self.likelihood.for_posterior, rng=rng,
             settings=EStep("laplace", max_steps=3000, n_eff=300),
         )  # fmt: skip
         low, high = posterior.interval().T

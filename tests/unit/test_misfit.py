@@ -143,3 +143,34 @@ def test_rows_with_an_unsure_contact_are_left_out():
     fewer = build_regression([scene], unsure=0.12)
     lost = everything.batches[0].valid[:, 0, 0, 0] & ~fewer.batches[0].valid[:, 0, 0, 0]
     assert x[1:-1][lost] == pytest.approx([-0.6, -0.5, -0.4, 0.4, 0.5, 0.6])
+
+
+@pytest.mark.parametrize("text", [PULL, NO_PRODUCT])
+def test_propagated_noise_compressed_and_direct_agree(text):
+    some = scenes(2, noise=0.02)
+    law, latents = law_of(text, c1=20.0), masses_of(some)
+    likelihood = Likelihood("propagated", sigma=0.02)
+    misfit = likelihood.misfit(law, latents, some)
+    draws = latents.sample(4, rng=np.random.default_rng(0))
+    if isinstance(misfit, ReducedMisfit):
+        bank = likelihood._propagated(law, latents, some)
+        direct = bank.direct(law, latents)
+        assert misfit.chisq(draws) == pytest.approx(direct.chisq(draws), rel=1e-8)
+    else:
+        assert np.isfinite(misfit.log_likelihood(draws)).all()
+
+
+def test_propagated_noise_has_the_chi_squared_of_its_numbers():
+    """Twenty tracks with noise: under the truth chi-squared is the number of rows, within 4 sd."""
+    total, n = 0.0, 0
+    for seed in range(20):
+        clean = scenes(1, n_times=20)[0]
+        noise = 0.05 * np.random.default_rng([3, seed]).standard_normal(clean.positions.shape)
+        some = (dataclasses.replace(clean, positions=clean.positions + noise),)
+        latents = masses_of(some)
+        misfit = Likelihood("propagated", sigma=0.05).misfit(
+            law_of(PULL, c1=20.0), latents, some
+        )
+        total += misfit.chisq(latents.truth[None]).sum()
+        n += misfit.n_rows
+    assert abs(total - n) < 4 * np.sqrt(2 * n)
