@@ -167,7 +167,7 @@ def draw_figure(table, path):
         ax.step(ranks, np.arange(1, n + 1) / n - ranks, where="post", lw=1.2)
         ax.axhline(0, color="k", lw=0.6)
         ax.set_title(f"{name.upper()}, {n} latents\nnoise in the {kind}, {method}", fontsize=9)
-        ax.set_ylim(-max(4 * band, 0.05), max(4 * band, 0.05))
+        ax.set_ylim(-2 * band, 2 * band)
     for ax in axes[-1]:
         ax.set_xlabel("rank of the true value")
     for ax in axes[:, 0]:

@@ -93,7 +93,7 @@ def draw_figure(em, path):
     for ax, step in zip(np.atleast_1d(axes), steps, strict=True):
         k = step.posterior.names.index(name)
         ax.hist(
-            step.posterior.draws[:, k], bins=np.linspace(0, 9, 46), density=True,
+            step.posterior.draws[:, k], bins=np.linspace(0, 9, 121), density=True,
             weights=step.posterior.weights, color="C0", alpha=0.8,
         )  # fmt: skip
         ax.axvline(step.posterior.truth[k], color="k", lw=1)

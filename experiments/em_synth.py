@@ -48,13 +48,15 @@ def tasks(quick):
     if quick:
         out = [(name, "em", 5, 0.0, 0, 0) for name in names]
         return out + [("mat", "em", 5, NOISE["mat"], 0, 0), ("mat", "em_alone", 5, 0.0, 0, 0)]
-    out = [(name, "em", 5, 0.0, a, b) for name in names for b in range(5) for a in range(5)]
-    dear, out = out[-5:], out[:-5]
-    out += [("mat", "em", 10, 0.0, a, 0) for a in range(10)]
-    out += [(name, "em", 5, NOISE[name], a, 0) for name in names for a in range(10)]
     alone = {"mat": 10, "nbody": 10, "bounce": 5}
-    out += [(name, "em_alone", 5, 0.0, a, 0) for name in names for a in range(alone[name])]
-    return out + dear
+    out = []
+    for name in names:
+        out += [(name, "em", 5, NOISE[name], a, 0) for a in range(10)]
+        if name == "mat":
+            out += [(name, "em", 10, 0.0, a, 0) for a in range(10)]
+        out += [(name, "em", 5, 0.0, a, b) for b in range(5) for a in range(5)]
+        out += [(name, "em_alone", 5, 0.0, a, 0) for a in range(alone[name])]
+    return out
 
 
 def run(task):
