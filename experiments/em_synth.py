@@ -181,7 +181,7 @@ def write_summary(table, folder):
         lines.append("| " + " | ".join([
             name, method, str(n_train), f"{noise:g}", str(len(part)),
             f"{int(part.recovered.sum())}/{len(part)}",
-            f"{int((part.true_gap <= CLASS_NATS).sum())}/{len(part)}",
+            f"{int((part.true_gap <= CLASS_NATS).sum())}/{len(part)}" if method == "em" else "",
             f"{int(part.true_listed.sum())}/{len(part)}",
             stat("nrmse_test"), stat("nrmse_free"), stat("nrmse_test_5step"),
             stat("nrmse_at_mean"), stat("nrmse_true"), stat("nrmse_vs_clean"),

@@ -154,9 +154,9 @@ def _posterior(sampler, names, tau, enough, n_eff, keep_chain, state):
     notes = []
     if not enough:
         notes.append(
-            f"the chain did not converge in {done} steps: effective sample size "
-            f"{sizes.min():.0f} of {n_eff:g} asked for, autocorrelation time {np.max(tau):.0f} "
-            "steps; the draws are usable as a rough guide only"
+            f"the chain did not converge in {done} steps: autocorrelation time {np.max(tau):.0f} "
+            f"(a chain of {TRUSTED} of them is wanted), effective sample size {sizes.min():.0f} of "
+            f"{n_eff:g} asked for; the draws are usable as a rough guide only"
         )
         logger.warning("%s: %s", ", ".join(names), notes[0])
     if acceptance < DEAD_MOVES:
