@@ -144,6 +144,10 @@ def _run_loop(args, progress):
     grammar = load_grammar(args.grammar)
     declared = read_laws(args)
     dataset = read_dataset(args)
+    if args.latent or args.prior or dataset.latents:
+        from bsp_gp.cli_latents import with_declared_latents
+
+        dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "n_null": max(299, round(1 / args.alpha)),
@@ -154,7 +158,7 @@ def _run_loop(args, progress):
 
     from bsp_gp.loop.close import close_loop, declared_law
 
-    law = declared_law(dataset, declared)
+    law = declared if dataset.latents else declared_law(dataset, declared)
     with _pool(args.workers) as pool:
         report = close_loop(
             dataset,
@@ -174,6 +178,9 @@ def _run_loop(args, progress):
 
 
 def _fit(args):
+    if args.latent:
+        _with_latents(args, "run_learn", "LEARN_FILES", "Law and posterior")
+        return
     if not args.declare and not args.model:
         _close(args)
         return
@@ -197,6 +204,29 @@ def _fit(args):
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
+def _infer(args):
+    _with_latents(args, "run_infer", "INFER_FILES", "Posterior")
+
+
+def _with_latents(args, command, names, what):
+    from bsp_gp import cli_latents
+
+    names = getattr(cli_latents, names)
+    out = _free_folder(args.out, args.overwrite, names) if args.out else None
+    laws = read_laws(args)
+    dataset = read_dataset(args)
+    import json
+
+    with _Progress(args.quiet) as progress:
+        text, data, files = getattr(cli_latents, command)(args, dataset, laws, progress)
+    if out is not None:
+        _write_folder(out, files)
+        args.written.append(out)
+    print(json.dumps(data, indent=1, ensure_ascii=False) if args.json else text)
+    if out is not None:
+        print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
 
 
 def _simulate(args):
@@ -362,6 +392,7 @@ def _finish(args, out):
 _COMMANDS = {
     "close": _close,
     "fit": _fit,
+    "infer": _infer,
     "simulate": _simulate,
     "make": _make,
     "compare": _compare,
@@ -433,15 +464,16 @@ def _free_folder(folder, overwrite, names):
 
 
 def _write_folder(folder, files):
-    """Write texts as the files of a folder, whole or not at all."""
+    """Write texts or bytes as the files of a folder, whole or not at all."""
     import shutil
     import tempfile
     from pathlib import Path
 
     fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        for name, text in files.items():
-            (fresh / name).write_text(text, encoding="utf-8")
+        for name, content in files.items():
+            content = content.encode("utf-8") if isinstance(content, str) else content
+            (fresh / name).write_bytes(content)
         fresh.chmod(0o755)
         if folder.exists():
             old = fresh.with_name(f"{fresh.name}-old")

@@ -120,6 +120,7 @@ def build_parser():
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_close(commands)
     _add_fit(commands)
+    _add_infer(commands)
     _add_simulate(commands)
     _add_make(commands)
     _add_compare(commands)
@@ -148,6 +149,7 @@ def _add_close(commands):
     )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     _loop(parser)
+    _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
 
 
@@ -169,10 +171,12 @@ def _add_fit(commands):
     )
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     _loop(parser)
+    _latents(parser)
     _output(
         parser,
-        "folder for fit.json and fit.txt (with a law; default: print only), or of "
-        "the report (default: NAME-report here)",
+        "folder for fit.json and fit.txt (with a law; default: print only), of the learnt law and "
+        "the posterior (with --latent; default: print only), or of the report (default: "
+        "NAME-report here)",
     )
 
 
@@ -217,6 +221,28 @@ def _add_compare(commands):
     _seed(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for results.csv and certificate.txt")
     _common(parser)
+
+
+def _add_infer(commands):
+    parser = _add(
+        commands, "infer",
+        "posterior of unknown properties (masses, friction, ...) under a given law",
+        _LAW_HELP.replace("--declare", "--law"),
+    )  # fmt: skip
+    _data(parser)
+    model = parser.add_mutually_exclusive_group(required=True)
+    model.add_argument(
+        "--law",
+        "--declare",
+        dest="declare",
+        action="append",
+        metavar="LAW",
+        help="a force; repeat for more; its named constants are sampled together with the unknowns",
+    )
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _latents(parser)
+    _seed(parser)
+    _output(parser, "folder of the posterior: tables, draws, figures (default: print only)")
 
 
 def _add_simulate(commands):
@@ -468,6 +494,80 @@ def _loop(parser):
     )
     _workers(parser)
     _seed(parser)
+
+
+def _unknowns(parser):
+    group = parser.add_argument_group("unknown properties")
+    group.add_argument(
+        "--latent",
+        action="extend",
+        nargs="+",
+        metavar="PROPERTY",
+        help="properties that are unknown, such as mass (default: those of [latent.*])",
+    )
+    group.add_argument(
+        "--prior",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        metavar="PROPERTY=PRIOR",
+        help="mass=uniform:LOW:HIGH, log-uniform:LOW:HIGH, normal:MEAN:SD[:LOW:HIGH] or "
+        "values:A,B,C (default: that of [latent.PROPERTY])",
+    )
+    group.add_argument(
+        "--entities",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        metavar="PROPERTY=E1,E2",
+        help="entities whose property is unknown (default: those without a value)",
+    )
+    group.add_argument(
+        "--share",
+        action="extend",
+        nargs="+",
+        type=_pair,
+        metavar="PROPERTY=HOW",
+        help="entity (default), all, or a column of entities.csv",
+    )
+
+
+def _latents(parser):
+    _unknowns(parser)
+    group = parser.add_argument_group("inference")
+    group.add_argument(
+        "--likelihood",
+        choices=("auto", "one-step", "gls", "propagated", "ahead"),
+        default="auto",
+        help="auto: one-step for exact positions, gls for noisy ones; ahead: five steps",
+    )
+    group.add_argument(
+        "--e-step",
+        choices=("auto", "emcee", "importance", "laplace", "tempered", "enumeration"),
+        default="auto",
+        help="auto: emcee, and enumeration of discrete unknowns",
+    )
+    group.add_argument(
+        "--n-eff",
+        type=_integer(10, 10**6),
+        default=1000,
+        metavar="N",
+        help="effective sample size to stop at (default 1000)",
+    )
+    group.add_argument(
+        "--max-steps",
+        type=_integer(100, 10**7),
+        default=20_000,
+        metavar="N",
+        help="bound of a chain (default 20000)",
+    )
+    group.add_argument(
+        "--starts",
+        type=_integer(1, 100),
+        default=3,
+        metavar="N",
+        help="starts of EM (default 3)",
+    )
 
 
 def _workers(parser):

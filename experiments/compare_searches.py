@@ -29,6 +29,7 @@ LIKELIHOODS = {
     "bounce": ("one_step",),
 }
 MARGIN = 4.0
+"""Rows whose contact is within so many standard deviations of beginning or ending are left out."""
 COLOURS = {"exhaustive": "#222222", "cross_entropy": "#0072b2", "genetic": "#d55e00",
            "random": "#999999"}  # fmt: skip
 
@@ -47,7 +48,7 @@ def problem(name, n_scenes, noise, likelihood, noise_seed):
     scenes = noisy_scenes(name, range(1, n_scenes + 1), noise, noise_seed)
     grammar, missing = load_grammar("newtonian").masked(dataset.types, 2)
     regression = build_regression(
-        scenes, method=likelihood, sigma=noise or SIGMA, contact_margin=MARGIN if noise else 0.0
+        scenes, method=likelihood, sigma=noise or SIGMA, unsure=MARGIN * noise
     )
     # Exact data need no prior but to choose among equal laws; under noise it is the paper's
     # prior in nats, beta = 1, against a likelihood of known noise.

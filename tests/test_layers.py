@@ -30,6 +30,7 @@ ROOMS = (
     "cli_options",
     "cli_inputs",
     "cli_make",
+    "cli_latents",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it.

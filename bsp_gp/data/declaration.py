@@ -214,13 +214,16 @@ class _Reader:
         return values
 
     def latents(self):
-        allowed = ("prior", "low", "high", "entities", "share", "values")
+        allowed = ("prior", "low", "high", "mean", "sd", "entities", "share", "values")
         found = []
         for name, table in self.table("latent").items():
             if not isinstance(table, Mapping):
                 self.fail(f"latent {name!r} must be a table", remedy=f"write [latent.{name}]")
             self.known(table, allowed, f"in [latent.{name}]")
-            bounds = {k: self.number(table[k], k) for k in ("low", "high") if k in table}
+            numbers = {
+                k: self.number(table[k], k) for k in ("low", "high", "mean", "sd") if k in table
+            }
+            bounds = {k: numbers[k] for k in ("low", "high") if k in numbers}
             if len(bounds) == 2 and bounds["low"] >= bounds["high"]:
                 self.fail(f"low must be below high in [latent.{name}], got {bounds}")
             values = table.get("values", [])
@@ -230,7 +233,7 @@ class _Reader:
             found.append(
                 LatentDeclaration(
                     name,
-                    **bounds,
+                    **numbers,
                     **texts,
                     entities=self.patterns(table, "entities"),
                     values=tuple(self.number(v, "values") for v in values),

@@ -215,6 +215,7 @@ def _units(dataset):
 
 def _latent(latent):
     table = {"prior": latent.prior, "share": latent.share}
-    table |= {k: getattr(latent, k) for k in ("low", "high") if math.isfinite(getattr(latent, k))}
+    numbers = ("low", "high", "mean", "sd")
+    table |= {k: getattr(latent, k) for k in numbers if math.isfinite(getattr(latent, k))}
     table |= {k: list(getattr(latent, k)) for k in ("entities", "values") if getattr(latent, k)}
     return table

@@ -224,7 +224,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class LatentDeclaration:
-    """A property declared unknown, as read from ``[latent.NAME]``; priors are made elsewhere."""
+    """A property declared unknown, as read from ``[latent.NAME]``; priors are made elsewhere.
+
+    `mean` and `sd` are those of a truncated normal before it is cut to `low` and `high`.
+    """
 
     name: str
     prior: str = "uniform"
@@ -233,6 +236,8 @@ class LatentDeclaration:
     entities: tuple[str, ...] = ()
     share: str = "entity"
     values: tuple[float, ...] = ()
+    mean: float = math.nan
+    sd: float = math.nan
 
 
 @dataclass(frozen=True)

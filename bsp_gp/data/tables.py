@@ -8,6 +8,7 @@ or a note in `Dataset.notes`; nothing is dropped silently.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -236,6 +237,12 @@ def _split(declaration, names):
     return sides["train"], sides["test"], note
 
 
+def _scaled(latent, names, scale):
+    """Numbers of a declaration in SI; those that are not given stay so."""
+    values = {name: getattr(latent, name) for name in names}
+    return {name: value * scale for name, value in values.items() if math.isfinite(value)}
+
+
 def _latents(declaration, conversion, rows, roster):
     latents, units = [], {}
     columns = {name for e in (roster.entities if roster else ()) for name in e.properties}
@@ -253,8 +260,7 @@ def _latents(declaration, conversion, rows, roster):
             file=declaration.file,
         )  # fmt: skip
         changes = {
-            "low": latent.low * scale,
-            "high": latent.high * scale,
+            **_scaled(latent, ("low", "high", "mean", "sd"), scale),
             "values": tuple(value * scale for value in latent.values),
             "entities": entities,
         }

@@ -77,6 +77,8 @@ def close_loop(
     Parameters
     ----------
     dataset : Dataset
+        Properties that it declares latent are inferred under the model, and again under the
+        law that is found; their recorded values, if any, are not used.
     declared : ForceLaw or sequence of str
         The model that is believed: typed laws. Empty: no force at all.
     rng : numpy.random.Generator
@@ -114,6 +116,14 @@ def close_loop(
     progress = progress or (lambda text: None)
     _check(alpha, max_rounds, n_null, max_levels)
     declared = (declared,) if isinstance(declared, str) else declared
+    if dataset.latents:
+        from bsp_gp.loop.unknowns import close_with_unknowns
+
+        return close_with_unknowns(
+            dataset, declared, close_loop, declared_law, rng=rng, progress=progress,
+            grammar=grammar, alpha=alpha, max_rounds=max_rounds, max_levels=max_levels,
+            n_null=n_null, per_entity=per_entity, exclude=exclude, seed=seed, workers=workers,
+        )  # fmt: skip
     law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
     grammar = (
         load_grammar(grammar) if isinstance(grammar, str) or hasattr(grammar, "suffix") else grammar

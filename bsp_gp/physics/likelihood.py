@@ -256,7 +256,7 @@ def build_regression(
     velocity="ignore",
     sources=True,
     states=None,
-    contact_margin=0.0,
+    unsure=None,
 ):
     """Read accelerations off measured tracks.
 
@@ -278,9 +278,9 @@ def build_regression(
         Scene name -> positions and velocities (T, R, d) of the receivers at which laws are
         evaluated in the place of the measured ones (``gls``); the accelerations to be explained
         stay those of the measured positions.
-    contact_margin : float
-        Rows of a receiver whose contact with any body lies within this many standard deviations
-        of beginning or ending are left out: under noise nobody knows which law acted there.
+    unsure : float, optional
+        Rows whose contact or region condition would flip if a body moved by less than this,
+        metres, are left out: with position noise they are as likely wrong as right.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def build_regression(
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"
     batches = [
-        _regression_batch(batch, method, sigma, sources, states or {}, contact_margin)
+        _regression_batch(batch, method, sigma, sources, states or {}, unsure)
         for batch in stack(scenes, up, measured)
     ]
     regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
@@ -310,7 +310,7 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources, given, contact_margin):
+def _regression_batch(batch, method, sigma, sources, given, unsure):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
@@ -322,9 +322,9 @@ def _regression_batch(batch, method, sigma, sources, given, contact_margin):
     own = np.isfinite(velocities[:, :, bodies.receivers]).all(axis=-1)
     if sources:
         own &= (np.isfinite(positions) & np.isfinite(velocities)).all(axis=(-1, -2))[..., None]
-    if contact_margin:
-        own &= ~_is_unsure(bodies, positions, contact_margin * np.nanmax(sigma))
     valid &= own[..., None]
+    if unsure:
+        valid &= ~_is_unsure(bodies, positions, unsure)[..., None]
     target = np.where(valid, target, 0.0)
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
@@ -336,20 +336,13 @@ def _regression_batch(batch, method, sigma, sources, given, contact_margin):
     )
 
 
-def _is_unsure(bodies, positions, margin):
-    """Whether a contact of a receiver may have begun or ended within `margin`, (n, S, R)."""
-    shapes = bodies.shapes
-    receivers = bodies.receivers
-    return (
-        shapes[..., receivers, None]
-        .contact_margin(
-            positions[:, :, receivers, None],
-            shapes[..., bodies.others],
-            positions[:, :, bodies.others],
-        )
-        .min(axis=-1, initial=np.inf)
-        < margin
+def _is_unsure(bodies, positions, distance):
+    """Whether a condition of a receiver and any source is about to flip, (n, S, R)."""
+    here, there = bodies.receivers, bodies.others
+    margin = bodies.shapes[:, here, None].contact_margin(
+        positions[:, :, here, None], bodies.shapes[:, there], positions[:, :, there]
     )
+    return (margin < distance).any(axis=-1)
 
 
 def _replaced(state, batch, given):

@@ -13,7 +13,7 @@ from bsp_gp.data.tables import load_dataset
 from tests.throws import DRAG, GRAVITY, throws_folder
 
 HEAVY = {"numpy", "pandas", "scipy", "matplotlib", "sympy", "pint", "deap", "tqdm", "jinja2"}
-COMMANDS = ("close", "fit", "simulate", "grammar", "demo")
+COMMANDS = ("close", "fit", "infer", "simulate", "grammar", "demo")
 FAST = ["--max-rounds", "1", "--max-levels", "2", "--quiet"]
 
 

@@ -353,7 +353,7 @@ def test_rows_with_an_unsure_contact_are_left_out(method):
     positions = np.zeros((61, 2, 2))
     positions[:, 0, 0] = -3.03 + times  # over the edges at x = -2 and x = 2
     scene = Scene("s", times, positions, (disc, mat))
-    regression = build_regression([scene], method=method, sigma=0.03, contact_margin=4.0)
+    regression = build_regression([scene], method=method, sigma=0.03, unsure=0.12)
     x = positions[1:-1, 0, 0]
     left_out = np.abs(np.abs(x) - 2.0) < 0.12
     assert left_out.sum() == 4

@@ -1,0 +1,104 @@
+"""The M-step: laws proposed by any search on a regression averaged over posterior draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.physics.likelihood import stack_draws
+from bsp_gp.search.constants import linear_columns
+from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.objective import Objective
+from bsp_gp.search.run import run_search
+
+__all__ = ["Exhaustive", "WithSearch", "averaged_regression"]
+
+
+def averaged_regression(scenes, latents, draws, weights, likelihood):
+    """One regression whose loss is the expected loss over draws of the latents.
+
+    Parameters
+    ----------
+    draws : ndarray, shape (S, k)
+    weights : ndarray, shape (S,)
+
+    Returns
+    -------
+    Regression
+    """
+    plain = likelihood.for_search
+    regressions = [plain.regression(latents.filled(scenes, draw)) for draw in draws]
+    return stack_draws(regressions, weights)
+
+
+@dataclass(frozen=True)
+class Exhaustive:
+    """Every distinct law up to a bound is scored: the M-step that cannot miss.
+
+    Attributes
+    ----------
+    max_levels : int
+    top_k : int
+        Laws kept for every unit of complexity.
+    """
+
+    max_levels: int = 8
+    top_k: int = 40
+
+    def candidates(self, regression, grammar, kinds, base, rng):
+        """Candidates of all kinds, lowest loss first, and how many laws were scored."""
+        target, nuisance = _given(regression, base)
+        out, scored = [], 0
+        for kind in kinds:
+            result = search_exhaustive(
+                regression, grammar, kind=kind, max_levels=self.max_levels, top_k=self.top_k,
+                target=target, nuisance=nuisance,
+            )  # fmt: skip
+            out += result.candidates
+            scored += result.n_evaluated
+        return sorted(out, key=lambda c: c.loss), scored
+
+
+@dataclass(frozen=True)
+class WithSearch:
+    """Cross-entropy, genetic or random search as the M-step.
+
+    Attributes
+    ----------
+    strategy : Search
+    budget : Budget
+    beta : float
+        Weight of the complexity in the objective.
+    keep : int
+        Laws handed on.
+    """
+
+    strategy: object
+    budget: object
+    beta: float = 1e-3
+    keep: int = 100
+
+    def candidates(self, regression, grammar, kinds, base, rng):
+        """Candidates of all kinds, lowest loss first, and how many laws were scored."""
+        target, nuisance = _given(regression, base)
+        out, scored = [], 0
+        for kind, stream in zip(kinds, rng.spawn(len(kinds)), strict=True):
+            objective = Objective(
+                regression, grammar, kind, beta=self.beta, target=target, nuisance=nuisance
+            )
+            result = run_search(self.strategy, objective, self.budget, rng=stream, keep=self.keep)
+            out += result.candidates
+            scored += result.n_evaluated
+        return sorted(out, key=lambda c: c.loss), scored
+
+
+def _given(regression, base):
+    """Target and nuisance columns for searches beside terms that are there already."""
+    if base is None or not base.terms:
+        return None, None
+    linear = linear_columns(regression, base)
+    if linear is None:
+        return regression.residual(base), None
+    fixed, matrix, _ = linear
+    return regression.target() - fixed, matrix if np.size(matrix) else None

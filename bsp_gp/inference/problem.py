@@ -1,0 +1,146 @@
+"""A data set made ready for inference: unknowns, likelihood, and scenes with stand-in values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.split import choose_split
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.inference.latents import Latents, declared_latents
+from bsp_gp.inference.likelihood import Likelihood
+
+__all__ = ["LatentProblem", "latent_problem", "stand_ins"]
+
+EXACT = 1e-9
+"""Noise below this part of the range is numerical: the positions count as exact."""
+ASSUMED = 1e-4
+"""Part of the range that is taken for the error of exact positions where none is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class LatentProblem:
+    """What inference needs of a data set.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        Unknown properties stand at the median of their priors, so that laws that name them can
+        be read; recorded values are not used.
+    train, test : tuple of Scene
+    latents : Latents
+        Of the training scenes.
+    test_latents : Latents
+    likelihood : Likelihood
+    notes : tuple of str
+    """
+
+    dataset: object
+    train: tuple
+    test: tuple
+    latents: Latents
+    test_latents: Latents
+    likelihood: Likelihood
+    notes: tuple[str, ...] = ()
+
+
+def latent_problem(dataset, *, rng, kind="auto", noise=None, everything=False, test=True):
+    """Make a data set ready for inference.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With latents declared.
+    rng : numpy.random.Generator
+        For a split that is not declared.
+    kind : str
+        Of likelihood: "auto" takes "one_step" for exact positions and "gls" for noisy ones.
+    noise : float or sequence of float, optional
+        Standard deviation of a position, metres, in place of the data's.
+    everything : bool
+        Use all scenes for training.
+    test : bool
+        Whether held-out scenes are wanted.
+
+    Returns
+    -------
+    LatentProblem
+
+    Raises
+    ------
+    SettingsError
+        If nothing is latent, or a declared prior is none.
+    """
+    if not dataset.latents:
+        raise SettingsError(
+            "nothing is declared latent; write [latent.mass] with a prior in dataset.toml, or "
+            "give --latent mass --prior mass=uniform:LOW:HIGH"
+        )
+    split_note = "all scenes are used"
+    train = held = dataset.scenes
+    if everything:
+        held = ()
+    else:
+        train, held, split_note = choose_split(dataset, rng)
+    held = tuple(held) if test else ()
+    latents = declared_latents(dataset, train)
+    test_latents = declared_latents(dataset, held) if held else Latents()
+    likelihood, note = _likelihood(dataset, kind, noise)
+    filled = replace(dataset, scenes=stand_ins(dataset.scenes, _all(latents, test_latents)))
+    return LatentProblem(
+        filled, stand_ins(train, latents), stand_ins(held, test_latents), latents, test_latents,
+        likelihood, (split_note, note),
+    )  # fmt: skip
+
+
+def _all(*parts):
+    """Latents of both sides, those of the same members once."""
+    seen = {}
+    for part in parts:
+        for item in part.items:
+            seen.setdefault((item.column, item.members), item)
+    items = list(seen.values())
+    return Latents(tuple(replace(item, name=f"{k}") for k, item in enumerate(items)))
+
+
+def stand_ins(scenes, latents):
+    """The scenes with unknown properties at the medians of their priors."""
+    medians = [float(item.prior.ppf(0.5)) for item in latents.items]
+    return latents.filled(scenes, medians)
+
+
+def _likelihood(dataset, kind, noise):
+    """Likelihood and a sentence on how it came about."""
+    spans = [np.nanmax(s.positions) - np.nanmin(s.positions) for s in dataset.scenes]
+    extent = float(np.max(spans)) or 1.0
+    if noise is None:
+        estimate = estimate_noise(dataset)
+        sigma = np.array(estimate.sigma, dtype=float)
+        source = estimate.source
+    else:
+        sigma = np.broadcast_to(np.asarray(noise, dtype=float), (dataset.n_dims,))
+        source = "given"
+    if not np.isfinite(sigma).any():
+        raise DataError("nothing moves: no dynamic entity changes its position on any axis")
+    is_exact = bool(np.nanmax(sigma) <= EXACT * extent)
+    touching = any(e.shape != "point" for s in dataset.scenes for e in s.entities)
+    chosen = kind if kind != "auto" else "one_step" if is_exact else "gls"
+    if is_exact:
+        sigma = np.where(np.isfinite(sigma), ASSUMED * extent, sigma)
+        note = (
+            f"the positions are exact: posteriors are those of an assumed error of "
+            f"{ASSUMED * extent:.3g} m (one part in {1 / ASSUMED:,.0f} of the range); give "
+            "--noise for another"
+        )
+    else:
+        note = f"noise {np.nanmax(sigma):.3g} m ({source}), likelihood {chosen}"
+    if chosen == "ahead":
+        sigma = float(np.nanmax(sigma))
+    likelihood = Likelihood(
+        chosen, sigma=sigma, velocities="backward" if touching else "central",
+        drops_unsure=touching and chosen == "gls", up=dataset.up,
+        sources=max(len(s.entities) for s in dataset.scenes) > 1,
+    )  # fmt: skip
+    return likelihood, note

@@ -1,0 +1,182 @@
+"""Are the posteriors calibrated? 500 data sets a scenario, drawn from the prior predictive.
+
+For every data set the unknown properties are drawn from their priors, a scene of the paper's kind
+is simulated under the true law with these values and noise of known sigma, and the posterior is
+sampled with emcee under the true law. The rank of the true value among the draws must be uniform
+(Talts et al. 2018): the empirical distribution of ranks, pooled over exchangeable properties, must
+lie in its 99 % simultaneous band, and intervals must cover as often as they say.
+
+The noise enters the motion at every step (the generative model of the one-step likelihood), or the
+measurement (the propagated likelihood; beside it GLS alone, which forgets that laws are evaluated
+at noisy states).
+"""
+
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from common import options, write_table
+from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unknowns
+
+from bsp_gp.inference.e_step import EStep, infer
+from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
+from bsp_gp.physics.bodies import stack
+
+LEVELS = (0.5, 0.9)
+CHUNK = 25
+GROUPS = ["noise", "method", "scenario"]
+E_STEPS = {"importance": EStep("laplace", n_eff=300), "emcee": EStep("emcee", n_eff=300)}
+
+
+def simulated(name, scene, sigma, kind, rng):
+    """The scene moved anew under the true law, in Euler steps from its first two rows.
+
+    "motion": the noise is part of every step; "measurement": it is added at the end.
+    """
+    law = true_law(name)
+    (batch,) = stack([scene])
+    receivers = batch.bodies.receivers
+    p = np.array(batch.positions)
+    v = np.zeros_like(p[0])
+    steps = np.diff(batch.times[:, 0])
+    noise = sigma * rng.standard_normal(p[:, :, receivers].shape)
+    for t in range(1, len(p) - 1):
+        v[:, receivers] = (p[t] - p[t - 1])[:, receivers] / steps[t - 1]
+        a = law.acceleration(batch.bodies, p[t], v, batch.times[t])
+        p[t + 1][:, receivers] = p[t][:, receivers] + steps[t] * (v[:, receivers] + steps[t] * a)
+        if kind == "motion":
+            p[t + 1][:, receivers] += noise[t + 1]
+    if kind != "motion":
+        p[:, :, receivers] += noise
+    return replace(scene, positions=p[:, 0])
+
+
+def run(task):
+    """One data set: a row for every latent."""
+    name, kind, method, index, seed = task
+    rng = np.random.default_rng([11, list(SCENARIOS).index(name), index, seed])
+    scene = scenes_of(name, [1 + index % 100])[0]
+    latents = unknowns(name, [scene])
+    truth = latents.sample(1, rng=rng)[0]
+    sigma = SCENARIOS[name].level
+    made = simulated(name, latents.filled([scene], truth)[0], sigma, kind, rng)
+    likelihood = likelihood_of(name, 0.0 if kind == "motion" else sigma)
+    if kind == "measurement":
+        likelihood = likelihood.for_posterior
+    started = time.perf_counter()
+    posterior = infer(
+        true_law(name), [made], latents, likelihood, rng=rng, settings=E_STEPS[method]
+    )
+    seconds = time.perf_counter() - started
+    intervals = [posterior.interval(level).T for level in LEVELS]
+    inside = [(low <= truth) & (truth <= high) for low, high in intervals]
+    return [
+        {
+            "scenario": name, "noise": kind, "method": method, "index": index, "seed": seed,
+            "latent": latent,
+            "truth": truth[k],
+            "rank": rank_of(truth[k], posterior.draws[:, k], posterior.weights, rng=rng),
+            "inside_50": bool(inside[0][k]), "inside_90": bool(inside[1][k]),
+            "mean": posterior.mean[k], "sd": posterior.sd[k], "n_eff": posterior.n_eff[k],
+            "r_hat": posterior.r_hat[k], "converged": posterior.converged, "seconds": seconds,
+        }
+        for k, latent in enumerate(latents.names)
+    ]  # fmt: skip
+
+
+def main():
+    args = options(__doc__.splitlines()[0])
+    path = args.out / "results.csv"
+    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    done = {(r["scenario"], r["noise"], r["method"], r["index"], r["seed"]) for r in rows}
+    plan = (
+        ("motion", "importance", 500),
+        ("measurement", "importance", 500),
+        ("motion", "emcee", 200),
+        ("measurement, GLS alone", "importance", 100),
+    )
+    todo = [
+        (name, kind, method, index, args.seed)
+        for kind, method, n in plan
+        for name in ("mat", "nbody", "bounce")
+        for index in range(20 if args.quick else n)
+        if (name, kind, method, index, args.seed) not in done
+    ]
+    with ProcessPoolExecutor(args.workers) as pool:
+        for start in range(0, len(todo), CHUNK):
+            part = todo[start : start + CHUNK]
+            results = map(run, part) if args.workers == 1 else pool.map(run, part)
+            rows += [row for result in results for row in result]
+            write_table(rows, path)
+            print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:4]}", flush=True)
+    table = pd.DataFrame(rows)
+    write_summary(table, args.out)
+    draw_figure(table, args.out / "calibration.png")
+
+
+def write_summary(table, folder):
+    lines = ["# Calibration", "",
+             "Ranks of the true values among posterior draws, pooled over exchangeable latents of "
+             "a data set; the band holds an empirical distribution of that many independent "
+             "uniform numbers with 99 %. Coverage with its distance from nominal in standard "
+             "errors (latents of one data set counted as dependent).", "",
+             "| scenario | noise in | E-step | data sets | latents | largest deviation | band 99 % "
+             "| inside | cover 50 % | cover 90 % | not converged | s a data set |",
+             "|" + "---|" * 12]  # fmt: skip
+    for (kind, method, name), part in table.groupby(GROUPS, sort=False):
+        ranks = part["rank"].to_numpy()
+        band = simultaneous_band(len(ranks), 0.99)
+        ordered = np.sort(ranks)
+        n = len(ordered)
+        worst = max((np.arange(1, n + 1) / n - ordered).max(), (ordered - np.arange(n) / n).max())
+        covers = []
+        for level in LEVELS:
+            share, error = coverage(part[f"inside_{level * 100:.0f}"], part["index"])
+            covers.append(f"{100 * share:.1f} % ({(share - level) / error:+.1f} se)")
+        lines.append(
+            f"| {name} | {kind} | {method} | {part['index'].nunique()} | {n} | {worst:.4f} "
+            f"| {band:.4f} | {'yes' if worst <= band else 'NO'} | {covers[0]} | {covers[1]} | "
+            f"{int((~part.converged.astype(bool)).sum())} | "
+            f"{part.seconds.median():.2f} |"
+        )
+    (folder / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+def draw_figure(table, path):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    groups = list(table.groupby(GROUPS, sort=False))
+    kinds = list(dict.fromkeys(key[:2] for key, _ in groups))
+    fig, axes = plt.subplots(
+        len(kinds), 3, figsize=(10, 3.2 * len(kinds)), sharex=True, squeeze=False,
+        constrained_layout=True,
+    )  # fmt: skip
+    columns = {"mat": 0, "nbody": 1, "bounce": 2}
+    for (kind, method, name), part in groups:
+        ax = axes[kinds.index((kind, method)), columns[name]]
+        ranks = np.sort(part["rank"].to_numpy())
+        n = len(ranks)
+        band = simultaneous_band(n, 0.99)
+        ax.axhspan(-band, band, color="0.88", label="99 % band")
+        ax.step(ranks, np.arange(1, n + 1) / n - ranks, where="post", lw=1.2)
+        ax.axhline(0, color="k", lw=0.6)
+        ax.set_title(f"{name.upper()}, {n} latents\nnoise in the {kind}, {method}", fontsize=9)
+        ax.set_ylim(-2 * band, 2 * band)
+    for ax in axes[-1]:
+        ax.set_xlabel("rank of the true value")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("empirical - uniform")
+    axes[0, 0].legend(fontsize=8, loc="upper right")
+    fig.savefig(path, dpi=150)
+    plt.close(fig)
+
+
+if __name__ == "__main__":
+    dataset_of("mat")  # fails early without data
+    main()
