@@ -6,7 +6,7 @@ Lengths are px and times are frames here; the coefficients of the features are
   pair  (receiver colour, source colour): towards the other disc, as (100 px / r)^p.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from ullman_movies import COLOURS
@@ -25,7 +25,7 @@ class Form:
 
     drag_power: float = 1.0
     pair_power: float = 2.0
-    overlap: str = "max"
+    overlap: str = "first"
     region: str = "touch"
     noise: MotionNoise = field(default_factory=MotionNoise)
 
@@ -107,28 +107,49 @@ def filled(positions):
     return x
 
 
-def on_mats(movie, x, form):
+def on_mats(movie, x, form, order):
     """Which mats act on each disc: (colours present, weights (T, N, n_colours)).
 
     The region is ``centre`` (the centre is on the mat) or ``touch`` (any part of the disc's
-    bounding box is). Where two mats of one colour act at once they count once (``max``) or
-    twice (``sum``); mats of different colours always act both.
+    bounding box is). Where a disc is on two mats, ``first`` lets only the first of `order` act,
+    ``all`` both.
     """
     colours = tuple(dict.fromkeys(m[0] for m in movie.mats))
     weights = np.zeros((*x.shape[:2], len(colours)))
+    taken = np.zeros(x.shape[:2], dtype=bool)
     reach = movie.radii if form.region == "touch" else np.zeros(len(movie.radii))
-    for colour, left, top, right, bottom in movie.mats:
+    for index in order:
+        colour, left, top, right, bottom = movie.mats[index][:5]
         inside = (x[..., 0] > left - reach) & (x[..., 0] < right + reach)
         inside &= (x[..., 1] > top - reach) & (x[..., 1] < bottom + reach)
-        k = colours.index(colour)
-        if form.overlap == "sum":
-            weights[..., k] += inside
-        else:
-            weights[..., k] = np.maximum(weights[..., k], inside)
-    return colours, weights
+        if form.overlap == "first":
+            inside &= ~taken
+        taken |= inside
+        weights[..., colours.index(colour)] += inside
+    return colours, np.minimum(weights, 1.0)
 
 
-def features_of(movie, form):
+def mat_orders(movie, form):
+    """Orders in which mats may take precedence: one, or both if the picture cannot tell.
+
+    Of two mats that lie over one another the lower one (more of it hidden) goes first; for mats
+    apart, which one acts on a disc that is on both is not visible, and both orders are kept.
+    """
+    indices = tuple(range(len(movie.mats)))
+    if form.overlap != "first" or len(movie.mats) != 2 or movie.mats[0][0] == movie.mats[1][0]:
+        return [indices]
+    (_, l0, t0, r0, b0, hidden0), (_, l1, t1, r1, b1, hidden1) = movie.mats
+    across = min(r0, r1) - max(l0, l1)
+    along = min(b0, b1) - max(t0, t1)
+    if across > 3 and along > 3 and abs(hidden0 - hidden1) > 0.01:
+        return [(0, 1) if hidden0 > hidden1 else (1, 0)]
+    x = filled(movie.positions)
+    everything = Form(overlap="all", region=form.region)
+    both = np.any(on_mats(movie, x, everything, indices)[1].sum(axis=2) > 1)
+    return [(0, 1), (1, 0)] if both else [indices]
+
+
+def features_of(movie, form, order=None):
     """Feature accelerations of all coefficients, shape (T, N, 2, K), and their names."""
     x = filled(movie.positions)
     v = velocities(movie.positions)
@@ -137,7 +158,8 @@ def features_of(movie, form):
     drag = np.where(speed > SLOW, -v * np.maximum(speed, SLOW) ** (form.drag_power - 1), -v * 0.0)
     if form.drag_power == 1.0:
         drag = -v
-    mats, weights = on_mats(movie, x, form)
+    order = mat_orders(movie, form)[0] if order is None else order
+    mats, weights = on_mats(movie, x, form, order)
     present = [c for c in COLOURS if c in movie.colours]
     is_of = {c: np.array([k == c for k in movie.colours]) for c in present}
     columns, names = [], []
@@ -236,28 +258,57 @@ def _onsets(outlying):
 
 
 def summarise(movie, form, gate=4.0, passes=8):
-    """Gaussian likelihood of all coefficients of one movie under every mass ratio.
+    """Gaussian likelihoods of a movie's coefficients, one `Summary` for each order of its mats.
 
     Frames in which, under the best hypothesis with free coefficients, a disc leaves its
     prediction by more than `gate` standard deviations are marked as unexplained (nothing is
     believed about its velocity there), onset by onset, until none is left.
     """
-    features, names = features_of(movie, form)
+    orders = mat_orders(movie, form)
     masses, assignments = mass_hypotheses(movie)
-    events = np.zeros(movie.positions.shape[:2], dtype=bool)
-    for _ in range(passes):
-        contacts = contacts_of(movie, events=events)
-        evidence = motion_evidence(movie.positions, features, contacts, masses, form.noise)
-        h, c, _, _ = free_fit(evidence, names)
-        z = np.abs(evidence.residuals(c, h)).max(axis=2)
-        onset = _onsets(z > gate)
-        if not onset.any():
-            break
-        marked = np.zeros_like(events)  # the velocity changed one or two frames before
-        marked[:-1] |= onset[1:]
-        marked[:-2] |= onset[2:]
-        if not (marked & ~events).any():
-            break
-        events |= marked
+    events = [np.zeros(movie.positions.shape[:2], dtype=bool) for _ in orders]
     present = tuple(c for c in COLOURS if c in movie.colours)
-    return Summary(movie.name, evidence, names, tuple(assignments), present, int(events.sum()))
+    kept = []
+    for k, order in enumerate(orders):
+        features, names = features_of(movie, form, order)
+        for _ in range(passes):
+            contacts = contacts_of(movie, events=events[k])
+            evidence = motion_evidence(movie.positions, features, contacts, masses, form.noise)
+            h, c, _, _ = free_fit(evidence, names)
+            z = np.abs(evidence.residuals(c, h)).max(axis=2)
+            marked = _changed(z > gate)
+            if not (marked & ~events[k]).any():
+                break
+            events[k] |= marked
+        kept.append(
+            Summary(movie.name, evidence, names, tuple(assignments), present, int(events[k].sum()))
+        )
+    if len(kept) > 1:  # comparable only if the same frames are believed
+        together = np.logical_or.reduce(events)
+        contacts = contacts_of(movie, events=together)
+        kept = [
+            replace(
+                summary,
+                evidence=motion_evidence(
+                    movie.positions, features_of(movie, form, order)[0], contacts, masses,
+                    form.noise,
+                ),
+                n_events=int(together.sum()),
+            )
+            for summary, order in zip(kept, orders, strict=True)
+        ]  # fmt: skip
+    return kept
+
+
+def likelier(summaries):
+    """The order of mats with the larger evidence under free coefficients."""
+    return max(summaries, key=lambda s: free_fit(s.evidence, s.names)[3].max())
+
+
+def _changed(outlying):
+    """Frames in which a velocity must have changed: the one or two before a run of outliers."""
+    onset = _onsets(outlying)
+    marked = np.zeros_like(outlying)
+    marked[:-1] |= onset[1:]
+    marked[:-2] |= onset[2:]
+    return marked

@@ -17,7 +17,7 @@ class Movie:
     """One tracked movie; px and frames (80 a second), y down as in the picture.
 
     positions : (T, N, 2), nan = not seen; colours : colour of each disc; radii : (N,) outer
-    radius; mats : list of (colour, left, top, right, bottom); arena : (left, top, right, bottom).
+    radius; mats : (colour, left, top, right, bottom, hidden share); arena : (left, top, right, bottom).
     """
 
     name: str
@@ -58,7 +58,7 @@ def track_movie(name):
         track.positions,
         tuple(n.rstrip("0123456789") for n in track.names),
         np.array([track.radii[n] for n in track.names]),
-        tuple((r.colour, *map(float, r.box)) for r in regions),
+        tuple((r.colour, *map(float, r.box), float(r.hidden)) for r in regions),
         tuple(map(float, walls.box)),
         video.fps,
     )
