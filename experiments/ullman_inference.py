@@ -125,9 +125,7 @@ def mass_factors(names, masses, constants):
         elif kind == "pull":
             factor.append(masses[a] ** constants.pull_mass)
         else:
-            factor.append(
-                masses[a] ** constants.pair_mass * masses[b] ** constants.pair_source
-            )
+            factor.append(masses[a] ** constants.pair_mass * masses[b] ** constants.pair_source)
     return np.array(factor)
 
 

@@ -203,9 +203,7 @@ def mass_hypotheses(movie):
         if ratio not in rows:
             rows.append(ratio)
         assignments.append((dict(zip(present, values, strict=True)), rows.index(ratio)))
-    masses = np.array(
-        [[row[present.index(c)] for c in movie.colours] for row in rows], dtype=float
-    )
+    masses = np.array([[row[present.index(c)] for c in movie.colours] for row in rows], dtype=float)
     return masses, assignments
 
 

@@ -206,9 +206,7 @@ class DiscTracker:
 
         fits, lost = [None] * len(bodies), []
         for k, body in enumerate(bodies):
-            fits[k] = place(
-                image, self.kinds[body.kind_name], centres[k], others(k), self.behind
-            )
+            fits[k] = place(image, self.kinds[body.kind_name], centres[k], others(k), self.behind)
             if fits[k].reason or np.hypot(*(fits[k].position - body.predicted)) > NEAR:
                 lost.append(k)
         for k, fit in enumerate(fits):

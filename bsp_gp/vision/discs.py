@@ -132,9 +132,7 @@ def follow(image, kind, predicted, others, search=SEARCH):
     span = int(kind.radius) + search
     left, top = (int(np.floor(c)) - span for c in predicted)
     x0, y0 = max(left, 0), max(top, 0)
-    patch = image[
-        y0 : max(top + 2 * span + 1, 0) : SCALE, x0 : max(left + 2 * span + 1, 0) : SCALE
-    ]
+    patch = image[y0 : max(top + 2 * span + 1, 0) : SCALE, x0 : max(left + 2 * span + 1, 0) : SCALE]
     if patch.size == 0:
         return tuple(predicted), 0.0
     score = is_colour(patch, kind.colour, kind.tolerance).astype(np.float32) * 2 - 1
@@ -207,9 +205,7 @@ def place(image, kind, start, others, behind=None, iterations=8):
         gradient = np.stack([slope * dx / d, slope * dy / d]) * used
         information = gradient @ gradient.T
         half = 0.5 * np.trace(information)
-        smallest = half - np.hypot(
-            0.5 * (information[0, 0] - information[1, 1]), information[0, 1]
-        )
+        smallest = half - np.hypot(0.5 * (information[0, 0] - information[1, 1]), information[0, 1])
         if smallest < 0.02 * np.pi * kind.radius / (2 * np.sqrt(np.pi) * kind.edge):
             return gap("too little of the edge is seen", seen=len(px) / whole)
         step = np.linalg.solve(information, gradient @ residual)
