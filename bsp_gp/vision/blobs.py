@@ -48,6 +48,9 @@ class BlobSettings:
         Least summed difference of the three channels from the background.
     overshoot : float
         Coverage beyond which a pixel is of something else (a hand).
+    cue : str
+        ``all``: the whole chromaticity; ``red-green``: red minus green over brightness alone,
+        which tells wood from paper and from skin.
     """
 
     box: tuple
@@ -58,24 +61,33 @@ class BlobSettings:
     reach: float = 150.0
     contrast: float = 14.0
     overshoot: float = CLOSE
+    cue: str = "all"
 
     def __post_init__(self):
         if self.against not in ("background", "surround"):
             raise SettingsError(f"against must be background or surround, got {self.against!r}")
+        if self.cue not in ("all", "red-green"):
+            raise SettingsError(f"cue must be all or red-green, got {self.cue!r}")
         if len(self.box) != 4 or min(self.box[2:]) < 2:
             raise SettingsError(f"the box must be x, y, width, height, got {self.box}")
 
 
-def chromaticity(image):
-    """Colour over brightness, shape (h, w, 3), and the mean brightness, shape (h, w)."""
+def chromaticity(image, cue="all"):
+    """Colour over brightness, shape (h, w, 3) (or (h, w, 1)), and the brightness, shape (h, w)."""
     image = image.astype(np.float32)
     brightness = image.mean(axis=2)
+    if cue == "red-green":
+        image = image[..., 2:3] - image[..., 1:2]
     return image / (brightness[..., None] + 10.0), brightness
+
+
+def _square(size):
+    return np.ones((size, size), np.uint8)
 
 
 def _coverage(image, own, behind, settings):
     """Share of the way from what is behind to the object's chromaticity, shape (h, w)."""
-    colour, brightness = chromaticity(image)
+    colour, brightness = chromaticity(image, settings.cue)
     apart = own - behind
     share = np.einsum("ijk,ijk->ij", colour - behind, np.broadcast_to(apart, colour.shape))
     share = share / np.maximum(np.sum(np.broadcast_to(apart, colour.shape) ** 2, axis=2), 4e-4)
@@ -84,9 +96,11 @@ def _coverage(image, own, behind, settings):
 
 def _outline(share, threshold, overshoot, near, settings):
     """Convex hull of the patch nearest to `near`: moments, or None."""
-    mask = ((share > threshold) & (share < overshoot)).astype(np.uint8)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((15, 15), np.uint8))
+    # A hand: patches beyond the object's colour, with their softer rim.
+    other = cv2.morphologyEx((share > overshoot).astype(np.uint8), cv2.MORPH_OPEN, _square(7))
+    mask = ((share > threshold) & (cv2.dilate(other, _square(9)) == 0)).astype(np.uint8)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _square(7))
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _square(15))
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(mask)
     best, choice = None, None
     for label in range(1, count):
@@ -156,15 +170,16 @@ def track_blob(video, name, settings, first=0, last=None):
     inside = images[settings.frame][y : y + height, x : x + width]
     if inside.size == 0:
         raise SettingsError(f"the box {settings.box} lies outside of the picture")
-    own = np.median(chromaticity(inside)[0].reshape(-1, 3), axis=0)
+    channels = 1 if settings.cue == "red-green" else 3
+    own = np.median(chromaticity(inside, settings.cue)[0].reshape(-1, channels), axis=0)
     if settings.against == "background":
         behind = cv2.GaussianBlur(behind, (0, 0), settings.blur)
-        other = chromaticity(behind)[0]
+        other = chromaticity(behind, settings.cue)[0]
     else:
         ring = images[settings.frame][
             max(y - 2 * height, 0) : y + 3 * height, max(x - 3 * width, 0) : x + 4 * width
         ]
-        other = np.median(chromaticity(ring)[0].reshape(-1, 3), axis=0)
+        other = np.median(chromaticity(ring, settings.cue)[0].reshape(-1, channels), axis=0)
     start = np.array([x + width / 2, y + height / 2])
     found = {}
     for order in (range(settings.frame, last + 1), range(settings.frame, first - 1, -1)):

@@ -275,17 +275,24 @@ class DiscTracker:
             for name, fit in zip(names, row, strict=True)
             if fit.reason
         )
+        # One frame says little about the clustering of pixel errors, the whole track much.
+        clustering = np.array([[fit.clustering for fit in row] for row in rows])
+        known = np.array([[not fit.reason for fit in row] for row in rows])
+        wider = np.array(
+            [max(c[k].mean(), 0.2) if k.any() else 1.0 for c, k in zip(clustering.T, known.T, strict=True)]
+        )
         return Track(
             tuple(names),
             np.array(frames, dtype=int),
             self.video.fps,
             np.array([[fit.position for fit in row] for row in rows]),
-            np.array([[fit.covariance for fit in row] for row in rows]),
+            np.array([[fit.covariance for fit in row] for row in rows]) * wider[:, None, None],
             np.array([[fit.rms for fit in row] for row in rows]),
             np.array([[fit.seen for fit in row] for row in rows]),
             reasons,
             {b.name: f"disc, colour {b.kind_name}" for b in bodies},
             {b.name: self.kinds[b.kind_name].reach for b in bodies},
+            lossy=self.video.is_lossy,
         )
 
 

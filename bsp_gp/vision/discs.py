@@ -26,7 +26,8 @@ MIN_GAIN = 0.15  # of the disc's area must show its colour
 MAX_RMS = 0.3  # rms misfit of coverage on the visible edge: more is no disc
 EDGE = 3.5  # half-widths of the edge used in the fit
 SLACK = 4.0  # px: how far off the start of a fit may be
-MARGIN = 2.0  # px kept free around another disc
+SECTORS = 4
+MARGIN = 0.5  # px kept free around another disc, beyond three widths of the blurred edge
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ class DiscKind:
 class Placed:
     """Where a disc is: position and covariance (px), and how good the fit was.
 
-    `reason` is empty, or says why there is no position (which is nan then).
+    `clustering` is how many times wider the error is than independent pixel errors would make it
+    (neighbouring pixels err together). `reason` is empty, or says why there is no position (which is nan then).
     """
 
     position: np.ndarray
@@ -69,6 +71,7 @@ class Placed:
     rms: float
     seen: float
     reason: str = ""
+    clustering: float = 1.0
 
 
 def gap(reason, rms=np.nan, seen=0.0):
@@ -188,7 +191,7 @@ def place(image, kind, start, others, behind=None, iterations=8):
     whole = near.sum()
     visible = np.ones(len(px), dtype=bool)
     for cx, cy, reach in others:
-        visible &= (px - cx) ** 2 + (py - cy) ** 2 > (reach + MARGIN) ** 2
+        visible &= (px - cx) ** 2 + (py - cy) ** 2 > (reach + MARGIN + 3 * kind.edge) ** 2
     px, py = px[visible], py[visible]
     if len(px) < MIN_SEEN * whole:
         return gap("hidden by another disc", seen=len(px) / whole)
@@ -220,7 +223,20 @@ def place(image, kind, start, others, behind=None, iterations=8):
         return gap("the fit ran away", rms, seen)
     if rms > MAX_RMS:
         return gap("does not look like the disc", rms, seen)
-    return Placed(centre, rms**2 * np.linalg.inv(information), rms, seen)
+    naive = rms**2 * np.linalg.inv(information)
+    return Placed(centre, naive, rms, seen, "", _clustering(naive, gradient, residual, dx, dy))
+
+
+def _clustering(naive, gradient, residual, dx, dy):
+    """Ratio of the cluster-robust variance to that of independent pixels (White 1980).
+
+    Clusters are sectors of the edge: errors of blur and compression run along it.
+    """
+    sector = np.floor((np.arctan2(dy, dx) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    sums = np.stack([np.bincount(sector, g * residual, SECTORS) for g in gradient])
+    bread = np.linalg.inv(gradient @ gradient.T)
+    robust = bread @ (sums @ sums.T) @ bread * SECTORS / (SECTORS - 2)
+    return float(np.trace(robust) / max(np.trace(naive), 1e-12))
 
 
 def _profile(images, kind, centres):

@@ -35,6 +35,8 @@ class Track:
         Outer radius of each disc, px; nan where it has none.
     unit : str
         What `rms` counts.
+    lossy : bool
+        Whether the video is compressed with loss, whose errors last for several frames.
     """
 
     names: tuple[str, ...]
@@ -48,6 +50,7 @@ class Track:
     kinds: dict = field(default_factory=dict)
     radii: dict = field(default_factory=dict)
     unit: str = "coverage"
+    lossy: bool = True
 
     @property
     def times(self):

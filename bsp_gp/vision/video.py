@@ -16,6 +16,7 @@ from bsp_gp.errors import DataError, OutputError
 __all__ = ["Video", "VideoWriter", "open_video"]
 
 MAX_FPS = 100_000.0
+LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Video:
         Frames that could be *decoded*; the header's count is often wrong.
     n_header : int
         Frames that the header promises.
+    codec : str
+        Four letters.
     """
 
     path: Path
@@ -42,6 +45,12 @@ class Video:
     height: int
     n_frames: int
     n_header: int
+    codec: str = ""
+
+    @property
+    def is_lossy(self):
+        """Whether the codec loses information (anything that is not known to be lossless)."""
+        return self.codec.upper() not in LOSSLESS
 
     def frames(self, start=0, stop=None, wanted=None):
         """Yield ``(index, image)``; images are BGR, uint8, shape (height, width, 3).
@@ -108,6 +117,8 @@ def open_video(path, fps=None):
         rate = float(capture.get(cv2.CAP_PROP_FPS)) if fps is None else float(fps)
         size = [int(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
         promised = int(max(capture.get(cv2.CAP_PROP_FRAME_COUNT), 0))
+        code = int(capture.get(cv2.CAP_PROP_FOURCC))
+        codec = code.to_bytes(4, "little", signed=code < 0).decode("latin-1")
         count = 0
         while capture.grab():
             count += 1
@@ -121,7 +132,7 @@ def open_video(path, fps=None):
             file=path,
             remedy="give the true one: --fps",
         )
-    return Video(path, rate, size[0], size[1], count, promised)
+    return Video(path, rate, size[0], size[1], count, promised, codec)
 
 
 class VideoWriter:
