@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 
 from bsp_gp.data.scene import Dataset
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import declared_law
 from bsp_gp.physics.bodies import dataset_types
@@ -23,7 +22,10 @@ from bsp_gp.units import UnitSystem
 
 G = 9.81
 GRAVITY = "9.8 [m/s^2] * m_i * down"  # the paper's known force in SPRING, in its units
-PAPER = {"fall": (4.30e-2, 3.45e-2, 5.09e-2, 5.05e-2), "spring": (9.22e-3, 8.25e-3, 9.87e-3, 2.19e-2)}
+PAPER = {
+    "fall": (4.30e-2, 3.45e-2, 5.09e-2, 5.05e-2),
+    "spring": (9.22e-3, 8.25e-3, 9.87e-3, 2.19e-2),
+}
 SOURCES = (("stored", "paper"), ("video", "paper"), ("video", "none"), ("video", "rts"))
 MAX_LEVELS = 6
 UNITS = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})

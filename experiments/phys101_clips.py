@@ -1,4 +1,4 @@
-"""The Physics 101 clips: tracked from the full videos, and brought to the paper's units or to SI."""
+"""The Physics 101 clips: tracked from the full videos, and brought to the paper's units."""
 
 import os
 from dataclasses import dataclass

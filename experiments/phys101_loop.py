@@ -9,7 +9,8 @@ from bsp_gp.units import UnitSystem
 
 DECLARED = (
     "9.81 [m/s^2] * m_i * down",
-    "k0 * (norm(p_i - p_j) - l0) * normalize(p_j - p_i)",
+    "k0 * (p_j - p_i)",  # Hooke's law k0 (r - l0) towards the anchor, linear in its constants:
+    "f0 * normalize(p_i - p_j)",  # f0 = k0 l0, so that the rest length is f0 / k0
 )
 
 
@@ -39,7 +40,8 @@ def close_spring(clip, px_per_m, seed, n_null=299):
             {"clip": clip.name, "round": k, "effect": effect.name if effect else "",
              "law": effect.law if effect else "", "adopted": round_.adopted,
              "reason": round_.reason,
-             "before_px": px_per_m * _rmse(round_.before), "after_px": px_per_m * _rmse(round_.after)}
+             "before_px": px_per_m * _rmse(round_.before),
+             "after_px": px_per_m * _rmse(round_.after)}
         )  # fmt: skip
     return rows, report
 

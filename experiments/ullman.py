@@ -6,7 +6,6 @@ every movie. All combinations of classes are enumerated. Truth is read after the
 """
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,13 +14,12 @@ from ullman_forms import FormTable, choose, exponents
 from ullman_inference import (
     Constants,
     answers,
-    joint,
     joint_free,
     learn,
     movie_table,
     rough_constants,
 )
-from ullman_model import Form, free_fit, likelier, summarise
+from ullman_model import free_fit, likelier, summarise
 from ullman_movies import load_movie, scene_names
 
 CATEGORIES = ("mass", "friction", "global", "pairwise")
@@ -252,8 +250,12 @@ def write_summary(folder, table, results, learned, steps, powers, seconds, out):
             f"{100 * r['B']:.1f} [{100 * r['B_low']:.1f}, {100 * r['B_high']:.1f}] | "
             f"{100 * r['C']:.1f} |"
         )
-    lines += ["", "Intervals: Wilson, 95 %. Ties (posteriors within "
-              f"{TIE}) count 1/k. The paper's figures are over other items (44 scenes).", ""]  # fmt: skip
+    lines += [
+        "",
+        f"Intervals: Wilson, 95 %. Ties (posteriors within {TIE}) count 1/k. The paper's figures "
+        "are over other items (44 scenes).",
+        "",
+    ]
     for row in ("A", "B"):
         part = results[(results.row == row) & (results.probability > 0.95)]
         lines.append(f"Row {row}: of {len(part)} items with a posterior above 0.95, "
@@ -273,10 +275,12 @@ def write_summary(folder, table, results, learned, steps, powers, seconds, out):
                      f"standard error {e.median():.2g}")  # fmt: skip
     fps = 80.0
     k = frame["k"].median() * 1e4 * fps**2
-    lines.append(f"- in seconds: drag {fps * frame['gamma'].median():.4f} /s per class unit, pull "
-                 f"{fps**2 * frame['g'].median():.0f} px/s² / m, pair {k:.4g} px³/s² / (m r²)")  # fmt: skip
-    lines += ["", "Correlation of the posterior with people's answers: "
-              + ", ".join(f"{c} {v:.2f}" for c, v in human_correlation(out).items()), ""]  # fmt: skip
+    lines.append(
+        f"- in seconds: drag {fps * frame['gamma'].median():.4f} /s per class unit, pull "
+        f"{fps**2 * frame['g'].median():.0f} px/s² / m, pair {k:.4g} px³/s² / (m r²)"
+    )
+    people = ", ".join(f"{c} {v:.2f}" for c, v in human_correlation(out).items())
+    lines += ["", f"Correlation of the posterior with people's answers: {people}", ""]
     wrong = results[(results.row == "A") & (results.correct < 1)]
     lines += ["Row A, not (fully) right:"] + [
         f"- {r.scene} {r.category} {r.item}: truth {r.truth}, answer {r.answer} "

@@ -1,4 +1,4 @@
-"""The intuitive-physics movies, from mp4 to arrays: discs, mats and walls. No truth is read here."""
+"""The intuitive-physics movies, from mp4 to arrays: discs, mats, walls. No truth is read here."""
 
 import json
 import os
@@ -17,7 +17,8 @@ class Movie:
     """One tracked movie; px and frames (80 a second), y down as in the picture.
 
     positions : (T, N, 2), nan = not seen; colours : colour of each disc; radii : (N,) outer
-    radius; mats : (colour, left, top, right, bottom, hidden share); arena : (left, top, right, bottom).
+    radius; mats : (colour, left, top, right, bottom, hidden share); arena : (left, top, right,
+    bottom).
     """
 
     name: str

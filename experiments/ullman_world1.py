@@ -44,11 +44,13 @@ def flights(movie, masses, roughness, reach):
             x = movie.positions[start:stop, k]
             if len(x) < LEAST:
                 continue
-            inside = np.zeros(len(x), dtype=bool)
-            for entity, place in mats:
-                inside |= np.all(
-                    np.abs(x - place) < (entity.width / 2, entity.height / 2), axis=1
-                )
+            on = [
+                np.all(np.abs(x - place) < (entity.width / 2, entity.height / 2), axis=1)
+                for entity, place in mats
+            ]
+            inside = np.any(on, axis=0)
+            if np.sum(on, axis=0).max() > 1:
+                continue  # on two mats at once only one acts, which a sum over mats cannot say
             speed = np.linalg.norm(x[8:] - x[:-8], axis=1) / 8
             slow = np.flatnonzero(speed < SLOWEST)
             stop_row = int(slow[0]) if len(slow) else len(x)

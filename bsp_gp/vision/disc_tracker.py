@@ -279,7 +279,10 @@ class DiscTracker:
         clustering = np.array([[fit.clustering for fit in row] for row in rows])
         known = np.array([[not fit.reason for fit in row] for row in rows])
         wider = np.array(
-            [max(c[k].mean(), 0.2) if k.any() else 1.0 for c, k in zip(clustering.T, known.T, strict=True)]
+            [
+                max(c[k].mean(), 0.2) if k.any() else 1.0
+                for c, k in zip(clustering.T, known.T, strict=True)
+            ]
         )
         return Track(
             tuple(names),

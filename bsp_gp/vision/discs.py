@@ -63,7 +63,8 @@ class Placed:
     """Where a disc is: position and covariance (px), and how good the fit was.
 
     `clustering` is how many times wider the error is than independent pixel errors would make it
-    (neighbouring pixels err together). `reason` is empty, or says why there is no position (which is nan then).
+    (neighbouring pixels err together). `reason` is empty, or says why there is no position
+    (which is nan then).
     """
 
     position: np.ndarray
