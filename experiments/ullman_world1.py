@@ -77,10 +77,10 @@ def world_one(movies, reach=40.0):
     return Dataset("world1", tuple(scenes), train=train, test=test, noise=(0.3, 0.3))
 
 
-def close_world_one(movies, seed, n_null=299, grammar="ullman"):
+def close_world_one(movies, seed, declared=(DECLARED,), n_null=299, grammar="ullman"):
     """The loop's report: the declared friction against what the flights say."""
     return close_loop(
-        world_one(movies), (DECLARED,), rng=np.random.default_rng(seed), seed=seed,
+        world_one(movies), declared, rng=np.random.default_rng(seed), seed=seed,
         grammar=grammar, n_null=n_null, max_rounds=3, exclude=(),
     )  # fmt: skip
 

@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 N_SAMPLES = 12  # frames from which colours, radii, background and number of discs are learned
 LOST_GAIN = 0.6
+IN_FRONT = 0.2  # rms misfit of coverage up to which a disc is seen whole
 NEAR = 3.0  # px: a fit that ends farther from the prediction is searched for again
 
 
@@ -229,6 +230,15 @@ class DiscTracker:
                     continue
                 kind = self.kinds[body.kind_name]
                 fits[k] = place(image, kind, centres[k], others(k), self.behind)
+                if fits[k].reason:  # it may lie in front: only its own kind can be mistaken
+                    alike = [
+                        (*centres[j], reach[j])
+                        for j, other in enumerate(bodies)
+                        if j != k and other.kind_name == body.kind_name
+                    ]
+                    front = place(image, kind, centres[k], alike, self.behind)
+                    if not front.reason and front.rms < IN_FRONT:
+                        fits[k] = front
                 if not fits[k].reason:
                     centres[k] = fits[k].position
         return fits

@@ -27,6 +27,7 @@ MAX_RMS = 0.3  # rms misfit of coverage on the visible edge: more is no disc
 EDGE = 3.5  # half-widths of the edge used in the fit
 SLACK = 4.0  # px: how far off the start of a fit may be
 SECTORS = 4
+STEADY = 60.0  # median spread of an outline's colour, grey levels
 MARGIN = 0.5  # px kept free around another disc, beyond three widths of the blurred edge
 
 
@@ -319,18 +320,20 @@ def _edge_fitted(images, kind, centres, behind):
     bins, colours, spreads = _profile(images, kind, centres)
     contrast = np.linalg.norm(colours - kind.colour, axis=1)
     # An outline is a ring of one colour (small spread) right outside of the fill, on all discs.
-    ring = (bins > kind.radius + 2) & (bins < kind.radius * 1.35 + 6)
-    steady = ring & (spreads < 25) & (contrast > 60)
+    ring = (bins > kind.radius + 1.5) & (bins < kind.radius * 1.35 + 6)
+    beyond = np.median(behind.reshape(-1, 3), axis=0) if behind is not None else colours[-1]
+    # A blurred edge without outline mixes fill and background; an outline lies off that line.
+    along = (beyond - kind.colour) / max(np.linalg.norm(beyond - kind.colour), 1e-9)
+    off = colours - kind.colour
+    aside = np.linalg.norm(off - np.outer(off @ along, along), axis=1)
+    aside = np.where(ring & (spreads < STEADY), aside, -1.0)
     surround, reach = None, kind.radius
-    if np.any(steady):
-        first = bins[steady][0]
-        outline = colours[np.searchsorted(bins, first)]
-        same = (np.linalg.norm(colours - outline, axis=1) < 60) & (bins >= first)
-        stop = bins[(bins > first) & ~same]
-        behind_there = (
-            np.median(behind.reshape(-1, 3), axis=0) if behind is not None else colours[-1]
-        )
-        if len(stop) and np.linalg.norm(outline - behind_there) > 60:
+    if aside.max() > 50:
+        purest = int(np.argmax(aside))
+        outline = colours[purest]
+        same = np.linalg.norm(colours - outline, axis=1) < 60
+        stop = bins[(bins > bins[purest]) & ~same]
+        if len(stop):
             surround, reach = outline.astype(np.float32), float(stop[0])
     outside = surround if surround is not None else colours[np.argmax(bins > kind.radius + 5)]
     whole = max(np.linalg.norm(outside - kind.colour), 30.0)

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 __all__ = ["Smoothed", "calibrated", "measurement_factor", "process_power", "smooth_track"]
 
 FLOOR = 4e-6  # px²: least variance of a measured coordinate (8-bit pixels)
+LOSSY_FLOOR = 2.25e-4  # px²: what block compression leaves at best, from renders (0.015 px)
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e4
 CUT = 0.5
 
@@ -142,14 +143,15 @@ def calibrated(track):
     z = np.moveaxis(track.positions, 1, 0)
     regular = np.moveaxis(_regular(track.covariances), 1, 0)
     covariances = track.covariances.copy()
-    kinds = [track.kinds.get(name, "").split(",")[0] for name in track.names]
+    kinds = [track.kinds.get(name, "") for name in track.names]
     for kind in set(kinds):
-        # Objects tracked in one way share the factor: one that bounces all the time says little.
+        # Objects of one kind share the factor: one that bounces all the time says little.
         mine = [k for k, other in enumerate(kinds) if other == kind]
         factor = measurement_factor(z[mine], track.covariances[:, mine].swapaxes(0, 1))
         if track.lossy:
             factor = max(factor, 1.0)
-        covariances[:, mine] = (regular[mine] * factor).swapaxes(0, 1)
+        floor = LOSSY_FLOOR * np.eye(2) if track.lossy else 0.0
+        covariances[:, mine] = (regular[mine] * factor + floor).swapaxes(0, 1)
     covariances[np.isnan(track.positions[..., 0])] = np.nan
     return replace(track, covariances=covariances)
 
