@@ -233,10 +233,29 @@ def main():
     write_table(summary.to_dict("records"), args.out / "results.csv")
     figure(results, summary, args.out / "table3.svg")
     figure(results, summary, args.out / "table3.png")
-    write_summary(args.out, summary, results, learned, steps, powers, seconds, out)
+    loops = world_one_loop(movies, args)
+    write_summary(args.out, summary, results, learned, steps, powers, seconds, out, loops)
 
 
-def write_summary(folder, table, results, learned, steps, powers, seconds, out):
+def world_one_loop(movies, args):
+    """The closed loop on World 1, from the paper's friction and from nothing: rows."""
+    from ullman_world1 import DECLARED, close_world_one, table
+
+    mine = [m for m in movies if m.world == 1]
+    rows = []
+    for declared in ((DECLARED,), ()):
+        if args.quick:
+            break
+        report = close_world_one(mine, args.seed, declared, n_null=99)
+        rows += [{"declared": declared[0] if declared else "no force"} | r for r in table(report)]
+        rivals = [r for r in report.rounds[0].rivals if "constant size" in r.name]
+        rows[-1]["rival"] = "; ".join(f"{r.name}: {r.reason}" for r in rivals)
+    if rows:
+        write_table(rows, args.out / "world1_loop.csv")
+    return rows
+
+
+def write_summary(folder, table, results, learned, steps, powers, seconds, out, loops):
     """summary.md: Table 3, calibration, what was learned on what."""
     lines = ["# The intuitive-physics movies (Table 3)", "",
              "| category | items | people | paper's BSP | chance | A: constants from other worlds "
@@ -281,6 +300,11 @@ def write_summary(folder, table, results, learned, steps, powers, seconds, out):
     )
     people = ", ".join(f"{c} {v:.2f}" for c, v in human_correlation(out).items())
     lines += ["", f"Correlation of the posterior with people's answers: {people}", ""]
+    lines += ["World 1 as a closed loop (movies 1-4 train, 5 and 6 held out):"] + [
+        f"- declared {r['declared']}, round {r['round']}: {r['effect']} ({r['law']}), "
+        f"{'adopted' if r['adopted'] else 'not adopted'} ({r['reason']}); held out "
+        f"{r['before_px']:.2f} -> {r['after_px']:.2f} px. {r.get('rival') or ''}" for r in loops
+    ]  # fmt: skip
     wrong = results[(results.row == "A") & (results.correct < 1)]
     lines += ["Row A, not (fully) right:"] + [
         f"- {r.scene} {r.category} {r.item}: truth {r.truth}, answer {r.answer} "

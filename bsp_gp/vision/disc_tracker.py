@@ -205,6 +205,13 @@ class DiscTracker:
         def others(k):
             return [(*centres[j], reach[j]) for j in range(len(bodies)) if j != k]
 
+        def alike(k):
+            return [
+                (*centres[j], reach[j])
+                for j, other in enumerate(bodies)
+                if j != k and other.kind_name == bodies[k].kind_name
+            ]
+
         fits, lost = [None] * len(bodies), []
         for k, body in enumerate(bodies):
             fits[k] = place(image, self.kinds[body.kind_name], centres[k], others(k), self.behind)
@@ -218,6 +225,8 @@ class DiscTracker:
         absent = set()
         for k in lost:
             spot, gain = self._searched(image, bodies[k], others(k))
+            if gain < MIN_GAIN:  # perhaps it covers the others
+                spot, gain = self._searched(image, bodies[k], alike(k))
             if gain < MIN_GAIN:
                 absent.add(k)
             else:
@@ -231,12 +240,7 @@ class DiscTracker:
                 kind = self.kinds[body.kind_name]
                 fits[k] = place(image, kind, centres[k], others(k), self.behind)
                 if fits[k].reason:  # it may lie in front: only its own kind can be mistaken
-                    alike = [
-                        (*centres[j], reach[j])
-                        for j, other in enumerate(bodies)
-                        if j != k and other.kind_name == body.kind_name
-                    ]
-                    front = place(image, kind, centres[k], alike, self.behind)
+                    front = place(image, kind, centres[k], alike(k), self.behind)
                     if not front.reason and front.rms < IN_FRONT:
                         fits[k] = front
                 if not fits[k].reason:

@@ -222,7 +222,8 @@ def test_recording_reads_back_as_a_data_set(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["disc:", "disc:red:-1", "disc:red:x", "patch:1,2,3@4", "template:a@1", "blob:1", "point:1,2"]
+    "text",
+    ["disc:", "disc:red:-1", "disc:red:x", "patch:1,2,3@4", "template:a@1", "blob:1", "point:1,2"],
 )
 def test_bad_object_is_named(text):
     with pytest.raises(SettingsError, match="ball|colour"):
@@ -240,7 +241,16 @@ def test_track_command(tmp_path, capsys, monkeypatch):
 
     path, _ = red_ball(tmp_path)
     monkeypatch.chdir(tmp_path)
-    words = ["track", str(path), "--object", "ball=disc:red", "--scale", "100", "--no-film", "--quiet"]
+    words = [
+        "track",
+        str(path),
+        "--object",
+        "ball=disc:red",
+        "--scale",
+        "100",
+        "--no-film",
+        "--quiet",
+    ]
     assert main(words) == 0
     assert "ball: 12 of 12 frames" in capsys.readouterr().out
     assert load_dataset(tmp_path / "ball-track" / "data").scenes[0].names == ("ball",)
