@@ -27,7 +27,7 @@ PAPER = {
     "fall": (4.30e-2, 3.45e-2, 5.09e-2, 5.05e-2),
     "spring": (9.22e-3, 8.25e-3, 9.87e-3, 2.19e-2),
 }
-LOOPS = 4  # clips on which the loop is run
+LOOPS = 1  # clips on which the loop is run (half an hour each)
 SOURCES = (("stored", "paper"), ("video", "paper"), ("video", "none"), ("video", "rts"))
 MAX_LEVELS = 6
 UNITS = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})

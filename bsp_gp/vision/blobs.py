@@ -165,9 +165,9 @@ def track_blob(video, name, settings, first=0, last=None):
     behind = None
     if settings.against == "background":
         behind, _ = background(video.sample(min(24, video.n_frames))[1])
-    images = dict(video.frames(first, last + 1))
+    image = next(picture for _, picture in video.frames(settings.frame, settings.frame + 1))
     x, y, width, height = settings.box
-    inside = images[settings.frame][y : y + height, x : x + width]
+    inside = image[y : y + height, x : x + width]
     if inside.size == 0:
         raise SettingsError(f"the box {settings.box} lies outside of the picture")
     channels = 1 if settings.cue == "red-green" else 3
@@ -176,16 +176,16 @@ def track_blob(video, name, settings, first=0, last=None):
         behind = cv2.GaussianBlur(behind, (0, 0), settings.blur)
         other = chromaticity(behind, settings.cue)[0]
     else:
-        ring = images[settings.frame][
-            max(y - 2 * height, 0) : y + 3 * height, max(x - 3 * width, 0) : x + 4 * width
-        ]
+        ring = image[max(y - 2 * height, 0) : y + 3 * height, max(x - 3 * width, 0) : x + 4 * width]
         other = np.median(chromaticity(ring, settings.cue)[0].reshape(-1, channels), axis=0)
     start = np.array([x + width / 2, y + height / 2])
     found = {}
-    for order in (range(settings.frame, last + 1), range(settings.frame, first - 1, -1)):
+    # Only the frames before the marked one are kept in memory, to be run through backwards.
+    before = reversed(list(video.frames(first, settings.frame + 1)))
+    for images in (before, video.frames(settings.frame, last + 1)):
         place, velocity = start, np.zeros(2)
-        for frame in order:
-            outlines = _outlines(images[frame], place + velocity, own, other, behind, settings)
+        for frame, picture in images:
+            outlines = _outlines(picture, place + velocity, own, other, behind, settings)
             found[frame] = outlines
             if outlines[1] is not None:
                 new = outlines[1][0]

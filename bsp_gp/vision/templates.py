@@ -18,18 +18,21 @@ def _grey(image):
     return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
+def _both_ways(video, frame, first, last):
+    """Frames from `frame` backwards (kept in memory), then from it forwards."""
+    if not first <= frame <= last:
+        raise SettingsError(f"the frame must be {first}..{last}, got {frame}")
+    yield reversed(list(video.frames(first, frame + 1)))
+    yield video.frames(frame, last + 1)
+
+
 def _walk(video, frame, first, last, start, step):
     """Run `step(image, predicted) -> (place, covariance, rms, reason)` both ways from `frame`."""
-    images = dict(video.frames(first, last + 1))
-    if frame not in images:
-        raise SettingsError(f"the frame must be {first}..{last}, got {frame}")
     found = {}
-    for order in (range(frame, last + 1), range(frame, first - 1, -1)):
+    for images in _both_ways(video, frame, first, last):
         place, velocity = np.array(start, dtype=float), np.zeros(2)
-        for index in order:
-            if index not in images:
-                continue
-            result = step(images[index], place + velocity)
+        for index, image in images:
+            result = step(image, place + velocity)
             found[index] = result
             if result[3]:
                 place = place + velocity
@@ -154,13 +157,9 @@ def track_point(video, name, point, frame, first=0, last=None, window=21):
         state.update(image=grey, place=new.reshape(2).astype(float))
         return state["place"], np.eye(2) * (0.1**2 * (1 + state["n"]) + gap**2), gap, ""
 
-    images = dict(video.frames(first, last + 1))
-    if frame not in images:
-        raise SettingsError(f"the frame must be {first}..{last}, got {frame}")
     found = {}
-    for order in (range(frame, last + 1), range(frame, first - 1, -1)):
+    for images in _both_ways(video, frame, first, last):
         state["turn"] = True
-        for index in order:
-            if index in images:
-                found[index] = step(images[index], None)
+        for index, image in images:
+            found[index] = step(image, None)
     return _track(video, name, found, "optical flow")
