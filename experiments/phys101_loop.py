@@ -14,14 +14,21 @@ DECLARED = (
 )
 
 
-def spring_dataset(clip, px_per_m):
-    """One clip as a data set in SI, y up; the last 30 % of its time is held out by the loop."""
+def spring_dataset(clip, px_per_m, vertical=False):
+    """One clip as a data set in SI, y up; the last 30 % of its time is held out by the loop.
+
+    With `vertical` the sideways sway is left out (block and anchor above one another): with it the
+    loop first finds a push along x, which says that the block hangs beside the marked anchor.
+    """
     rows = clip.frames >= clip.window[0]
     flip = np.array([1.0, -1.0]) / px_per_m
     x = clip.px[rows] * flip
+    anchored = clip.anchor * flip
+    if vertical:
+        x[:, 0] = anchored[0]
     block = Entity("block", "point", properties={"mass": clip.mass})
     anchor = Entity("anchor", "point", is_static=True)
-    positions = np.stack([x, np.broadcast_to(clip.anchor * flip, x.shape)], axis=1)
+    positions = np.stack([x, np.broadcast_to(anchored, x.shape)], axis=1)
     scene = Scene(clip.name, np.arange(len(x)) / FPS, positions, (block, anchor))
     units = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
     return Dataset(clip.name, (scene,), up="y", units=units)
