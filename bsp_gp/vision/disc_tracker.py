@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 N_SAMPLES = 12  # frames from which colours, radii, background and number of discs are learned
 LOST_GAIN = 0.6
+SETTLED = 0.3  # px: neighbours that moved less than this need no second round
 IN_FRONT = 0.2  # rms misfit of coverage up to which a disc is seen whole
 NEAR = 3.0  # px: a fit that ends farther from the prediction is searched for again
 
@@ -233,7 +234,12 @@ class DiscTracker:
                 centres[k] = np.array(spot)
         centres = self._assigned(bodies, centres)
         for _ in range(2):
+            before = [np.array(c) for c in centres]
             for k, body in enumerate(bodies):
+                alone = [centres[j] for j in range(len(bodies)) if j != k]
+                near = [reach[j] for j in range(len(bodies)) if j != k]
+                if k not in lost and not self._touching([centres[k], *alone], [reach[k], *near], 0):
+                    continue  # its fit has no neighbour that could have moved
                 if k in absent:
                     fits[k] = gap("its colour is not seen")
                     continue
@@ -245,6 +251,8 @@ class DiscTracker:
                         fits[k] = front
                 if not fits[k].reason:
                     centres[k] = fits[k].position
+            if max(np.abs(a - b).max() for a, b in zip(before, centres, strict=True)) < SETTLED:
+                break
         return fits
 
     def _searched(self, image, body, others):
@@ -258,11 +266,13 @@ class DiscTracker:
         return spot, gain
 
     @staticmethod
-    def _touching(centres, reach):
+    def _touching(centres, reach, one=None):
+        """Whether any two discs (or disc `one` and any other) touch, to 4 px."""
         return any(
             np.hypot(*(centres[i] - centres[j])) < reach[i] + reach[j] + 4
             for i in range(len(centres))
             for j in range(i)
+            if one is None or one in (i, j)
         )
 
     @staticmethod
