@@ -354,6 +354,53 @@ def _count_text(count):
     return f"{count // 10 ** (exponent - 4) / 10**4:.4f}e{exponent}"
 
 
+def _track(args):
+    from pathlib import Path
+
+    from bsp_gp.vision.calibration import Calibration
+    from bsp_gp.vision.recording import parse_object, write_recording
+
+    specs = [parse_object(name, text) for name, text in args.object]
+    calibration = None
+    if args.scale:
+        calibration = Calibration.from_scale(args.scale, args.unit)
+    elif args.known:
+        pixels, world = zip(*(_known_point(*pair) for pair in args.known), strict=True)
+        calibration = Calibration.from_points(pixels, world, args.unit)
+    first, last = _frame_range(args.frames)
+    out = args.out or f"{Path(args.video).stem}-track"
+    with _Progress(args.quiet) as progress:
+        out, track = write_recording(
+            args.video, specs, out, fps=args.fps, calibration=calibration,
+            mat_colours=dict(args.mat), first=first, last=last, smooth=args.smooth,
+            film=not args.no_film, progress=progress,
+        )  # fmt: skip
+    args.written.append(out)
+    for k, name in enumerate(track.names):
+        seen = int((track.rms[:, k] >= 0).sum())
+        print(f"{name}: {seen} of {len(track.frames)} frames")
+    print(f"Data set: {out / 'data'}\nQuality: {out / 'quality.html'}")
+
+
+def _known_point(pixels, world):
+    try:
+        values = [[float(v) for v in side.split(",")] for side in (pixels, world)]
+    except ValueError:
+        values = []
+    if [len(v) for v in values] != [2, 2]:
+        raise SettingsError(f"--known must be x,y=X,Y, got {pixels}={world}")
+    return values
+
+
+def _frame_range(text):
+    if text is None:
+        return 0, None
+    first, dots, last = text.partition("..")
+    if not (dots and first.isdecimal() and last.isdecimal()):
+        raise SettingsError(f"--frames must be A..B, got {text!r}")
+    return int(first), int(last)
+
+
 def _demo(args):
     if args.out is None:
         args.overwrite = True  # only ever a report of ours is replaced
@@ -397,6 +444,7 @@ _COMMANDS = {
     "make": _make,
     "compare": _compare,
     "grammar": _grammar,
+    "track": _track,
     "demo": _demo,
 }
 

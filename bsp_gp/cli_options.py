@@ -125,6 +125,7 @@ def build_parser():
     _add_make(commands)
     _add_compare(commands)
     _add_grammar(commands)
+    _add_track(commands)
     _add_demo(commands)
     return parser
 
@@ -392,6 +393,38 @@ def _add_grammar(commands):
     )
     for each in (show, count):
         each.add_argument("--data", metavar="DATA", help="only what can be said on this data set")
+
+
+def _add_track(commands):
+    parser = _add(
+        commands, "track", "track objects in a video: data set, annotated film, quality page",
+        "SPEC: disc:COLOUR[:RADIUS] (all discs of a colour), patch:X,Y,W,H@FRAME (an object of one "
+        "colour, from a rectangle inside of it), moving:X,Y,W,H@FRAME (the same against the still "
+        "background), template:X,Y,W,H@FRAME (a pattern), point:X,Y@FRAME (optical flow). Pixels "
+        "from the top left; COLOUR is a name or #rrggbb.",
+    )  # fmt: skip
+    parser.add_argument("video", metavar="VIDEO")
+    parser.add_argument(
+        "--object", action="append", required=True, type=_pair, metavar="NAME=SPEC",
+        help="what to track; repeat for more",
+    )  # fmt: skip
+    parser.add_argument(
+        "--mat", action="append", type=_pair, default=[], metavar="NAME=COLOUR",
+        help="find still rectangles of this colour; repeat for more",
+    )  # fmt: skip
+    parser.add_argument("--fps", type=_number(0, 1e5, "(]"), help="true frames a second")
+    scale = parser.add_mutually_exclusive_group()
+    scale.add_argument("--scale", type=_number(0, math.inf), metavar="PX", help="pixels per unit")
+    scale.add_argument(
+        "--known", action="append", type=_pair, metavar="x,y=X,Y",
+        help="a known point, pixels = world; two give scale and axes, four a tilted plane",
+    )  # fmt: skip
+    parser.add_argument("--unit", default="m", metavar="UNIT", help="of the world (default m)")
+    parser.add_argument("--frames", metavar="A..B", help="only these frames, both included")
+    parser.add_argument("--smooth", action="store_true", help="Kalman/RTS-smoothed positions")
+    parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
+    parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
 def _add_demo(commands):

@@ -22,6 +22,7 @@ from bsp_gp.data.formats import Table, read_table
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sniffing import NUMBER_COLUMNS, TEXT_COLUMNS, normalise_columns
+from bsp_gp.data.trk import read_trk
 from bsp_gp.errors import DataError
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
@@ -68,6 +69,8 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
         toml = path / TOML
         declaration = read_declaration(toml) if toml.is_file() else Declaration()
         entities = path / ENTITIES
+    elif path.suffix.lower() == ".trk" and path.is_file():
+        return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
     elif path.is_file():
         trajectories, entities, declaration = path, None, Declaration()
     else:
@@ -81,6 +84,24 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
         roster = read_table(entities, rename=declaration.columns, as_text=True)
     name = path.resolve().name if path.is_dir() else path.stem
     return _assemble(table, roster, declaration, name)
+
+
+def _from_tracker(path, *, units, fps, dt, train, test):
+    """A data set of a Tracker file; time and axes are its own, the rest may be declared."""
+    if fps is not None or dt is not None:
+        raise DataError("a Tracker file has its own times", file=path, remedy="leave out fps or dt")
+    frame, about = read_trk(path)
+    own = {"time": "s"} | ({"length": about["unit"]} if about["unit"] else {})
+    entities = [
+        Entity(name, properties={"mass": mass} if mass > 0 else {})
+        for name, mass in about["masses"].items()
+        if name in set(frame["entity"])
+    ]
+    dataset = dataset_from_frames(
+        frame, entities, name=path.stem, units=own | dict(units or {}), up="y", train=train,
+        test=test, provenance={"source": f"Tracker file {path.name}"},
+    )  # fmt: skip
+    return dataclasses.replace(dataset, notes=(*dataset.notes, *about["notes"]))
 
 
 def dataset_from_frames(

@@ -1,0 +1,295 @@
+"""From a video to a folder: tracks of several objects joined, as a data set, a film and a page."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bsp_gp.data.folder import save_dataset
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.units import UnitSystem
+from bsp_gp.vision.annotate import write_annotated
+from bsp_gp.vision.blobs import BlobSettings, track_blob
+from bsp_gp.vision.calibration import Calibration
+from bsp_gp.vision.colour import parse_colour
+from bsp_gp.vision.disc_tracker import DiscTracker
+from bsp_gp.vision.regions import mats, still_background
+from bsp_gp.vision.smoothing import calibrated, smooth_track
+from bsp_gp.vision.templates import track_point, track_template
+from bsp_gp.vision.track import Track
+from bsp_gp.vision.video import open_video
+
+__all__ = ["ObjectSpec", "parse_object", "track_video", "write_recording"]
+
+SPECS = (
+    "disc:COLOUR[:RADIUS] | patch:X,Y,W,H@FRAME | moving:X,Y,W,H@FRAME | "
+    "template:X,Y,W,H@FRAME | point:X,Y@FRAME"
+)
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """One ``--object NAME=SPEC``: its name, method, and what the method needs."""
+
+    name: str
+    method: str
+    colour: str = ""
+    radius: float | None = None
+    box: tuple = ()
+    frame: int = 0
+
+
+def parse_object(name, text):
+    """Read a SPEC; SettingsError says which forms there are.
+
+    >>> parse_object("ball", "disc:#ff0000:14").radius
+    14.0
+    """
+    method, _, rest = text.partition(":")
+    if method == "disc":
+        colour, _, radius = rest.partition(":")
+        parse_colour(colour)
+        if radius and not (_is_number(radius) and float(radius) > 1):
+            raise SettingsError(f"object {name!r}: the radius must be above 1 px, got {radius!r}")
+        return ObjectSpec(name, method, colour, float(radius) if radius else None)
+    match = re.fullmatch(r"([\d.,]+)@(\d+)", rest)
+    numbers = match.group(1).split(",") if match else []
+    wanted = {"patch": 4, "moving": 4, "template": 4, "point": 2}.get(method)
+    if wanted is None or len(numbers) != wanted or not all(map(_is_number, numbers)):
+        raise SettingsError(f"object {name!r}: expected {SPECS}, got {text[:60]!r}")
+    values = tuple(float(v) if method == "point" else int(float(v)) for v in numbers)
+    return ObjectSpec(name, method, box=values, frame=int(match.group(2)))
+
+
+def _is_number(text):
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def track_video(video, specs, first=0, last=None, progress=None):
+    """Track all objects of a video; their covariances are calibrated on the tracks themselves.
+
+    Parameters
+    ----------
+    video : Video
+    specs : sequence of ObjectSpec
+    first, last : int
+        Frames, both included.
+    progress : callable, optional
+
+    Returns
+    -------
+    Track
+    """
+    last = video.n_frames - 1 if last is None else last
+    if not 0 <= first <= last - 2 or last >= video.n_frames:
+        raise SettingsError(
+            f"frames must be three or more of 0..{video.n_frames - 1}, got {first}..{last}"
+        )
+    names = [s.name for s in specs]
+    if not specs or len(set(names)) != len(names):
+        raise SettingsError("give every object a name of its own")
+    tell = progress or (lambda text: None)
+    parts = []
+    discs = [s for s in specs if s.method == "disc"]
+    if discs:
+        tell(f"discs: {', '.join(s.name for s in discs)}")
+        tracker = DiscTracker(
+            video,
+            {s.name: parse_colour(s.colour) for s in discs},
+            {s.name: s.radius for s in discs},
+        )
+        parts.append(tracker.run(first, last))
+    for spec in specs:
+        if spec.method == "disc":
+            continue
+        tell(f"{spec.method}: {spec.name}")
+        if spec.method in ("patch", "moving"):
+            against = "background" if spec.method == "moving" else "surround"
+            settings = BlobSettings(spec.box, spec.frame, against)
+            parts.append(track_blob(video, spec.name, settings, first, last))
+        elif spec.method == "template":
+            parts.append(track_template(video, spec.name, spec.box, spec.frame, first, last))
+        else:
+            parts.append(track_point(video, spec.name, spec.box, spec.frame, first, last))
+    return calibrated(_joined(parts))
+
+
+def _joined(parts):
+    first = parts[0]
+    return Track(
+        tuple(n for p in parts for n in p.names), first.frames, first.fps,
+        np.concatenate([p.positions for p in parts], axis=1),
+        np.concatenate([p.covariances for p in parts], axis=1),
+        np.concatenate([p.rms for p in parts], axis=1),
+        np.concatenate([p.seen for p in parts], axis=1),
+        tuple(r for p in parts for r in p.reasons),
+        {k: v for p in parts for k, v in p.kinds.items()},
+        {k: v for p in parts for k, v in p.radii.items()},
+        "; ".join(dict.fromkeys(p.unit for p in parts)), any(p.lossy for p in parts),
+    )  # fmt: skip
+
+
+def to_dataset(video, track, calibration, regions=(), smooth=False):
+    """The data set of a track: world coordinates, quoted errors, gaps left as gaps.
+
+    Discs carry their radius; mats are static entities. With `smooth` the positions are those of
+    the RTS smoother, in measured frames only.
+    """
+    positions, covariances = track.positions.copy(), track.covariances
+    if smooth:
+        for k, name in enumerate(track.names):
+            known = np.isfinite(track.positions[:, k, 0])
+            if known.sum() > 3:
+                smoothed = smooth_track(track, name)
+                positions[known, k] = smoothed.positions[known]
+                covariances = covariances.copy()
+                covariances[known, k] = smoothed.covariances[known]
+    world = calibration.world(positions)
+    spread = calibration.covariance(positions, covariances)
+    sigma = np.sqrt(np.maximum(np.einsum("tnii->tni", spread), 0.0))
+    middle = np.array([video.width / 2, video.height / 2])
+    scale = float(np.sqrt(abs(np.linalg.det(calibration.jacobian(middle)))))
+    entities = [_entity(track, name, scale) for name in track.names]
+    still = []
+    for k, region in enumerate(regions, 1):
+        entities.append(
+            Entity(f"mat{k}_{region.colour}", "rect_mat", width=region.width * scale,
+                   height=region.height * scale, is_static=True)
+        )  # fmt: skip
+        still.append(calibration.world(np.array([region.x, region.y])))
+    if still:
+        fixed = np.broadcast_to(np.array(still), (len(world), len(still), 2))
+        world = np.concatenate([world, fixed], axis=1)
+        sigma = np.concatenate([sigma, np.zeros_like(fixed)], axis=1)
+    sigma = np.where(np.isfinite(sigma), sigma, np.nan)
+    scene = Scene(video.path.stem, track.times, world, tuple(entities), sigma=sigma)
+    units = {"time": "s", "length": calibration.unit}
+    return Dataset(
+        video.path.stem, (scene,), units=UnitSystem.from_declared(units), up="y",
+        provenance={"source": f"tracked from {video.path.name}, {video.fps:g} frames a second"},
+    )  # fmt: skip
+
+
+def _entity(track, name, scale):
+    radius = track.radii.get(name, math.nan)
+    if math.isfinite(radius):
+        return Entity(name, "disc", radius=radius * scale)
+    return Entity(name)
+
+
+def quality_page(video, track, calibration):
+    """HTML of how good the track is: per object rms, sigma, gaps and why; one file, no scripts."""
+    rows = []
+    for k, name in enumerate(track.names):
+        known = np.isfinite(track.positions[:, k, 0])
+        sigma = track.sigma[:, k][known]
+        rms = track.rms[:, k][np.isfinite(track.rms[:, k])]
+        rows.append(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(track.kinds.get(name, ''))}</td>"
+            f"<td>{known.sum()} of {len(known)}</td>"
+            f"<td>{_median(sigma[:, 0])}</td><td>{_median(sigma[:, 1])}</td>"
+            f"<td>{_median(rms)}</td><td>{_max(rms)}</td></tr>"
+        )
+    gaps = "".join(
+        f"<tr><td>{html.escape(name)}</td><td>{span}</td><td>{html.escape(reason)}</td></tr>"
+        for name, span, reason in _spans(track.reasons)
+    )
+    missing = video.n_header - video.n_frames
+    notes = [
+        f"{video.n_frames} frames decoded"
+        + (f" of {video.n_header} that the header promises" if missing > 0 else ""),
+        f"{video.fps:g} frames a second, taken as evenly spaced",
+        "lengths in pixels: no scale was given" if calibration.unit == "px"
+        else f"lengths in {calibration.unit}",
+    ]  # fmt: skip
+    if math.isfinite(calibration.residual) and calibration.residual:
+        notes.append(
+            f"known points reproduced to {calibration.residual:.3g} {calibration.unit} rms"
+        )
+    return f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>Track quality</title>
+<style>body{{font:16px/1.4 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}
+table{{border-collapse:collapse}}td,th{{border:1px solid #aaa;padding:.2em .6em;text-align:left}}
+</style><h1>Track of {html.escape(video.path.name)}</h1>
+<ul>{"".join(f"<li>{html.escape(n)}</li>" for n in notes)}</ul>
+<table><tr><th>object</th><th>method</th><th>frames measured</th><th>median σ<sub>x</sub>, px</th>
+<th>median σ<sub>y</sub>, px</th><th>median rms misfit</th><th>largest</th></tr>{
+        "".join(rows)
+    }</table>
+<p>Rms misfit in {html.escape(track.unit)}. Standard errors are calibrated on the track itself.</p>
+<h2>Frames without a position</h2>
+{
+        "<table><tr><th>object</th><th>frames</th><th>why</th></tr>" + gaps + "</table>"
+        if gaps
+        else "<p>None.</p>"
+    }</html>
+"""
+
+
+def _median(values):
+    return f"{np.median(values):.3g}" if len(values) else "–"
+
+
+def _max(values):
+    return f"{np.max(values):.3g}" if len(values) else "–"
+
+
+def _spans(reasons):
+    """Runs of frames with one reason: (name, "a–b", reason)."""
+    spans = []
+    for frame, name, reason in sorted(reasons, key=lambda r: (r[1], r[0])):
+        if spans and spans[-1][0] == name and spans[-1][3] == reason and spans[-1][2] == frame - 1:
+            spans[-1][2] = frame
+        else:
+            spans.append([name, frame, frame, reason])
+    return [(n, f"{a}" if a == b else f"{a}–{b}", r) for n, a, b, r in spans]
+
+
+def write_recording(
+    path, specs, out, *, fps=None, calibration=None, mat_colours=None, first=0, last=None,
+    smooth=False, film=True, progress=None,
+):  # fmt: skip
+    """Track a video and write a folder: ``data/`` (a data set), ``film.mp4``, ``quality.html``.
+
+    Written whole or not at all; an existing folder is an error.
+
+    Returns
+    -------
+    Path, Track
+    """
+    out = Path(out)
+    if out.exists():
+        raise OutputError(f"{out} exists already; choose another --out")
+    video = open_video(path, fps)
+    calibration = calibration or Calibration()
+    track = track_video(video, specs, first, last, progress)
+    regions = ()
+    if mat_colours:
+        picture, seen = still_background(video, track)
+        colours = {name: parse_colour(c) for name, c in mat_colours.items()}
+        regions = tuple(mats(picture, seen, colours))
+    dataset = to_dataset(video, track, calibration, regions, smooth)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        save_dataset(dataset, partial / "data")
+        (partial / "quality.html").write_text(quality_page(video, track, calibration), "utf-8")
+        if film:
+            write_annotated(video, track, partial / "film.mp4", regions)
+        partial.chmod(0o755)
+        os.replace(partial, out)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    return out, track

@@ -1,0 +1,183 @@
+"""Frames of a video file, in order, with their times; opened and closed in one place."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bsp_gp.errors import DataError, OutputError
+
+__all__ = ["Video", "VideoWriter", "open_video"]
+
+MAX_FPS = 100_000.0
+LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video file that can be read from its start any number of times.
+
+    Attributes
+    ----------
+    path : Path
+    fps : float
+        Frames a second as the header says (or as the user declared); frames are taken to be
+        evenly spaced, which is what decoded frames of a constant-rate file are.
+    width, height : int
+        Pixels.
+    n_frames : int
+        Frames that could be *decoded*; the header's count is often wrong.
+    n_header : int
+        Frames that the header promises.
+    codec : str
+        Four letters.
+    """
+
+    path: Path
+    fps: float
+    width: int
+    height: int
+    n_frames: int
+    n_header: int
+    codec: str = ""
+
+    @property
+    def is_lossy(self):
+        """Whether the codec loses information (anything that is not known to be lossless)."""
+        return self.codec.upper() not in LOSSLESS
+
+    def frames(self, start=0, stop=None, wanted=None):
+        """Yield ``(index, image)``; images are BGR, uint8, shape (height, width, 3).
+
+        `wanted` (a set of indices) spares converting the other frames.
+
+        The file is always decoded from its first frame: seeking in compressed video is not
+        exact in OpenCV.
+        """
+        capture = cv2.VideoCapture(str(self.path))
+        try:
+            index = 0
+            while stop is None or index < stop:
+                if index < start or (wanted is not None and index not in wanted):
+                    if not capture.grab():
+                        break
+                else:
+                    found, image = capture.read()
+                    if not found:
+                        break
+                    yield index, image
+                index += 1
+        finally:
+            capture.release()
+
+    def sample(self, n, start=0, stop=None):
+        """About `n` evenly spaced frames as ``(indices, images)``."""
+        stop = self.n_frames if stop is None else min(stop, self.n_frames)
+        wanted = set(np.unique(np.linspace(start, stop - 1, n).round().astype(int)).tolist())
+        kept = list(self.frames(start, stop, wanted))
+        return np.array([k for k, _ in kept], dtype=int), [image for _, image in kept]
+
+    @property
+    def times(self):
+        """Times of the decoded frames, shape (n_frames,), seconds."""
+        return np.arange(self.n_frames) / self.fps
+
+
+def open_video(path, fps=None):
+    """Open a video and count the frames that can be decoded.
+
+    Parameters
+    ----------
+    path : path
+    fps : float, optional
+        The true frame rate, if the header's is wrong.
+
+    Raises
+    ------
+    DataError
+        No such file, no decodable frame, or no usable frame rate.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError("no such video file", file=path)
+    capture = cv2.VideoCapture(str(path))
+    try:
+        if not capture.isOpened():
+            raise DataError(
+                "not a video that OpenCV can decode",
+                file=path,
+                remedy="convert it, e.g. ffmpeg -i IN -c:v libx264 OUT.mp4",
+            )
+        rate = float(capture.get(cv2.CAP_PROP_FPS)) if fps is None else float(fps)
+        size = [int(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
+        promised = int(max(capture.get(cv2.CAP_PROP_FRAME_COUNT), 0))
+        code = int(capture.get(cv2.CAP_PROP_FOURCC))
+        codec = code.to_bytes(4, "little", signed=code < 0).decode("latin-1")
+        count = 0
+        while capture.grab():
+            count += 1
+    finally:
+        capture.release()
+    if count == 0:
+        raise DataError("no frame could be decoded", file=path)
+    if not (math.isfinite(rate) and 0 < rate <= MAX_FPS):
+        raise DataError(
+            f"frame rate must be positive and finite, got {rate:g}",
+            file=path,
+            remedy="give the true one: --fps",
+        )
+    return Video(path, rate, size[0], size[1], count, promised, codec)
+
+
+class VideoWriter:
+    """Write frames to a video, whole or not at all (a ``with`` statement ends it).
+
+    Parameters
+    ----------
+    path : path
+        ``.mp4`` (codec mp4v), ``.avi`` (MJPG) or ``.mkv`` (FFV1, lossless).
+    fps : float
+    size : (int, int)
+        Width and height in pixels.
+
+    Raises
+    ------
+    OutputError
+        The codec is missing, the folder is not writable, or the ending is unknown.
+    """
+
+    CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
+
+    def __init__(self, path, fps, size):
+        self.path = Path(path)
+        if self.path.suffix not in self.CODECS:
+            raise OutputError(
+                f"a film must end in {', '.join(self.CODECS)}, got {self.path.name!r}"
+            )
+        self.part = self.path.with_name(f".{self.path.stem}.part{self.path.suffix}")
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        code = cv2.VideoWriter_fourcc(*self.CODECS[self.path.suffix])
+        self._writer = cv2.VideoWriter(str(self.part), code, fps, tuple(size))
+        if not self._writer.isOpened():
+            raise OutputError(f"cannot write a film to {self.path}")
+
+    def write(self, image):
+        """Append one BGR image, uint8, shape (height, width, 3)."""
+        self._writer.write(np.ascontiguousarray(image, dtype=np.uint8))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        self._writer.release()
+        if kind is None:
+            os.replace(self.part, self.path)
+        else:
+            with contextlib.suppress(FileNotFoundError):
+                self.part.unlink()

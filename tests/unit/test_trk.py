@@ -1,0 +1,110 @@
+"""Tracker's .trk files: made here, after the published layout; hostile and broken ones refused."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.tables import load_dataset
+from bsp_gp.data.trk import read_trk
+from bsp_gp.errors import DataError
+
+STEP = """<property name="[{k}]" type="object"><object class="org.opensourcephysics.cabrillo.\
+tracker.PointMass$FrameData"><property name="x" type="double">{x}</property>
+<property name="y" type="double">{y}</property></object></property>"""
+FILE = """<?xml version="1.0" encoding="UTF-8"?>
+<object class="org.opensourcephysics.cabrillo.tracker.TrackerPanel">
+<property name="videoclip" type="object"><object class="VideoClip">
+<property name="startframe" type="int">{start}</property>
+<property name="stepsize" type="int">{size}</property></object></property>
+<property name="clipcontrol" type="object"><object class="ClipControl">
+<property name="delta_t" type="double">{delta}</property></object></property>
+<property name="coords" type="object"><object class="ImageCoordSystem">
+<property name="fixedorigin" type="boolean">true</property>
+<property name="fixedangle" type="boolean">true</property>
+<property name="fixedscale" type="boolean">true</property>
+<property name="framedata" type="array" class="[L"><property name="[0]" type="object">
+<object class="ImageCoordSystem$FrameData"><property name="xorigin" type="double">100</property>
+<property name="yorigin" type="double">200</property>
+<property name="angle" type="double">{angle}</property>
+<property name="xscale" type="double">{scale}</property>
+<property name="yscale" type="double">{scale}</property></object></property></property>
+</object></property>
+<property name="length_unit" type="string">m</property>
+<property name="tracks" type="collection" class="java.util.ArrayList">
+<property name="item" type="object"><object class="cabrillo.tracker.PointMass">
+<property name="name" type="string">ball</property>
+<property name="mass" type="double">0.25</property>
+<property name="framedata" type="array" class="[L">{steps}</property></object></property>
+<property name="item" type="object"><object class="cabrillo.tracker.TapeMeasure"/>
+</property></property></object>"""
+
+
+def write(path, steps=((2, 150, 200), (4, 150, 150), (6, 150, 100)), **changes):
+    values = {"start": 2, "size": 2, "delta": 20.0, "angle": 0.0, "scale": 50.0} | changes
+    text = "".join(STEP.format(k=k, x=x, y=y) for k, x, y in steps)
+    path.write_text(FILE.format(steps=text, **values), "utf-8")
+    return path
+
+
+def test_positions_times_and_mass(tmp_path):
+    frame, about = read_trk(write(tmp_path / "a.trk"))
+    np.testing.assert_allclose(frame["t"], [0.0, 0.04, 0.08])
+    np.testing.assert_allclose(frame[["x", "y"]], [[1, 0], [1, 1], [1, 2]])
+    assert about["masses"] == {"ball": 0.25}
+    assert about["unit"] == "m"
+    assert about["fps"] == 50.0
+
+
+def test_axes_are_turned_counter_clockwise(tmp_path):
+    frame, _ = read_trk(write(tmp_path / "a.trk", angle=90.0))
+    np.testing.assert_allclose(frame[["x", "y"]], [[0, -1], [1, -1], [2, -1]], atol=1e-12)
+
+
+def test_frames_off_the_clip_are_no_steps(tmp_path):
+    steps = ((0, 1, 1), (2, 150, 200), (3, 9, 9), (4, 150, 150), (6, 150, 100))
+    frame, _ = read_trk(write(tmp_path / "a.trk", steps))
+    assert len(frame) == 3
+
+
+def test_a_data_set_of_it(tmp_path):
+    dataset = load_dataset(write(tmp_path / "a.trk"))
+    assert dataset.up == "y"
+    assert dataset.scenes[0].entities[0].mass == 0.25
+    np.testing.assert_allclose(dataset.scenes[0].positions[:, 0, 1], [0, 1, 2])
+
+
+@pytest.mark.parametrize("head", ["<!DOCTYPE x>", '<!DOCTYPE x [<!ENTITY a "b">]>', "<!doctype x>"])
+def test_doctype_and_entities_are_refused(tmp_path, head):
+    path = write(tmp_path / "a.trk")
+    text = path.read_text("utf-8")
+    path.write_text(text.replace("?>\n", f"?>\n{head}\n", 1), "utf-8")
+    with pytest.raises(DataError, match="DOCTYPE"):
+        read_trk(path)
+
+
+def test_doctype_hidden_by_utf16_is_refused(tmp_path):
+    path = write(tmp_path / "a.trk")
+    text = path.read_text("utf-8").replace('encoding="UTF-8"', 'encoding="UTF-16"')
+    path.write_bytes(text.replace("?>\n", "?>\n<!DOCTYPE x>\n", 1).encode("utf-16"))
+    with pytest.raises(DataError, match="DOCTYPE"):
+        read_trk(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("TrackerPanel", "DataTool", "not a Tracker file"),
+        ("<object", "<objekt", "not XML"),
+        (">150<", ">wide<", "must be a number"),
+        (">50.0<", ">0<", "scale of zero"),
+        ("PointMass", "RGBRegion", "no point mass"),
+    ],
+)
+def test_broken_files_are_named(tmp_path, old, new, message):
+    path = write(tmp_path / "a.trk")
+    text = path.read_text("utf-8")
+    path.write_text(
+        text.replace(old, new, 1) if old == "<object" else text.replace(old, new), "utf-8"
+    )
+    with pytest.raises(DataError, match=message) as caught:
+        read_trk(path)
+    assert "a.trk" in str(caught.value)
