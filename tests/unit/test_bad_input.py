@@ -288,7 +288,8 @@ def test_a_full_disk_leaves_nothing(place, capsys, monkeypatch):
     def full(self, *args, **kwargs):
         raise OSError(errno.ENOSPC, "No space left on device", str(self))
 
-    monkeypatch.setattr("pathlib.Path.write_text", full)
+    for write in ("write_text", "write_bytes"):
+        monkeypatch.setattr(f"pathlib.Path.{write}", full)
     for words in (["fit", "data", "--law", LAW], ["simulate", "data", "--law", LAW]):
         assert "No space left" in complaint([*words, "--out", "out"], place, capsys)
 
