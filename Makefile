@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test slow lint bench clean
+.PHONY: help setup demo test slow quick lint bench clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -34,6 +34,19 @@ test: $(VENV)/.ok  ## run the default tests
 
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
+
+EXPERIMENTS := compare_searches data_efficiency ablation em_nbody engines phys101
+
+quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[engines]'
+	@mkdir -p runs/quick
+	@set -e; for name in $(EXPERIMENTS); do \
+	    echo "experiments/$$name.py --quick"; \
+	    $(BIN)/python experiments/$$name.py --quick --workers $(WORKERS) \
+	        --out runs/quick/$$name $(ARGS) >runs/quick/$$name.log 2>&1 \
+	        || { cat runs/quick/$$name.log >&2; exit 1; }; \
+	    tail -n 1 runs/quick/$$name.log; \
+	done
 
 lint: $(VENV)/.dev  ## check the code with ruff
 	@$(BIN)/ruff check $(ARGS) .
