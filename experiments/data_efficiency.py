@@ -135,7 +135,7 @@ def figure(table, column="method", colours=COLOURS):
     """Median and 25 to 75 % band against the number of training scenes."""
     import matplotlib.pyplot as plt
 
-    fig, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    fig, axes = plt.subplots(1, 3, figsize=(11, 3.7), layout="constrained")
     for ax, name in zip(axes, PAPER_ZERO, strict=True):
         mine = table[table["scenario"] == name]
         for method, part in mine.groupby(column, sort=False):
@@ -153,7 +153,9 @@ def figure(table, column="method", colours=COLOURS):
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("nRMSE on scenes 81–100")
     axes[0].plot([], [], ":", color="#555555", label="17 scenes without contact")
-    axes[0].legend(fontsize=8, frameon=False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8,
+               frameon=False)  # fmt: skip
     return fig
 
 
