@@ -16,7 +16,9 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
 
 MAT = "c1 * (mu_j * m_i * normalize(v_i) * is_on(s_i, p_i, s_j, p_j))"
-SETTINGS = EmSettings(refine=False, final=None, n_starts=1, e_step=EStep(n_eff=60, max_steps=400))
+SETTINGS = EmSettings(
+    refine=False, final=None, n_starts=1, e_step=EStep(n_eff=60, max_steps=400)
+)
 
 
 @pytest.fixture(scope="module")

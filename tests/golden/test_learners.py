@@ -1,5 +1,6 @@
 """The learning searches on the paper's scenes: they find the true laws within few scored laws."""
 
+
 import numpy as np
 import pytest
 

@@ -61,7 +61,9 @@ def test_hidden_classes_are_told(movie):
     summaries = summarise(movie, Form())
     told = {
         (category, item): max(posterior, key=posterior.get)
-        for category, item, posterior in answers(summaries[0], movie_table(summaries, constants))
+        for category, item, posterior in answers(
+            summaries[0], movie_table(summaries, constants)
+        )
     }
     assert told == {
         ("mass", "red"): "light", ("mass", "yellow"): "heavy",

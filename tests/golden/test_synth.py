@@ -110,7 +110,9 @@ def test_gravity_alone_misses_the_scenes_in_which_bodies_touch(synth):
 def search(dataset, scenes):
     grammar, missing = NEWTONIAN.masked(set(dataset_types(dataset)), 2)
     assert missing == ("l_j",)
-    return search_exhaustive(build_regression(scenes), grammar, kind="pair", missing_inputs=missing)
+    return search_exhaustive(
+        build_regression(scenes), grammar, kind="pair", missing_inputs=missing
+    )
 
 
 def accelerations(regression, formula):

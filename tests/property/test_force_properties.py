@@ -175,7 +175,9 @@ def test_relative_velocities_make_galilean_laws(seed, case):
     crew, positions, velocities = world(rng, n_dims, with_walls=n_dims == 2)
     boost = dyadic(rng, -50, 50, n_dims)
     here = acceleration(law, crew, positions, velocities)
-    np.testing.assert_array_equal(acceleration(law, crew, positions, velocities + boost), here)
+    np.testing.assert_array_equal(
+        acceleration(law, crew, positions, velocities + boost), here
+    )
 
 
 def test_drag_against_the_lab_is_not_galilean():

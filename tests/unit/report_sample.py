@@ -26,9 +26,8 @@ HOSTILE = '<script>alert("x")</script>&$\\frac{'
 
 
 def errors(scale, unit="m", acceleration_unit="m/s^2"):
-    return Errors(
-        0.9 * scale, 0.01 * scale, 1.1 * scale, 1.9 * scale, unit, 2.2 * scale, acceleration_unit
-    )
+    return Errors(0.9 * scale, 0.01 * scale, 1.1 * scale, 1.9 * scale, unit, 2.2 * scale,
+                  acceleration_unit)
 
 
 def overlays_2d(n_scenes=4):
@@ -54,61 +53,19 @@ def residual_table(n_rows=6000, entities=("ball",)):
         [f"throw_{k % 4}" for k in range(n_rows)],
         [entities[k % len(entities)] for k in range(n_rows)],
         ["test" if k % 3 == 0 else "train" for k in range(n_rows)],
-        t,
-        speed,
-        np.full(n_rows, NAN),
-        before,
-        after,
-        -before,
-        after * np.sign(t - 1),
+        t, speed, np.full(n_rows, NAN), before, after, -before, after * np.sign(t - 1),
     )
 
 
 RIVALS = (
-    Rival(
-        "drag, linear in speed",
-        "field",
-        "-c1 * v_i",
-        r"-c_{1}\,\mathbf{v}_i",
-        41.3,
-        0.86,
-        0.31,
-        9.2,
-        "less evidence, and a worse held-out error",
-    ),
-    Rival(
-        "wrong length scale",
-        "measurement",
-        "scale * x",
-        "s",
-        62.0,
-        0.71,
-        0.52,
-        3.1,
-        "explains the fall but not the slowing down sideways",
-    ),
-    Rival(
-        "constant wind",
-        "field",
-        "c1 * m_i * e_x",
-        r"c_{1}\,m_i\,\hat{\mathbf{x}}",
-        188.4,
-        0.4,
-        0.8,
-        7.7,
-        "its direction would have to turn with the throw",
-    ),
-    Rival(
-        "free g",
-        "declared_term_change",
-        "c1 * m_i * down",
-        "c_{1}",
-        203.0,
-        0.22,
-        0.91,
-        4.0,
-        "g = 11.2 [11.0, 11.4] m/s^2 is excluded by its published value",
-    ),
+    Rival("drag, linear in speed", "field", "-c1 * v_i", r"-c_{1}\,\mathbf{v}_i", 41.3, 0.86, 0.31,
+          9.2, "less evidence, and a worse held-out error"),
+    Rival("wrong length scale", "measurement", "scale * x", "s", 62.0, 0.71, 0.52, 3.1,
+          "explains the fall but not the slowing down sideways"),
+    Rival("constant wind", "field", "c1 * m_i * e_x", r"c_{1}\,m_i\,\hat{\mathbf{x}}", 188.4, 0.4,
+          0.8, 7.7, "its direction would have to turn with the throw"),
+    Rival("free g", "declared_term_change", "c1 * m_i * down", "c_{1}", 203.0, 0.22, 0.91, 4.0,
+          "g = 11.2 [11.0, 11.4] m/s^2 is excluded by its published value"),
 )
 
 
@@ -116,112 +73,46 @@ def adopted():
     """Drag found, then nothing left; one constant for all and one for every entity."""
     names = [f"ball {k:02d}" for k in range(14)]
     own = tuple(
-        ConstantEstimate(
-            "c1",
-            0.02 * (1 + k % 7),
-            0.02 * (1 + k % 7) - 0.004,
-            0.02 * (1 + k % 7) + 0.005,
-            "kg/m",
-            name,
-        )
+        ConstantEstimate("c1", 0.02 * (1 + k % 7), 0.02 * (1 + k % 7) - 0.004,
+                         0.02 * (1 + k % 7) + 0.005, "kg/m", name)
         for k, name in enumerate(names)
     )
     shared = (ConstantEstimate("g", 9.80665, 9.79123, 9.82211, "m/s^2"),)
-    effect = Effect(
-        "drag, quadratic in speed",
-        "field",
-        "-c1 * v_i * norm(v_i)",
-        DRAG,
-        tuple(names),
-        own,
-        0.00201,
-        ("-c1 * v_i * norm(v_i)^1.1", "-c1 * R_i * v_i * norm(v_i)"),
-        "balls of different radius, or speeds beyond 20 m/s",
-    )
+    effect = Effect("drag, quadratic in speed", "field", "-c1 * v_i * norm(v_i)", DRAG,
+                    tuple(names), own, 0.00201,
+                    ("-c1 * v_i * norm(v_i)^1.1", "-c1 * R_i * v_i * norm(v_i)"),
+                    "balls of different radius, or speeds beyond 20 m/s")
     held_out = tuple(
-        {
-            "scene": f"throw_{k}",
-            "n_rows": 60,
-            "rollout_before": 6.1 + k,
-            "rollout_after": 1.12,
-            "ratio": 1.12 / (6.1 + k),
-        }
-        for k in range(4)
+        {"scene": f"throw_{k}", "n_rows": 60, "rollout_before": 6.1 + k, "rollout_after": 1.12,
+         "ratio": 1.12 / (6.1 + k)} for k in range(4)
     )
-    first = Round(
-        1,
-        Missing(8.31, 0.0, 0.0213, "m/s^2", {"chi2": 0.0, "ljung_box": 3e-7}),
-        effect,
-        RIVALS,
-        True,
-        "Explains 97 % of the residual, and the held-out error falls.",
-        errors(5.55),
-        errors(1.0),
-        errors(0.27),
-        Ratio(0.18, 0.15, 0.22, "scenes"),
-        held_out,
-        "All 75,816 laws up to depth 5 were tried.\n12 rules masked.",
-        41.2,
-        "effect adopted",
-    )
-    second = Round(
-        2,
-        Missing(1.03, 0.31, 0.0193, "m/s^2", {"chi2": 0.31}, False),
-        None,
-        (),
-        False,
-        "Nothing is left above the noise.",
-        errors(1.0),
-        None,
-        errors(0.27),
-        None,
-        (),
-        "No search: nothing is missing.",
-        0.4,
-        "nothing missing",
-    )
+    first = Round(1, Missing(8.31, 0.0, 0.0213, "m/s^2", {"chi2": 0.0, "ljung_box": 3e-7}), effect,
+                  RIVALS, True, "Explains 97 % of the residual, and the held-out error falls.",
+                  errors(5.55), errors(1.0), errors(0.27), Ratio(0.18, 0.15, 0.22, "scenes"),
+                  held_out, "All 75,816 laws up to depth 5 were tried.\n12 rules masked.", 41.2,
+                  "effect adopted")
+    second = Round(2, Missing(1.03, 0.31, 0.0193, "m/s^2", {"chi2": 0.31}, False), None, (), False,
+                   "Nothing is left above the noise.", errors(1.0), None, errors(0.27), None, (),
+                   "No search: nothing is missing.", 0.4, "nothing missing")
     return LoopReport(
-        dataset={
-            "name": "Thrown balls",
-            "n_scenes": 16,
-            "n_rows": 960,
-            "n_entities": 14,
-            "train": 12,
-            "test": 4,
-            "provenance": "made up",
-            "fingerprint": "sha256:3fa9",
-            "units": {"length": "m", "time": "s"},
-        },
+        dataset={"name": "Thrown balls", "n_scenes": 16, "n_rows": 960, "n_entities": 14,
+                 "train": 12, "test": 4, "provenance": "made up", "fingerprint": "sha256:3fa9",
+                 "units": {"length": "m", "time": "s"}},
         declared=({"law": "g * m_i * down", "latex": GRAVITY},),
-        grammar={"name": "newtonian", "fingerprint": "sha256:77aa"},
-        seed=7,
-        alpha=0.01,
+        grammar={"name": "newtonian", "fingerprint": "sha256:77aa"}, seed=7, alpha=0.01,
         noise={"sigma": [0.05, 0.051], "unit": "m", "source": "estimated"},
-        rounds=(first, second),
-        law=ForceLaw(),
+        rounds=(first, second), law=ForceLaw(),
         law_text="9.80665 [m/s^2] * m_i * down + -c1 * v_i * norm(v_i)",
-        law_latex=r"\mathbf{F}_i = " + GRAVITY + " + " + DRAG,
-        constants=shared + own,
-        total={
-            "before": errors(5.55),
-            "after": errors(1.0),
-            "floor": errors(0.27),
-            "ratio": Ratio(0.18, 0.15, 0.22, "scenes"),
-        },
-        verdict="effect adopted",
-        stop_reason="Nothing is left above the noise after round 1.",
-        versions={"bsp_gp": "0.1.0", "numpy": "2.4.6"},
-        wall_s=41.63,
-        overlays=overlays_2d(),
+        law_latex=r"\mathbf{F}_i = " + GRAVITY + " + " + DRAG, constants=shared + own,
+        total={"before": errors(5.55), "after": errors(1.0), "floor": errors(0.27),
+               "ratio": Ratio(0.18, 0.15, 0.22, "scenes")},
+        verdict="effect adopted", stop_reason="Nothing is left above the noise after round 1.",
+        versions={"bsp_gp": "0.1.0", "numpy": "2.4.6"}, wall_s=41.63, overlays=overlays_2d(),
         residuals=residual_table(entities=tuple(names)),
         notes=("3 rows of throw_2 were dropped: y is empty (lines 40 to 42).",),
-        extras=(
-            {
-                "title": "Decomposition of the residual",
-                "paragraphs": ["Most of it lies against the velocity."],
-                "table": [["channel", "share"], ["along the velocity", 0.94], ["across", 0.03]],
-            },
-        ),
+        extras=({"title": "Decomposition of the residual",
+                 "paragraphs": ["Most of it lies against the velocity."],
+                 "table": [["channel", "share"], ["along the velocity", 0.94], ["across", 0.03]]},),
     )
 
 
@@ -229,75 +120,36 @@ def nothing_missing():
     full = adopted()
     only = replace(full.rounds[1], number=1, before=errors(0.28), floor=errors(0.27))
     return replace(
-        full,
-        rounds=(only,),
-        verdict="nothing missing",
-        constants=full.constants[:1],
-        law_text="9.80665 [m/s^2] * m_i * down",
-        law_latex=r"\mathbf{F}_i = " + GRAVITY,
+        full, rounds=(only,), verdict="nothing missing", constants=full.constants[:1],
+        law_text="9.80665 [m/s^2] * m_i * down", law_latex=r"\mathbf{F}_i = " + GRAVITY,
         total={"before": errors(0.28), "after": None, "floor": errors(0.27), "ratio": None},
-        stop_reason="Nothing is left above the noise.",
-        extras=(),
-        notes=(),
+        stop_reason="Nothing is left above the noise.", extras=(), notes=(),
     )
 
 
 def seen_not_adopted():
     full = adopted()
-    effect = replace(
-        full.rounds[0].effect,
-        name="thrust along the velocity",
-        constants=(ConstantEstimate("c1", -0.02, -0.05, 0.01, "kg/m"),),
-        entities=("ball 01",),
-        p_value=0.03,
-    )
-    only = replace(
-        full.rounds[0],
-        effect=effect,
-        adopted=False,
-        verdict="seen, not adopted",
-        reason="Its sign is that of a force that pushes a ball forward.",
-        after=errors(5.2),
-        ratio=Ratio(0.94, 0.88, 1.03),
-    )
+    effect = replace(full.rounds[0].effect, name="thrust along the velocity", constants=(
+        ConstantEstimate("c1", -0.02, -0.05, 0.01, "kg/m"),), entities=("ball 01",), p_value=0.03)
+    only = replace(full.rounds[0], effect=effect, adopted=False, verdict="seen, not adopted",
+                   reason="Its sign is that of a force that pushes a ball forward.",
+                   after=errors(5.2), ratio=Ratio(0.94, 0.88, 1.03))
     return replace(
-        full,
-        rounds=(only,),
-        verdict="seen, not adopted",
-        constants=full.constants[:1],
-        total={
-            "before": errors(5.55),
-            "after": errors(5.55),
-            "floor": errors(0.27),
-            "ratio": Ratio(1.0, 1.0, 1.0),
-        },
-        stop_reason="No explanation was good enough.",
-        overlays=full.overlays[:1],
-        residuals=None,
+        full, rounds=(only,), verdict="seen, not adopted", constants=full.constants[:1],
+        total={"before": errors(5.55), "after": errors(5.55), "floor": errors(0.27),
+               "ratio": Ratio(1.0, 1.0, 1.0)},
+        stop_reason="No explanation was good enough.", overlays=full.overlays[:1], residuals=None,
     )
 
 
 def cannot_tell():
     full = adopted()
-    only = replace(
-        full.rounds[0],
-        effect=None,
-        adopted=False,
-        verdict="cannot tell",
-        after=None,
-        ratio=None,
-        missing=Missing(1.4, 0.02, NAN),
-        before=errors(5.0, "px", "px/s^2"),
-        floor=errors(NAN, "px", "px/s^2"),
-        reason="A wrong scale, a wrong clock and a wrong g fit one drop alike.",
-    )
+    only = replace(full.rounds[0], effect=None, adopted=False, verdict="cannot tell", after=None,
+                   ratio=None, missing=Missing(1.4, 0.02, NAN), before=errors(5.0, "px", "px/s^2"),
+                   floor=errors(NAN, "px", "px/s^2"),
+                   reason="A wrong scale, a wrong clock and a wrong g fit one drop alike.")
     return replace(
-        full,
-        rounds=(only,),
-        verdict="cannot tell",
-        constants=(),
-        residuals=None,
-        overlays=(),
+        full, rounds=(only,), verdict="cannot tell", constants=(), residuals=None, overlays=(),
         noise={"sigma": None, "unit": "px", "source": "unknown"},
         total={"before": only.before, "after": None, "floor": only.floor, "ratio": None},
         stop_reason="Nothing more can be learned from one drop.",
@@ -315,79 +167,38 @@ def orbit():
     rng = np.random.default_rng(2)
     observed = position + rng.normal(0, 30.0, position.shape)
     overlays = (
-        Overlay(
-            "sun",
-            "Mercury",
-            t,
-            observed,
-            position + 3e5 * drift * along,
-            position + 80.0 * drift * along,
-            40,
-        ),
-        Overlay(
-            "sun",
-            "Venus",
-            t,
-            1.9 * observed,
-            1.9 * position + 2e4 * drift * along,
-            1.9 * position + 60.0 * drift * along,
-            40,
-        ),
+        Overlay("sun", "Mercury", t, observed, position + 3e5 * drift * along,
+                position + 80.0 * drift * along, 40),
+        Overlay("sun", "Venus", t, 1.9 * observed, 1.9 * position + 2e4 * drift * along,
+                1.9 * position + 60.0 * drift * along, 40),
     )
     n = len(t)
-    table = ResidualTable(
-        ["sun"] * n,
-        ["Mercury"] * n,
-        ["test"] * n,
-        t,
-        4.8e4 + 1e4 * np.sin(angle),
-        5.8e10 * (1 + 0.2 * np.cos(angle)),
-        1e-8 * (1 + np.cos(angle) ** 2),
-        np.abs(rng.normal(0, 2e-11, n)),
-        np.zeros(n),
-        np.zeros(n),
-    )
-    effect = replace(
-        full.rounds[0].effect,
-        name="inverse-cube attraction",
-        kind="pair",
-        law="c1 * m_i / norm(p_j - p_i)^3 * normalize(p_j - p_i)",
-        entities=("Mercury",),
-        latex=r"\sum_{j\ne i} \frac{c_{1}\,m_i}{{r}_{ij}^{3}}\,\hat{\mathbf{r}_{ij}}",
-        constants=(ConstantEstimate("c1", 3.521e28, 3.48e28, 3.56e28, "m^4/s^2"),),
-    )
+    table = ResidualTable(["sun"] * n, ["Mercury"] * n, ["test"] * n, t,
+                          4.8e4 + 1e4 * np.sin(angle), 5.8e10 * (1 + 0.2 * np.cos(angle)),
+                          1e-8 * (1 + np.cos(angle) ** 2),
+                          np.abs(rng.normal(0, 2e-11, n)), np.zeros(n), np.zeros(n))
+    effect = replace(full.rounds[0].effect, name="inverse-cube attraction", kind="pair",
+                     law="c1 * m_i / norm(p_j - p_i)^3 * normalize(p_j - p_i)",
+                     entities=("Mercury",),
+                     latex=r"\sum_{j\ne i} \frac{c_{1}\,m_i}{{r}_{ij}^{3}}\,\hat{\mathbf{r}_{ij}}",
+                     constants=(ConstantEstimate("c1", 3.521e28, 3.48e28, 3.56e28, "m^4/s^2"),))
     before, after, floor = (errors(s, "m", "m/s^2") for s in (2.4e5, 71.0, 31.0))
     before, after, floor = (
         replace(e, residual_acceleration=a)
         for e, a in ((before, 1.4e-8), (after, 2.1e-11), (floor, 2.0e-11))
     )
     ratio = Ratio(0.000296, 0.000251, 0.000344)
-    first = replace(
-        full.rounds[0],
-        effect=effect,
-        before=before,
-        after=after,
-        floor=floor,
-        ratio=ratio,
-        rivals=(),
-        held_out=(),
-    )
+    first = replace(full.rounds[0], effect=effect, before=before, after=after, floor=floor,
+                    ratio=ratio, rivals=(), held_out=())
     return replace(
-        full,
-        dataset={**full.dataset, "name": "Inner planets"},
-        rounds=(first,),
-        overlays=overlays,
-        residuals=table,
-        noise={"sigma": 30.0, "unit": "m", "source": "quoted"},
+        full, dataset={**full.dataset, "name": "Inner planets"}, rounds=(first,), overlays=overlays,
+        residuals=table, noise={"sigma": 30.0, "unit": "m", "source": "quoted"},
         law_text="GM * m_i / norm(p_j - p_i)^2 * normalize(p_j - p_i) + " + effect.law,
         law_latex=r"\mathbf{F}_i = \sum_{j\ne i} \frac{1.3271244\times 10^{20}\,"
         r"[\mathrm{m^3/s^2}]\,m_i}{{r}_{ij}^{2}}\,\hat{\mathbf{r}_{ij}} + " + effect.latex,
-        constants=(
-            ConstantEstimate("GM", 1.32712440018e20, 1.32712440010e20, 1.32712440026e20, "m^3/s^2"),
-            *effect.constants,
-        ),
-        total={"before": before, "after": after, "floor": floor, "ratio": ratio},
-        extras=(),
+        constants=(ConstantEstimate("GM", 1.32712440018e20, 1.32712440010e20, 1.32712440026e20,
+                                    "m^3/s^2"), *effect.constants),
+        total={"before": before, "after": after, "floor": floor, "ratio": ratio}, extras=(),
     )
 
 
@@ -422,12 +233,9 @@ def hostile():
     """The report of drag with markup in every text, the verdict and the splits excepted."""
     full = adopted()
     bad = _hostile(full)
-    return replace(
-        bad, verdict=full.verdict, residuals=replace(bad.residuals, split=full.residuals.split)
-    )
+    return replace(bad, verdict=full.verdict, residuals=replace(bad.residuals,
+                                                                split=full.residuals.split))
 
 
-ALL = {
-    f.__name__: f
-    for f in (adopted, nothing_missing, seen_not_adopted, cannot_tell, orbit, all_nan, hostile)
-}
+ALL = {f.__name__: f for f in (adopted, nothing_missing, seen_not_adopted, cannot_tell, orbit,
+                               all_nan, hostile)}

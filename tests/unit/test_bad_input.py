@@ -8,11 +8,8 @@ from bsp_gp.cli import main
 from bsp_gp.data import formats
 
 T, E, D, M = "trajectories.csv", "entities.csv", "dataset.toml", "model.toml"
-ROWS = [
-    f"{s},{k / 10:g},ball,{k * v:g},{5 - k * k * 0.0490500:.6f}"
-    for s, v in (("a", 0.1), ("b", 0.2), ("c", 0.3), ("d", 0.4))
-    for k in range(6)
-]
+ROWS = [f"{s},{k / 10:g},ball,{k * v:g},{5 - k * k * 0.0490500:.6f}"
+        for s, v in (("a", 0.1), ("b", 0.2), ("c", 0.3), ("d", 0.4)) for k in range(6)]
 GOOD = "\n".join(["scene,t,entity,x,y", *ROWS, ""])
 BODIES = "entity,mass,radius\nball,0.5,0.05\n"
 TOML = '[units]\nlength = "m"\ntime = "s"\nmass = "kg"\n[axes]\nup = "y"\n'
@@ -282,7 +279,9 @@ def test_trouble_of_the_machine(error, expected, place, capsys, monkeypatch):
         raise error
 
     monkeypatch.setattr("bsp_gp.loop.close.close_loop", fail)
-    assert expected in complaint(["close", "data", "--declare", LAW, "--out", "out"], place, capsys)
+    assert expected in complaint(
+        ["close", "data", "--declare", LAW, "--out", "out"], place, capsys
+    )
 
 
 def test_a_full_disk_leaves_nothing(place, capsys, monkeypatch):

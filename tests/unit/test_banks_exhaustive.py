@@ -159,7 +159,9 @@ IDS = [f"{'mixed' if c[0] is MIXED else 'split'}-{c[1]}-{c[2]}-{c[3]}" for c in 
 def test_nothing_is_missed(text, kind, method, levels):
     grammar = grammar_of(text)
     regression = regression_of(method=method)
-    result = search_exhaustive(regression, grammar, kind=kind, max_levels=levels, top_k=10_000)
+    result = search_exhaustive(
+        regression, grammar, kind=kind, max_levels=levels, top_k=10_000
+    )
     truth = brute_force(regression, grammar, kind, levels)
     losses = np.array([loss for loss, _ in truth.values()])
     assert result.best.loss == pytest.approx(losses.min(), rel=1e-10)
@@ -173,9 +175,9 @@ def test_nothing_is_missed(text, kind, method, levels):
     count = distinct([column for _, column in truth.values()])
     assert len(result.candidates) == count
     assert result.n_evaluated >= count
-    assert result.certificate.n_derivations == len(
-        list(derivations(grammar, grammar.start[kind], levels))
-    )
+    assert result.certificate.n_derivations == len(list(
+        derivations(grammar, grammar.start[kind], levels)
+    ))
     assert list(found) == sorted(found)
 
 
@@ -431,7 +433,7 @@ def _value_on(rows, formula):
 
 
 def test_values_that_are_not_finite_are_counted_and_left_out():
-    end = '| norm(v_i)"\nDirection'
+    end = "| norm(v_i)\"\nDirection"
     text = SPLIT.replace(end, "| inverse(sub(m_i, m_i)) " + end)
     assert text != SPLIT
     regression = regression_of()
@@ -443,7 +445,9 @@ def test_values_that_are_not_finite_are_counted_and_left_out():
 
 
 def test_certificate():
-    grammar, missing = load_grammar("physics").masked({"m_i", "m_j", "p_i", "p_j", "v_i", "v_j"}, 2)
+    grammar, missing = load_grammar("physics").masked(
+        {"m_i", "m_j", "p_i", "p_j", "v_i", "v_j"}, 2
+    )
     result = search_exhaustive(
         regression_of(), grammar, kind="pair", max_levels=7, missing_inputs=missing
     )

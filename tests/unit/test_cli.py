@@ -65,9 +65,8 @@ def test_help(command, capsys):
 
 
 def test_module_is_the_command():
-    run = subprocess.run(
-        [sys.executable, "-m", "bsp_gp", "--version"], capture_output=True, text=True, check=True
-    )
+    run = subprocess.run([sys.executable, "-m", "bsp_gp", "--version"], capture_output=True,
+                         text=True, check=True)
     assert run.stdout == f"bsp-gp {bsp_gp.__version__}\n"
 
 
@@ -237,37 +236,13 @@ def test_simulate_writes_a_data_set(data, tmp_path, capsys):
 def test_options_stand_in_for_the_toml(data, tmp_path, capsys):
     frames = load_dataset(data)
     lines = ["scene,frame,entity,X,y"]
-    lines += [
-        f"{s.name},{k},b,{100 * x},{100 * y}"
-        for s in frames.scenes
-        for k, (x, y) in enumerate(s.positions[:, 0])
-    ]
+    lines += [f"{s.name},{k},b,{100 * x},{100 * y}" for s in frames.scenes
+              for k, (x, y) in enumerate(s.positions[:, 0])]
     table = tmp_path / "raw.csv"
     table.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    words = [
-        "fit",
-        str(table),
-        "--law",
-        "g * m_i * down",
-        "--law",
-        "-k1 * m_i * v_i",
-        "--json",
-        "--columns",
-        "x=X",
-        "--units",
-        "length=cm",
-        "time=s",
-        "mass=kg",
-        "--up",
-        "y",
-        "--dt",
-        "0.05",
-        "--noise",
-        "0.1",
-        "--test",
-        "s1",
-        "s2",
-    ]
+    words = ["fit", str(table), "--law", "g * m_i * down", "--law", "-k1 * m_i * v_i", "--json",
+             "--columns", "x=X", "--units", "length=cm", "time=s", "mass=kg", "--up", "y",
+             "--dt", "0.05", "--noise", "0.1", "--test", "s1", "s2"]
     assert main(words) == 0
     fit = json.loads(capsys.readouterr().out)
     g, k1 = fit["constants"]
@@ -312,12 +287,8 @@ def test_count_text():
 def test_grammar_show(data, capsys):
     assert main(["grammar", "show", "physics"]) == 0
     whole = capsys.readouterr().out
-    for part in (
-        "grammar physics, fingerprint ",
-        "start symbol of field laws: FieldForce",
-        "mul(Const, mul(PairCoeff, PairDirection))",
-        "q_i",
-    ):
+    for part in ("grammar physics, fingerprint ", "start symbol of field laws: FieldForce",
+                 "mul(Const, mul(PairCoeff, PairDirection))", "q_i"):
         assert part in whole
     assert main(["grammar", "show", "physics", "--data", data]) == 0
     masked = capsys.readouterr().out

@@ -193,7 +193,9 @@ def test_jacobian_and_covariance_of_nonlinear_constants(name):
             regression.residual(fit.law.with_constants({constant: at + h})) for h in (1e-6, -1e-6)
         )
         np.testing.assert_allclose(fit.jacobian[:, k], (down - up) / 2e-6, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(fit.covariance @ fit.jacobian.T @ fit.jacobian, np.eye(2), atol=1e-8)
+    np.testing.assert_allclose(
+        fit.covariance @ fit.jacobian.T @ fit.jacobian, np.eye(2), atol=1e-8
+    )
     # A minimum: the gradient is nothing beside the lengths of its factors.
     size = np.linalg.norm(fit.jacobian, axis=0) * np.linalg.norm(fit.residual)
     assert np.all(np.abs(fit.jacobian.T @ fit.residual) < 1e-5 * size)

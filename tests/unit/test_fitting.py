@@ -32,31 +32,17 @@ def test_a_constant_is_recovered_within_its_interval(fit):
     # 6 scenes, a quarter held out; 4 numbers of initial state for each, and the constant.
     assert (fit.n_rows, fit.n_free) == (4 * 30 * 2, 4 * 4 + 1)
     assert fit.reduced_chisqr == pytest.approx(1, abs=4 * np.sqrt(2 / fit.n_rows))
-    assert fit.noise == {
-        "sigma": [0.01, 0.01],
-        "unit": "m",
-        "source": "declared",
-        "method": "x: as declared; y: as declared",
-    }
+    assert fit.noise == {"sigma": [0.01, 0.01], "unit": "m", "source": "declared",
+                         "method": "x: as declared; y: as declared"}
     # From 10 noisy rows each prediction is off by a few noise widths only.
     assert fit.errors.rollout_rmse < 0.1
 
 
 def test_text_has_the_parts_of_a_fit_report(fit):
     text = fit.text()
-    for part in (
-        "[[Model]]\n    F_i = 9.81 [m/s^2] * m_i * down - c1 * v_i",
-        "[[Fit Statistics]]",
-        "# data points      = 240",
-        "reduced chi-square = ",
-        "converged          = yes",
-        "[[Held-out Errors]]",
-        "rollout rms",
-        " m\n",
-        "    c1: 0.",
-        " ± ",
-        " kg/s (",
-    ):
+    for part in ("[[Model]]\n    F_i = 9.81 [m/s^2] * m_i * down - c1 * v_i", "[[Fit Statistics]]",
+                 "# data points      = 240", "reduced chi-square = ", "converged          = yes",
+                 "[[Held-out Errors]]", "rollout rms", " m\n", "    c1: 0.", " ± ", " kg/s ("):
         assert part in text
     assert "[[Correlations]]" not in text
 
@@ -137,10 +123,8 @@ def test_simulated_noise_has_the_size_asked_for_and_the_seed_decides():
 def test_integrators_agree_to_their_order(integrator):
     exact = throws(n_times=30)
     made = simulate_law(exact, [GRAVITY, f"-{C1} [kg/s] * v_i"], integrator=integrator, substeps=8)
-    worst = max(
-        np.abs(a.positions - b.positions).max()
-        for a, b in zip(exact.scenes, made.scenes, strict=True)
-    )
+    worst = max(np.abs(a.positions - b.positions).max()
+                for a, b in zip(exact.scenes, made.scenes, strict=True))
     assert worst < {"euler": 0.1, "leapfrog": 1e-3, "rk4": 1e-8}[integrator]
 
 

@@ -169,7 +169,7 @@ def test_fingerprint_is_of_the_meaning():
     original = read_grammar(tomllib.loads(text)).fingerprint
     spaced = text.replace("| ", "   |  ").replace("mul(m_i, m_j)", "mul(m_i,  m_j)")
     commented = text.replace("# reduced mass", "# another remark").replace(
-        "[rules]", "# a remark\n[rules]"
+        '[rules]', '# a remark\n[rules]'
     )
     for same in (commented, spaced.replace("mul(m_i,  m_j)", "mul(m_i, m_j)")):
         assert same != text

@@ -126,11 +126,15 @@ def test_several_steps_ahead_as_by_loops():
     law, latents = law_of(PULL, c1=21.0), masses_of((some,))
     misfit = HorizonMisfit(law, latents, (some,), n_ahead=5, level=0.01)
     draws = latents.sample(3, rng=np.random.default_rng(1))
-    expected = [-rolled_errors(law, latents.filled((some,), draw)[0], 5) / 0.01 for draw in draws]
+    expected = [
+        -rolled_errors(law, latents.filled((some,), draw)[0], 5) / 0.01 for draw in draws
+    ]
     assert misfit.log_likelihood(draws) == pytest.approx(expected, rel=1e-9)
     other = law_of(NO_PRODUCT)
     general = HorizonMisfit(other, latents, (some,), n_ahead=2, level=0.01)
-    expected = [-rolled_errors(other, latents.filled((some,), draw)[0], 2) / 0.01 for draw in draws]
+    expected = [
+        -rolled_errors(other, latents.filled((some,), draw)[0], 2) / 0.01 for draw in draws
+    ]
     assert general.log_likelihood(draws) == pytest.approx(expected, rel=1e-9)
 
 
@@ -199,7 +203,9 @@ def test_propagated_noise_has_the_chi_squared_of_its_numbers():
         noise = 0.05 * np.random.default_rng([3, seed]).standard_normal(clean.positions.shape)
         some = (dataclasses.replace(clean, positions=clean.positions + noise),)
         latents = masses_of(some)
-        misfit = Likelihood("propagated", sigma=0.05).misfit(law_of(PULL, c1=20.0), latents, some)
+        misfit = Likelihood("propagated", sigma=0.05).misfit(
+            law_of(PULL, c1=20.0), latents, some
+        )
         total += misfit.chisq(latents.truth[None]).sum()
         n += misfit.n_rows
     assert abs(total - n) < 4 * np.sqrt(2 * n)

@@ -225,14 +225,8 @@ def test_tracks_are_picked_scene_after_scene_and_shown_apart():
 def test_a_rollout_that_runs_away_and_odd_names_can_be_drawn():
     first = sample.overlays_2d(1)[0]
     wild = replace(first, declared=first.declared * 1e9, entity="鉄球 $x_$ \x07")
-    lone = replace(
-        first,
-        scene="",
-        observed=first.observed[:, :1],
-        declared=first.declared[:, :1],
-        adopted=first.adopted[:, :1] * math.nan,
-        n_initial=0,
-    )
+    lone = replace(first, scene="", observed=first.observed[:, :1], declared=first.declared[:, :1],
+                   adopted=first.adopted[:, :1] * math.nan, n_initial=0)
     figures = build_figures(replace(sample.adopted(), overlays=(wild, lone)))
     assert figures["tracks"].svg and figures["tracks"].png
     low, high = figures["tracks"].figure.axes[0].get_ylim()
@@ -295,14 +289,8 @@ def test_summary_has_the_facts():
 def test_summary_stays_short_however_much_there_is():
     full = sample.adopted()
     long = "word " * 400
-    report = replace(
-        full,
-        rounds=full.rounds * 20,
-        constants=full.constants[:1] * 50,
-        notes=(long,) * 9,
-        law_text=long,
-        stop_reason=long,
-    )
+    report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
+                     notes=(long,) * 9, law_text=long, stop_reason=long)
     lines = summary_text(report).split("\n")
     assert len(lines) <= 25 and max(map(len, lines)) <= 100
 
@@ -354,19 +342,10 @@ def test_report_json_keeps_its_contract(name):
 
 def test_folder_has_every_file(written):
     names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file()}
-    figures = {
-        f"figures/{n}.{e}"
-        for n in ("tracks", "constants", "rounds", "residuals")
-        for e in ("svg", "png")
-    }
-    assert names == figures | {
-        "report.html",
-        "report.json",
-        "law.txt",
-        "law.tex",
-        "residuals.csv",
-        "run.json",
-    }
+    figures = {f"figures/{n}.{e}" for n in ("tracks", "constants", "rounds", "residuals")
+               for e in ("svg", "png")}
+    assert names == figures | {"report.html", "report.json", "law.txt", "law.tex", "residuals.csv",
+                               "run.json"}
     assert [p.name for p in written.parent.iterdir()] == ["drag"]
     assert (written / "figures" / "tracks.png").read_bytes().startswith(b"\x89PNG")
     text = (written / "report.json").read_text("utf-8")
@@ -392,10 +371,8 @@ def test_residuals_csv_loses_no_digit(written):
 
 def test_the_same_report_gives_the_same_bytes(tmp_path, written):
     again = write_report(sample.adopted(), tmp_path / "again", run_info=RUN)
-    files = [
-        {p.relative_to(f): p.read_bytes() for p in f.rglob("*") if p.is_file()}
-        for f in (written, again)
-    ]
+    files = [{p.relative_to(f): p.read_bytes() for p in f.rglob("*") if p.is_file()}
+             for f in (written, again)]
     assert files[0] == files[1] and len(files[0]) > 10
 
 
@@ -449,9 +426,8 @@ def test_places_that_cannot_hold_a_report(tmp_path, small, monkeypatch):
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("has_older", [False, True])
-def test_a_failure_in_the_middle_leaves_nothing_behind(
-    tmp_path, small, monkeypatch, failure, has_older
-):
+def test_a_failure_in_the_middle_leaves_nothing_behind(tmp_path, small, monkeypatch, failure,
+                                                       has_older):
     target = tmp_path / "r"
     if has_older:
         write_report(small, target)

@@ -170,9 +170,9 @@ def test_many_short_tracks_lack_nothing():
         regression = build_regression(
             scenes, method="gls", sigma=(SIGMA, SIGMA), up="y", sources=False
         )
-        fit = replace(observation, train=scenes, segments=scenes, train_regression=regression).fit(
-            LAW
-        )
+        fit = replace(
+            observation, train=scenes, segments=scenes, train_regression=regression
+        ).fit(LAW)
         p.append(examine_residual(observation, fit, 0.01).tests["autocorrelation"])
     assert kstest(p, "uniform").pvalue > 0.001
 

@@ -54,7 +54,9 @@ def test_a_chain_that_does_not_converge_is_usable_and_says_so():
 
     start = np.concatenate([np.full((16, 1), 50.0), np.full((16, 1), -50.0)])
     start = start + rng.standard_normal((32, 1))
-    posterior = sample_ensemble(two_far_modes, ("x",), start, rng=rng, n_eff=10**6, max_steps=400)
+    posterior = sample_ensemble(
+        two_far_modes, ("x",), start, rng=rng, n_eff=10**6, max_steps=400
+    )
     assert not posterior.converged
     assert "did not converge" in posterior.notes[0]
     assert len(posterior.draws) > 100
@@ -140,9 +142,9 @@ def test_discrete_and_continuous_together_agree_with_a_grid():
     assert posterior.method == "emcee x enumeration"
     grid = np.linspace(0.2, 9.0, 801)
     misfit = likelihood.misfit(law, latents, some)
-    table = np.array(
-        [misfit.log_likelihood(np.column_stack([np.full(801, v), grid])) for v in (0.7, 2.0, 6.0)]
-    )
+    table = np.array([
+        misfit.log_likelihood(np.column_stack([np.full(801, v), grid])) for v in (0.7, 2.0, 6.0)
+    ])
     weight = np.exp(table - table.max())
     weight /= weight.sum()
     for value, expected in zip((0.7, 2.0, 6.0), weight.sum(axis=1), strict=True):
