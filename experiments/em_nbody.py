@@ -99,10 +99,10 @@ def draw_figure(em, path):
         ax.axvline(step.posterior.truth[k], color="k", lw=1, label="true")
         law = step.law.latex() if step.law.terms else r"\mathbf{F}_i = \mathbf{0}"
         title = f"iteration {step.iteration}" if step.iteration else "zero force: the prior"
-        ax.set_title(f"{title}\n${law}$" if len(law) < 150 else title, fontsize=8, pad=10)
+        ax.set_title(f"{title}\n${law}$" if len(law) < 150 else title, fontsize=8, pad=16)
         ax.set_xlabel(f"{name}, kg")
     np.atleast_1d(axes)[0].set_ylabel("posterior density")
-    np.atleast_1d(axes)[0].legend(fontsize=8, loc="lower left")
+    np.atleast_1d(axes)[0].legend(fontsize=8, loc="lower left", framealpha=1)
     fig.savefig(path, dpi=150)
     plt.close(fig)
 

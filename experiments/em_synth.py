@@ -216,7 +216,7 @@ def draw_figure(table, path):
         for x, (_, part) in enumerate(groups):
             if len(part):
                 jitter = x + rng.uniform(-0.15, 0.15, len(part))
-                ax.plot(jitter, part.nrmse_test, "o", ms=4, alpha=0.6, mec="none")
+                ax.plot(jitter, part.nrmse_test, "o", color=f"C{x}", ms=4, alpha=0.6, mec="none")
                 ax.hlines(
                     part.nrmse_test.median(), x - 0.3, x + 0.3, color="k", lw=1.5, label="median"
                 )
@@ -229,7 +229,7 @@ def draw_figure(table, path):
         ax.axhline(zero, color="0.6", lw=1, label="zero force")
         ax.axhline(paper, color="0.6", lw=1, ls="--", label="paper, no noise")
         ax.set_yscale("log")
-        ax.set_xticks(range(3), [f"{label}\n{len(part)} runs" for label, part in groups])
+        ax.set_xticks(range(3), [f"{n}\n{len(p)} runs" for n, p in groups], fontsize=8)
         ax.set_xlim(-0.6, 2.6)
         ax.set_title(name.upper())
     axes[0].set_ylabel("test nRMSE")
