@@ -55,6 +55,7 @@ def tasks(quick):
         if name == "mat":
             out += [(name, "em", 10, 0.0, a, 0) for a in range(10)]
         out += [(name, "em", 5, 0.0, a, b) for b in range(5) for a in range(5)]
+    for name in names:  # the ablation last
         out += [(name, "em_alone", 5, 0.0, a, 0) for a in range(alone[name])]
     return out
 
