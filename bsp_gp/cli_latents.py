@@ -135,25 +135,25 @@ def run_infer(args, dataset, laws, progress):
     law = declared_law(problem.dataset, laws)
     settings = _e_step(args)
     misfit = problem.likelihood.misfit(law, problem.latents, problem.train)
+    is_discrete = bool(problem.latents.is_discrete.any())
     known = None
-    if problem.latents.is_discrete.any():
-        if law.names:
-            raise SettingsError(
-                f"the law has free constants ({', '.join(law.names)}) and discrete unknowns; give "
-                "the constants as numbers"
-            )
-    else:
+    if law.names or not is_discrete:
         progress("joint optimum of unknowns and constants")
         starts = problem.latents.sample(settings.n_starts, rng=start_rng)
         profile = fit_profile(misfit, starts)
         law = profile.law
     progress("sampling the posterior")
-    together = bool(law.names) and len(problem.latents) <= MOST_TOGETHER
+    together = bool(law.names) and len(problem.latents) <= MOST_TOGETHER and not is_discrete
     extra = []
     if law.names and not together:
+        why = (
+            "discrete unknowns are not sampled"
+            if is_discrete
+            else f"{len(problem.latents)} unknowns are too many to sample"
+        )
         extra.append(
-            f"{len(problem.latents)} unknowns are too many to sample together with the constants: "
-            "these stand at their joint optimum, and intervals leave their errors out"
+            f"{why} together with the constants: these stand at their joint optimum, and "
+            "intervals leave their errors out"
         )
     if together:
         posterior = refine(
@@ -165,7 +165,7 @@ def run_infer(args, dataset, laws, progress):
             law, problem.train, problem.latents, problem.likelihood, rng=sample_rng,
             settings=settings,
         )  # fmt: skip
-    if not problem.latents.is_discrete.any():
+    if not is_discrete:
         known = identifiability(profile, problem.latents, posterior)
     notes = [*problem.notes, *extra, *posterior.notes]
     data = {
@@ -217,7 +217,9 @@ def run_learn(args, dataset, laws, progress):
         problem.train, problem.latents, grammar, problem.likelihood, rng=em_rng, settings=settings,
         m_step=Exhaustive(max_levels=args.max_levels), base=base, kinds=kinds, progress=progress,
     )  # fmt: skip
-    known = identifiability(em.best.profile, problem.latents, em.joint or em.posterior)
+    known = "" if problem.latents.is_discrete.any() else identifiability(
+        em.best.profile, problem.latents, em.joint or em.posterior
+    ).text()  # fmt: skip
     scores = {}
     if problem.test:
         progress("held-out scenes")
@@ -239,7 +241,7 @@ def run_learn(args, dataset, laws, progress):
         + [repr(t)[1:-1] for t in em.best.ties],
         "posterior": em.posterior.to_dict(),
         "joint": em.joint.to_dict() if em.joint is not None else None,
-        "not_determined": known.text().splitlines(), "one_step_nrmse": scores,
+        "not_determined": known.splitlines(), "one_step_nrmse": scores,
         "trace": [
             {"start": s.start, "iteration": s.iteration, "law": s.law_text, "loss": _number(s.loss),
              "expected_log_joint": _number(s.expected_log_joint), "n_scored": s.n_scored}
@@ -247,7 +249,7 @@ def run_learn(args, dataset, laws, progress):
         ],
         "n_scored": em.n_scored, "notes": notes,
     }  # fmt: skip
-    lines = [em.text(), *(f"Identifiability: {line}" for line in known.text().splitlines())]
+    lines = [em.text(), *(f"Identifiability: {line}" for line in known.splitlines())]
     lines += [f"one-step nRMSE on held-out scenes, {k}: {v:.4g}" for k, v in scores.items()]
     text = "\n".join(lines + [f"Note: {note}" for note in problem.notes])
     files = {}

@@ -157,16 +157,19 @@ def draw_figure(table, path):
         len(kinds), 3, figsize=(10, 3.2 * len(kinds)), sharex=True, squeeze=False,
         constrained_layout=True,
     )  # fmt: skip
+    for ax in axes.ravel():
+        ax.axis("off")
     columns = {"mat": 0, "nbody": 1, "bounce": 2}
     for (kind, method, name), part in groups:
         ax = axes[kinds.index((kind, method)), columns[name]]
+        ax.axis("on")
         ranks = np.sort(part["rank"].to_numpy())
         n = len(ranks)
         band = simultaneous_band(n, 0.99)
         ax.axhspan(-band, band, color="0.88", label="99 % band")
         ax.step(ranks, np.arange(1, n + 1) / n - ranks, where="post", lw=1.2)
         ax.axhline(0, color="k", lw=0.6)
-        ax.set_title(f"{name.upper()}, {n} latents\nnoise in the {kind}, {method}", fontsize=9)
+        ax.set_title(f"{name.upper()}, {n} latents\nnoise in the {kind}; {method}", fontsize=9)
         ax.set_ylim(-2 * band, 2 * band)
     for ax in axes[-1]:
         ax.set_xlabel("rank of the true value")

@@ -87,21 +87,22 @@ def draw_figure(em, path):
 
     steps = [step for step in em.trace if step.start == 0]
     fig, axes = plt.subplots(
-        1, len(steps), figsize=(3.4 * len(steps), 3.2), sharex=True, constrained_layout=True
+        1, len(steps), figsize=(3.4 * len(steps), 3.2), constrained_layout=True
     )
     name = em.posterior.names[0]
     for ax, step in zip(np.atleast_1d(axes), steps, strict=True):
         k = step.posterior.names.index(name)
         ax.hist(
-            step.posterior.draws[:, k], bins=np.linspace(0, 9, 121), density=True,
+            step.posterior.draws[:, k], bins=30, density=True,
             weights=step.posterior.weights, color="C0", alpha=0.8,
         )  # fmt: skip
-        ax.axvline(step.posterior.truth[k], color="k", lw=1)
+        ax.axvline(step.posterior.truth[k], color="k", lw=1, label="true")
         law = step.law.latex() if step.law.terms else r"\mathbf{F}_i = \mathbf{0}"
         title = f"iteration {step.iteration}" if step.iteration else "zero force: the prior"
-        ax.set_title(f"{title}\n${law}$" if len(law) < 150 else title, fontsize=8)
+        ax.set_title(f"{title}\n${law}$" if len(law) < 150 else title, fontsize=8, pad=16)
         ax.set_xlabel(f"{name}, kg")
     np.atleast_1d(axes)[0].set_ylabel("posterior density")
+    np.atleast_1d(axes)[0].legend(fontsize=8, loc="lower left", framealpha=1)
     fig.savefig(path, dpi=150)
     plt.close(fig)
 

@@ -55,6 +55,7 @@ def tasks(quick):
         if name == "mat":
             out += [(name, "em", 10, 0.0, a, 0) for a in range(10)]
         out += [(name, "em", 5, 0.0, a, b) for b in range(5) for a in range(5)]
+    for name in names:  # the ablation last
         out += [(name, "em_alone", 5, 0.0, a, 0) for a in range(alone[name])]
     return out
 
@@ -211,25 +212,34 @@ def draw_figure(table, path):
         groups = [
             ("EM + beam", mine[(mine.method == "em") & (mine.noise == 0) & (mine.n_train == 5)]),
             ("EM alone", mine[(mine.method == "em_alone") & (mine.noise == 0)]),
-            ("noise", mine[(mine.method == "em") & (mine.noise > 0)]),
+            (f"noise {NOISE[name]:g} m", mine[(mine.method == "em") & (mine.noise > 0)]),
         ]
         for x, (_, part) in enumerate(groups):
             if len(part):
                 jitter = x + rng.uniform(-0.15, 0.15, len(part))
-                ax.plot(jitter, part.nrmse_test, "o", ms=4, alpha=0.6, mec="none")
-                ax.hlines(part.nrmse_test.median(), x - 0.3, x + 0.3, color="k", lw=1.5)
+                ax.plot(jitter, part.nrmse_test, "o", color=f"C{x}", ms=4, alpha=0.6, mec="none")
+                ax.hlines(
+                    part.nrmse_test.median(), x - 0.3, x + 0.3, color="k", lw=1.5, label="median"
+                )
         noisy = groups[2][1]
         if len(noisy):
-            ax.hlines(noisy.nrmse_true.median(), 1.6, 2.4, color="C3", ls=":", label="true law")
+            ax.hlines(
+                noisy.nrmse_true.median(), 1.6, 2.4, color="C3", ls=":", lw=2, label="true law"
+            )
         paper, zero = PAPER[name]
         ax.axhline(zero, color="0.6", lw=1, label="zero force")
-        ax.axhline(paper, color="0.6", lw=1, ls="--", label="paper")
+        ax.axhline(paper, color="0.6", lw=1, ls="--", label="paper, no noise")
         ax.set_yscale("log")
-        ax.set_xticks(range(3), [label for label, _ in groups])
+        ax.set_xticks(range(3), [f"{n}\n{len(p)} runs" for n, p in groups], fontsize=8)
         ax.set_xlim(-0.6, 2.6)
         ax.set_title(name.upper())
     axes[0].set_ylabel("test nRMSE")
-    axes[0].legend(fontsize=8, loc="best")
+    named = {}
+    for ax in axes:
+        named |= dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True))
+    fig.legend(
+        named.values(), named.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
+    )
     fig.savefig(path, dpi=150)
     plt.close(fig)
 

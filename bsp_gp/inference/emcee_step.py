@@ -133,12 +133,14 @@ def _start_places(log_prob, start, n_walkers, low, high, rng):
 
 
 def _autocorr_time(sampler, emcee):
-    """Integrated autocorrelation time of every parameter, in steps; inf where it has no value."""
+    """Integrated autocorrelation time of every parameter, in steps.
+
+    inf where it has no value: where a walker has not moved yet, the chain has not converged.
+    """
     chain = sampler.get_chain(discard=sampler.iteration // 5)
     with np.errstate(all="ignore"):
         tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)
-    still = chain.std(axis=(0, 1)) == 0
-    return np.where(still | ~np.isfinite(tau) | (tau < 1), np.where(still, np.inf, 1.0), tau)
+    return np.where(np.isfinite(tau), np.maximum(tau, 1.0), np.inf)
 
 
 def _posterior(sampler, names, tau, enough, n_eff, keep_chain, state):

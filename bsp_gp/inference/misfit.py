@@ -8,6 +8,8 @@ cancellation. Other laws are evaluated at all instants.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.errors import EvaluationError, LawError
@@ -180,15 +182,23 @@ class ReducedMisfit(_Misfit):
 
 
 class DirectMisfit(_Misfit):
-    """Of any law: all instants are evaluated for every draw."""
+    """Of any law: all instants are evaluated for every draw.
+
+    Scenes are taken one by one, so that what a law makes of the motion alone is evaluated once
+    for all draws.
+    """
 
     def __init__(self, law, latents, regression, is_smooth=False):
         self.regression = regression
         self.is_smooth = is_smooth
-        names, row_scene, self.tables = [], [], []
+        self.parts = []
+        names, row_scene = [], []
         for batch in regression.batches:
             n, s, r, d = batch.target.shape
-            self.tables.append(PropertyTable(batch.bodies, batch.scene_names, latents))
+            for k in range(s):
+                one = single(batch, k)
+                table = PropertyTable(one.bodies, one.scene_names, latents)
+                self.parts.append((one, table, one.whiten(one.target)))
             row_scene.append(np.repeat(np.arange(s) + len(names), n * r * d))
             names += batch.scene_names
         super().__init__(law, latents, names, np.concatenate(row_scene), np.zeros(len(names)))
@@ -198,33 +208,49 @@ class DirectMisfit(_Misfit):
         """Whitened residual (W, m)."""
         values = np.atleast_2d(np.asarray(values, dtype=float))
         constants = self._constants(constants, len(values))
-        size = sum(b.target.size * b.bodies.others.shape[1] for b in self.regression.batches)
-        step = max(1, CHUNK_NUMBERS // max(size, 1))
-        parts = [
-            self._chunk(values[k : k + step], constants[k : k + step])
-            for k in range(0, len(values), step)
-        ]
-        return np.concatenate(parts)
+        return np.concatenate([self._scene(*p, values, constants) for p in self.parts], axis=1)
 
-    def _chunk(self, values, constants):
-        n_draws, out = len(values), []
-        for batch, table in zip(self.regression.batches, self.tables, strict=True):
-            bodies = repeated(batch.bodies, n_draws, table.columns(values))
-            tiled = [
-                np.concatenate([part] * n_draws, axis=1)
-                for part in (batch.positions, batch.velocities, batch.times)
-            ]
-            given = constant_values(self.law, self.constants, constants, bodies)
-            a = self.law.acceleration(bodies, *tiled, given)
-            a = np.moveaxis(a.reshape(a.shape[0], n_draws, *batch.target.shape[1:]), 1, 3)
-            valid = np.broadcast_to(batch.valid[:, :, :, None], a.shape)
-            a = np.where(valid & ~np.isfinite(a), np.inf, a)
+    def _scene(self, batch, table, target, values, constants):
+        """Whitened residual of one scene, (W, n * R * d)."""
+        out = np.empty((len(values), *target.shape[:1], *target.shape[2:]))
+        step = max(1, CHUNK_NUMBERS // max(target.size * batch.bodies.others.shape[1], 1))
+        for first in range(0, len(values), step):
+            some = slice(first, first + step)
+            mine = constants[some]
+            bodies = shared(batch.bodies, len(mine), table.columns(values[some]))
+            given = constant_values(self.law, self.constants, mine, bodies)
+            a = self.law.acceleration(
+                bodies, batch.positions, batch.velocities, batch.times, given
+            )  # (n, W, R, d)
+            if not np.isfinite(a).all():
+                a = np.where(batch.valid & ~np.isfinite(a), np.inf, a)
+            a = np.moveaxis(a[:, None], 2, 3)  # (n, 1, R, W, d)
             if self.is_smooth:
                 a = averaged(a, batch)
             with np.errstate(invalid="ignore"):
-                part = batch.whiten(batch.target[:, :, :, None] - a)
-            out.append(np.moveaxis(part, (3, 1), (0, 1)).reshape(n_draws, -1))
-        return np.concatenate(out, axis=1)
+                part = target[:, :, :, None] - batch.whiten(a)
+            out[some] = np.moveaxis(part[:, 0], 2, 0)
+        return out.reshape(len(values), -1)
+
+
+def single(batch, index):
+    """One scene of a `RegressionBatch`."""
+    one = slice(index, index + 1)
+    bodies = batch.bodies
+    properties = {name: value[one] for name, value in bodies.properties.items()}
+    whitener = batch.whitener
+    if whitener is not None and whitener.ndim > 2:
+        whitener = whitener[one]
+    states = ("times", "positions", "velocities", "target", "valid", "scale")
+    return replace(
+        batch,
+        bodies=replace(
+            bodies, names=bodies.names[one], properties=properties, shapes=bodies.shapes[one]
+        ),
+        whitener=whitener,
+        scene_names=batch.scene_names[one],
+        **{name: getattr(batch, name)[:, one] for name in states},
+    )
 
 
 def averaged(values, batch):
@@ -267,6 +293,18 @@ def repeated(bodies, n_draws, columns):
     return Bodies(
         bodies.names * n_draws, bodies.receivers, properties, shapes, bodies.n_dims, bodies.up
     )
+
+
+def shared(bodies, n_draws, columns):
+    """One scene with its states shared by W draws of some columns.
+
+    Columns that are known keep their one row; they broadcast.
+    """
+    s = bodies.shapes
+    properties = {**bodies.properties, **{name: value[:, 0] for name, value in columns.items()}}
+    radius = properties["radius"] if "radius" in columns else s.radius
+    shapes = type(s)(s.code, radius, s.width, s.height)
+    return replace(bodies, names=bodies.names * n_draws, properties=properties, shapes=shapes)
 
 
 def constant_values(law, names, constants, bodies):

@@ -23,6 +23,10 @@ ENOUGH = 1e-13
 SLOW = 1e-5
 """A start has converged when an iteration takes off less than this part of its loss."""
 
+CHANGED = 4
+"""Best places whose discrete latents are changed one by one."""
+MOST_CHANGES = 50
+
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -70,6 +74,9 @@ class Profile:
 def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf):
     """Fit latents and constants of a law together.
 
+    Discrete latents end at values of their sets: the best of the nearest values and of the starts,
+    improved by changes of one latent at a time.
+
     Parameters
     ----------
     misfit : ReducedMisfit or DirectMisfit
@@ -84,8 +91,15 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
     Profile
     """
     problem = _Problem(misfit)
-    values = np.atleast_2d(np.asarray(starts, dtype=float))
-    x = problem.initial(values)
+    first = problem.initial(np.atleast_2d(np.asarray(starts, dtype=float)))
+    x, loss = _descend(problem, first.copy(), max_iterations, give_up)
+    if problem.is_discrete.any() and loss.min() <= give_up:  # fits no worse between its values
+        x, loss = _on_values(problem, np.concatenate([x, first]), max_iterations)
+    return problem.profile(x, loss)
+
+
+def _descend(problem, x, max_iterations, give_up=np.inf):
+    """Damped Gauss-Newton from every row; the places it ends in and their losses."""
     damping = np.full(len(x), 1e-3)
     r = problem.residual(x)
     loss = problem.loss(r, x)
@@ -105,7 +119,27 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
         damping[live] = np.clip(np.where(better, damping[live] / 5, damping[live] * 8), 1e-15, 1e8)
         kept = live[better]
         x[kept], r[kept], loss[kept] = trial[better], trial_r[better], trial_loss[better]
-    return problem.profile(x, loss)
+    return x, loss
+
+
+def _on_values(problem, x, max_iterations):
+    """Discrete latents at values of their sets: the nearest ones, then single changes that help."""
+    problem.holds_discrete = True
+    x, loss = _descend(problem, problem.with_constants(problem.on_values(x)), max_iterations)
+    best = np.argsort(loss, kind="stable")[:CHANGED]
+    x, loss = x[best], loss[best]
+    for row in range(len(x)):
+        for _ in range(MOST_CHANGES):
+            trial = problem.changes(x[row])
+            if not len(trial):
+                break
+            trial = problem.with_constants(trial)
+            trial_loss = problem.loss(problem.residual(trial), trial)
+            k = int(np.argmin(trial_loss))
+            if not trial_loss[k] < loss[row] * (1 - SLOW):
+                break
+            x[row], loss[row] = trial[k], trial_loss[k]
+    return _descend(problem, x, max_iterations)
 
 
 class _Problem:
@@ -124,6 +158,8 @@ class _Problem:
         self.weight = self.unit / pull[:, 1]  # of the prior residual, 0 where flat
         self.constant_unit = np.ones(len(misfit.constants))
         self.colours = self._colours()
+        self.is_discrete = np.array([item.prior.is_discrete for item in items], dtype=bool)
+        self.holds_discrete = False
 
     def _colours(self):
         """Groups of latents that touch disjoint scenes."""
@@ -148,6 +184,42 @@ class _Problem:
         typical = np.median(np.abs(c), axis=0) if len(c) else np.ones(0)
         self.constant_unit = np.where(typical > 0, typical, 1.0)
         return np.concatenate([z, c / self.constant_unit], axis=1)
+
+    def on_values(self, x):
+        """Discrete latents at the nearest of their values."""
+        x = x.copy()
+        for k in np.flatnonzero(self.is_discrete):
+            values = self._set(k)
+            x[:, k] = values[np.abs(x[:, k, None] - values).argmin(axis=1)]
+        return x
+
+    def changes(self, row):
+        """Every row in which one discrete latent has another of its values."""
+        out = []
+        for k in np.flatnonzero(self.is_discrete):
+            for value in self._set(k):
+                if value != row[k]:
+                    out.append(row.copy())
+                    out[-1][k] = value
+        return np.array(out)
+
+    def with_constants(self, x):
+        """The rows with the constants that fit best, where the law is linear in them."""
+        fitted = linear_constants(self.misfit, self.values(x[:, : self.k])) / self.constant_unit
+        other = np.concatenate([x[:, : self.k], fitted], axis=1)
+        better = self.loss(self.residual(other), other) < self.loss(self.residual(x), x)
+        return np.where(better[:, None], other, x)
+
+    def _exact(self, values):
+        """Discrete latents as their priors have them, without rounding."""
+        if self.holds_discrete:
+            for k in np.flatnonzero(self.is_discrete):
+                own = np.array(self.latents.items[k].prior.values)
+                values[k] = own[np.abs(own - values[k]).argmin()]
+        return values
+
+    def _set(self, k):
+        return np.sort(self.latents.items[k].prior.values) / self.unit[k]
 
     def values(self, z):
         return self.latents.from_coordinate(z * self.unit)
@@ -209,6 +281,8 @@ class _Problem:
         low = np.concatenate([self.low, np.full(p - self.k, -np.inf)])
         high = np.concatenate([self.high, np.full(p - self.k, np.inf)])
         held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+        if self.holds_discrete:
+            held[:, : self.k] |= self.is_discrete
         size = np.einsum("bpp->bp", normal)
         size = np.where(size > 0, size, 1.0)
         scale = 1 / np.sqrt(size)
@@ -234,13 +308,13 @@ class _Problem:
         pull = np.concatenate([np.square(self.weight / self.unit), np.zeros(len(constants))])
         return Profile(
             law,
-            self.values(z[None])[0] if self.k else np.zeros(0),
+            self._exact(self.values(z[None])[0]) if self.k else np.zeros(0),
             constants,
             float(loss[best]),
             float(np.square(r).sum() + self.misfit.rest.sum()),
             jacobian / units,
             pull,
-            (z <= self.low) | (z >= self.high),
+            ((z <= self.low) | (z >= self.high)) & ~self.is_discrete,
             np.sort(loss),
             self.misfit.n_rows,
         )

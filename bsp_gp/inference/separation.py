@@ -17,6 +17,7 @@ from bsp_gp.physics.force import split_linear
 __all__ = ["Separated", "coefficient", "depends_on", "separate", "split_formula"]
 
 ONE = Number(1.0)
+SHAPES = frozenset(("s_i", "s_j"))
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,9 @@ def separate(term, columns):
 
 
 def depends_on(formula, columns):
-    """Whether a formula names one of these properties."""
+    """Whether a formula names one of these properties; shapes have radii."""
+    if "radius" in columns and not SHAPES.isdisjoint(formula.inputs):
+        return True
     return any(p is not None and p[0] in columns for p in map(property_of, formula.inputs))
 
 

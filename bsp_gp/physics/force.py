@@ -172,7 +172,8 @@ class ForceLaw:
         ----------
         bodies : Bodies
         positions, velocities : ndarray, shape (..., S, N, d), m and m/s
-        times : ndarray, shape (..., S), s
+            Or of one scene, (..., 1, N, d), with which all scenes of `bodies` are evaluated.
+        times : ndarray, shape (..., S) or (..., 1), s
         values : dict, optional
             Constants as `values` gives them, changed by the caller (a leading axis for many
             values at once).
@@ -183,7 +184,9 @@ class ForceLaw:
         """
         values = self.values(bodies) if values is None else values
         lookups = {}
-        shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
+        shape = (
+            *positions.shape[:-3], bodies.n_scenes, len(bodies.receivers), bodies.n_dims
+        )  # fmt: skip
         total = np.zeros(shape)
         for term in self.terms:
             if term.kind not in lookups:
@@ -253,7 +256,7 @@ def _unknown_receivers(term, bodies):
         known = property_of(name)
         if known and known[1] == "i":
             column = bodies.column(known[0])[:, bodies.receivers]
-            unknown |= np.isnan(column).reshape(*unknown.shape, -1).any(axis=-1)
+            unknown |= np.isnan(column).reshape(*column.shape[:2], -1).any(axis=-1)
     return unknown
 
 

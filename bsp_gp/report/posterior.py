@@ -48,6 +48,7 @@ def trace_figure(posterior, path, most=MOST_NAMES):
         )  # fmt: skip
         right.sharey(left)
         right.tick_params(labelleft=False)
+        _add_prior(right, posterior.priors[k])
         if np.isfinite(posterior.truth[k]):
             for ax in (left, right):
                 ax.axhline(posterior.truth[k], color="k", lw=0.8)
@@ -55,8 +56,35 @@ def trace_figure(posterior, path, most=MOST_NAMES):
             left.tick_params(labelbottom=False)
     axes[-1, 0].set_xlabel("step" if posterior.chain is not None else "draw")
     axes[-1, 1].set_xlabel("density")
+    fig.align_ylabels(axes[:, 0])
+    _add_key(fig, posterior, prior=True)
     fig.savefig(path, dpi=130)
     plt.close(fig)
+
+
+def _add_prior(ax, prior):
+    """The prior's density beside a lying histogram, over the range that is shown."""
+    if prior is None or prior.is_discrete:
+        return
+    low, high = ax.get_ylim()
+    y = np.linspace(low, high, 400)
+    with np.errstate(divide="ignore"):
+        density = np.exp(prior.log_prob(y))
+    ax.plot(density, y, color="C1", lw=1)
+    ax.set_ylim(low, high)
+
+
+def _add_key(fig, posterior, prior=False):
+    """What the lines are, above the panels."""
+    from matplotlib.lines import Line2D
+
+    lines = []
+    if np.isfinite(posterior.truth).any():
+        lines.append(Line2D([], [], color="k", lw=0.8, label="recorded value"))
+    if prior and any(p is not None and not p.is_discrete for p in posterior.priors):
+        lines.append(Line2D([], [], color="C1", lw=1, label="prior"))
+    if lines:
+        fig.legend(handles=lines, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
 
 
 def corner_figure(posterior, path, most=6):
@@ -76,6 +104,7 @@ def corner_figure(posterior, path, most=6):
     )
     draws, weights, truth = posterior.draws[:, index], posterior.weights, posterior.truth[index]
     names = [posterior.names[k] for k in index]
+    spans = [_span(d, t) for d, t in zip(draws.T, truth, strict=True)]
     for row in range(n):
         for column in range(n):
             ax = axes[row, column]
@@ -86,11 +115,16 @@ def corner_figure(posterior, path, most=6):
                 ax.hist(draws[:, row], bins=30, weights=weights, color="C0")
                 ax.set_yticks([])
             else:
-                ax.hist2d(draws[:, column], draws[:, row], bins=40, weights=weights, cmap="Blues")
+                ax.hist2d(
+                    draws[:, column], draws[:, row], bins=40, weights=weights, cmap="Blues",
+                    cmin=weights[weights > 0].min() / 2,
+                )  # fmt: skip
+                ax.set_ylim(spans[row])
                 if np.isfinite(truth[row]):
                     ax.axhline(truth[row], color="k", lw=0.7)
             if np.isfinite(truth[column]):
                 ax.axvline(truth[column], color="k", lw=0.7)
+            ax.set_xlim(spans[column])
             ax.tick_params(labelsize=7)
             if row == n - 1:
                 ax.set_xlabel(names[column], fontsize=8)
@@ -100,8 +134,18 @@ def corner_figure(posterior, path, most=6):
                 ax.set_ylabel(names[row], fontsize=8)
             elif column > 0:
                 ax.tick_params(labelleft=False)
+    fig.align_labels()
+    _add_key(fig, posterior)
     fig.savefig(path, dpi=130)
     plt.close(fig)
+
+
+def _span(draws, truth):
+    """Limits of an axis: all draws and the recorded value, with a margin."""
+    values = np.append(draws, truth) if np.isfinite(truth) else draws
+    low, high = values.min(), values.max()
+    margin = 0.04 * (high - low) or 0.5
+    return low - margin, high + margin
 
 
 def _widest(posterior, most):
@@ -139,8 +183,11 @@ def rollout_figure(bands, path):
             ax.plot(bands.times, bands.median[:, r, axis], color=color, lw=1, label=name)
             ax.plot(bands.times, bands.observed[:, r, axis], ".", color=color, ms=3)
         ax.set_ylabel("xyz"[axis] + ", m")
-    axes[0, 0].legend(fontsize=8, ncols=6, title=f"scene {bands.scene}: dots measured, band 90 %",
-                      title_fontsize=8)  # fmt: skip
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    fig.legend(
+        handles, labels, loc="outside upper center", fontsize=8, title_fontsize=8, ncols=8,
+        title=f"scene {bands.scene}: dots measured, lines median, bands 90 %", frameon=False,
+    )  # fmt: skip
     axes[-1, 0].set_xlabel("t, s")
     fig.savefig(path, dpi=130)
     plt.close(fig)

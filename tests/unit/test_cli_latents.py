@@ -8,7 +8,7 @@ from bsp_gp.data.scene import LatentDeclaration
 from bsp_gp.data.tables import save_dataset
 from bsp_gp.errors import SettingsError
 from bsp_gp.inference.priors import Prior
-from tests.latent_worlds import dataset, grammar_file
+from tests.latent_worlds import dataset, grammar_file, masses_of
 
 LAW = "c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 DECLARED = LatentDeclaration("mass", low=0.2, high=9.0, entities=("b1", "b2"))
@@ -47,6 +47,26 @@ def test_fit_with_latents_learns_the_law(data, tmp_path, capsys):
     assert "m_i * m_j / norm(p_i - p_j)^2" in result["law"]
     assert result["one_step_nrmse"]["found"] < result["one_step_nrmse"]["zero force"]
     assert (out / "laws.csv").is_file() and (out / "trace.csv").is_file()
+
+
+@pytest.mark.parametrize("command", ["infer", "fit"])
+def test_discrete_unknowns_end_at_their_values(command, data, tmp_path, capsys):
+    true = masses_of(dataset(2).scenes).truth.tolist()
+    values = ",".join(f"{v:.17g}" for v in (*true, 0.7, 9.5))
+    words = [command, data, "--prior", f"mass=values:{values}", "--train", "s0", "s1"]
+    words += ["--noise", "0.002", "--likelihood", "one-step", "--json"]
+    if command == "infer":
+        words += ["--law", LAW]
+    else:
+        words += ["--latent", "mass", "--grammar", str(grammar_file(tmp_path)), "--starts", "1"]
+    assert main([*words, "--out", str(tmp_path / "out"), *FAST]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [item["mean"] for item in result["posterior"]["latents"]] == pytest.approx(
+        true, rel=0.03
+    )
+    assert (tmp_path / "out" / "corner.png").is_file()
+    note = any("stand at their joint optimum" in text for text in result["notes"])
+    assert note == (command == "infer")
 
 
 def test_priors_are_read_in_the_units_of_the_data(data):

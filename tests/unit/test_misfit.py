@@ -3,14 +3,19 @@ import dataclasses
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import EvaluationError, LawError, SettingsError
 from bsp_gp.inference.horizon import HorizonMisfit
+from bsp_gp.inference.latents import latents_of
 from bsp_gp.inference.likelihood import Likelihood
 from bsp_gp.inference.misfit import DirectMisfit, ReducedMisfit, averaged
+from bsp_gp.inference.priors import Prior
 from bsp_gp.inference.separation import separate
-from bsp_gp.physics.force import ForceLaw
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression
-from tests.latent_worlds import DRAG, PULL, law_of, masses_of, scenes
+from tests.latent_worlds import DRAG, PULL, SI, law_of, masses_of, scenes
 
 LAWS = {
     "pull": (PULL,),
@@ -58,6 +63,38 @@ def test_misfit_of_one_draw_is_that_of_the_filled_scenes():
     filled = likelihood.regression(latents.filled(some, draw))
     expected = np.square(filled.residual(law)).sum()
     assert likelihood.misfit(law, latents, some).chisq(draw[None]).sum() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", ["one_step", "gls"])
+@pytest.mark.parametrize("column", ["mass", "radius"])
+def test_contacts_and_walls_for_many_draws_are_those_of_the_filled_scenes(column, kind):
+    """Draws share the motion, also where the unknown property is a size and where rows differ."""
+    rng = np.random.default_rng(4)
+    wall = Entity("wall", "rect_wall", width=8.0, height=0.5, is_static=True)
+    some = []
+    for k, n_times in enumerate((12, 9)):
+        discs = [Entity(f"d{j}", "disc", 0.5, properties={"mass": 1.0 + j}) for j in range(3)]
+        positions = rng.uniform(-1, 1, (n_times, 4, 2))
+        positions[:, 3] = (0.0, -1.0)
+        some.append(Scene(f"w{k}", 0.1 * np.arange(n_times), positions, [*discs, wall]))
+    prior = Prior("uniform", 0.3, 0.8)
+    latents = latents_of(some, column, prior, entities=lambda scene, entity: entity.shape == "disc")
+    types = dataset_types(Dataset("walls", some, units=SI))
+    touch = "normalize(p_i - p_c) * does_collide(s_i, p_i, s_j, p_j)"
+    text = f"c1 * (m_i * norm(v_i) + m_i * norm(v_j)) * {touch}"
+    law = ForceLaw((Term(parse_formula(text, types)),), {"c1": 3.0})
+    likelihood = Likelihood(kind, sigma=0.05)
+    misfit = likelihood.misfit(law, latents, some)
+    direct = DirectMisfit(law, latents, likelihood.regression(some), likelihood.is_smooth)
+    values = latents.sample(5, rng=rng)
+    constants = np.linspace(2.0, 4.0, 5)[:, None]
+    expected = []
+    for draw, (c1,) in zip(values, constants, strict=True):
+        regression = likelihood.regression(latents.filled(some, draw))
+        expected.append(np.square(regression.residual(law.with_constants({"c1": c1}))).sum())
+    assert len(set(np.round(expected, 6))) == 5
+    for one in (misfit, direct):
+        assert one.chisq(values, constants).sum(axis=1) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_true_law_with_the_true_values_leaves_rounding():
@@ -132,8 +169,6 @@ def test_a_law_without_value_and_a_law_without_terms_are_refused():
 
 
 def test_rows_with_an_unsure_contact_are_left_out():
-    from bsp_gp.data.scene import Entity, Scene
-
     x = np.linspace(-1.0, 1.0, 21)
     positions = np.zeros((21, 2, 2))
     positions[:, 0, 0] = x

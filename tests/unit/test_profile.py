@@ -81,3 +81,19 @@ def test_without_latents_the_constants_alone_are_fitted():
     misfit = Likelihood(sigma=0.01).misfit(law_of(PULL), Latents(), some)
     profile = fit_profile(misfit, np.zeros((1, 0)))
     assert profile.constants == pytest.approx([20.0])
+
+
+@pytest.mark.parametrize("n_scenes", [1, 3])
+def test_discrete_latents_end_at_their_values_where_only_products_are_determined(n_scenes):
+    """All masses unknown, so that c1 * mass alone moves anything: the values fix the scale."""
+    some = scenes(n_scenes)
+    true = masses_of(some).truth
+    values = (200.0, *true, *(1.7 * true), *(0.4 * true))
+    latents = latents_of(some, "mass", Prior("discrete", values=values))
+    misfit = Likelihood(sigma=0.01).misfit(law_of(PULL, c1=1.0), latents, some)
+    profile = fit_profile(misfit, latents.sample(6, rng=np.random.default_rng(1)))
+    assert set(profile.values) <= set(values)
+    assert profile.loss < 1e-9
+    assert profile.values == pytest.approx(latents.truth)
+    assert profile.constants == pytest.approx([20.0])
+    assert not profile.at_bound.any()

@@ -62,6 +62,17 @@ def test_a_chain_that_does_not_converge_is_usable_and_says_so():
     assert len(posterior.draws) > 100
 
 
+def test_a_walker_that_never_moves_is_no_convergence():
+    def with_a_spike(x):
+        return np.where(np.abs(x[:, 0] - 90) < 1e-9, 1e4, -0.5 * x[:, 0] ** 2)
+
+    rng = np.random.default_rng(0)
+    start = np.append(rng.standard_normal(31), 90.0)[:, None]
+    posterior = sample_ensemble(with_a_spike, ("x",), start, rng=rng, n_eff=500, max_steps=400)
+    assert not posterior.converged
+    assert "did not converge" in posterior.notes[0]
+
+
 def test_nowhere_to_start_is_an_error_with_the_estimate():
     with pytest.raises(FitError, match="no start place") as caught:
         sample_ensemble(
