@@ -9,7 +9,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
 
-__all__ = ["KINDS", "Conversion", "is_unit"]
+__all__ = ["KINDS", "Conversion", "is_unit", "unit_of"]
 
 KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
@@ -21,11 +21,15 @@ _COLUMN_KIND = {"t": "time", "x": "length", "y": "length", "z": "length"}
 
 def is_unit(text):
     """Whether `text` reads as a unit (``px`` included)."""
+    return unit_of(text) is not None
+
+
+def unit_of(text):
+    """The unit that `text` stands for (that of metres for ``px``); None if it is no unit."""
     try:
-        _scale(text)
+        return _scale(text)[1]
     except UnitError:
-        return False
-    return True
+        return None
 
 
 def _scale(text):

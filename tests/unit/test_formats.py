@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.formats import read_table
+from bsp_gp.data.sniffing import normalise_columns
 from bsp_gp.data.tables import load_dataset
 
 X = [0.0, 1.5, 4.25]
@@ -38,6 +39,11 @@ def test_dialects(tmp_path, dialect):
         "t (s),x (cm),y (cm)\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
         "t [s];x [cm];y [cm]\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
         "t,x,y\ns,cm,cm\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
+        "Zeit t (s);x (cm);y (cm)\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
+        "t in s;x in cm;y in cm\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
+        "t / s,x / cm,y / cm\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
+        "t/s\tx/cm\ty/cm\n0\t0\t1\n0,5\t1,5\t2\n1\t4,25\t3\n",
+        "Elapsed Time (s),x-Position [cm],pos_y / (cm)\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
         "t\tx\ty\n(s)\t(cm)\t(cm)\n0\t0\t1\n0.5\t1.5\t2\n1\t4.25\t3\n",
     ],
 )
@@ -47,6 +53,25 @@ def test_units_in_the_header(tmp_path, text):
     dataset = load_dataset(path)
     assert dataset.scenes[0].positions[:, 0, 0] == pytest.approx(np.array(X) / 100)
     assert dataset.units.declared["length"] == "cm"
+
+
+@pytest.mark.parametrize(
+    ("header", "names"),
+    [
+        (["t", "ratio / s", "x", "in s"], ("t", "ratio / s", "x", "in s")),
+        (["t", "x / s", "y in kg", "x"], ("t", "x / s", "y in kg", "x")),
+        (["t", "x error", "fit x", "x"], ("t", "x error", "fit x", "x")),
+        (["t", "x", "v_x / (m/s)", "y velocity (m/s²)"], ("t", "x", "vx", "vy")),
+        (["t", "x", "position x"], ("t", "x", "position x")),
+    ],
+)
+def test_names_in_headers(header, names):
+    assert normalise_columns(header)[0] == names
+
+
+def test_a_renamed_column_keeps_the_unit_of_its_header():
+    names, units, renamed = normalise_columns(["t", "Ort / cm"], {"x": "Ort"})
+    assert names == ("t", "x") and units == {"x": "cm"} and renamed == {"x"}
 
 
 def test_declared_units_win_over_the_header(tmp_path):
