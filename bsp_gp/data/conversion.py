@@ -64,16 +64,18 @@ class Conversion:
     """
 
     def __init__(self, declared, columns, file=None, has_fps=False):
+        columns = set(columns)
         self.declared = dict(declared)
         self.file = file
-        unknown = sorted(set(self.declared) - set(KINDS) - set(columns))
+        unknown = sorted(set(self.declared) - set(KINDS) - columns)
         if unknown:
             self._fail(
                 f"[units] has {unknown[0]!r}, which is neither a kind ({', '.join(KINDS)}) "
                 f"nor a column ({', '.join(sorted(columns))})"
             )
         kinds = dict(self.declared)
-        for kind, column in (("length", "x"), ("time", "t")):
+        axis = "x" if "x" in columns else "y"  # motion along y alone has no x
+        for kind, column in (("length", axis), ("time", "t")):
             if kind not in kinds and column in kinds:
                 kinds[kind] = kinds[column]
         if has_fps and "length" in kinds:

@@ -162,7 +162,6 @@ def _frame_table(frame, rename, what):
     if what == "frames":
         unused = [n for n in names if n not in NUMBER_COLUMNS + TEXT_COLUMNS]
         notes = tuple(f"{what}: column {n!r} is not used" for n in unused)
-        frame = frame.drop(columns=unused)
     return Table(frame=frame, units=units, renamed=renamed, file=what, notes=notes)
 
 
@@ -194,7 +193,7 @@ def _assemble(table, roster, declaration, default_name):
     scenes, idle = build_scenes(rows, roster)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
-    notes = [*table.notes, *(roster.notes if roster else ()), *idle, *split_note]
+    notes = [*table.notes, *rows.notes, *(roster.notes if roster else ()), *idle, *split_note]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
     if has_velocity and declaration.velocity == "ignore":
         notes.append(

@@ -122,6 +122,7 @@ ARGUMENTS = {
     "abbreviated option": (["--declare", LAW, "--over"], ["--over"]),
     "units without value": (["--declare", LAW, "--units", "length"], ["NAME=VALUE"]),
     "units twice": (["--declare", LAW, "--units", "length=m", "length=cm"], ["twice"]),
+    "units after a comma": (["--declare", LAW, "--units", "length=m,time"], ["'time'", "KIND"]),
     "unit of nothing": (["--declare", LAW, "--units", "depth=m"], ["'depth'"]),
     "unknown unit": (["--declare", LAW, "--units", "length=ells"], ["'ells'"]),
     "up": (["--declare", LAW, "--up", "north"], ["--up", "'north'"]),

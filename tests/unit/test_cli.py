@@ -241,7 +241,7 @@ def test_options_stand_in_for_the_toml(data, tmp_path, capsys):
     table = tmp_path / "raw.csv"
     table.write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = ["fit", str(table), "--law", "g * m_i * down", "--law", "-k1 * m_i * v_i", "--json",
-             "--columns", "x=X", "--units", "length=cm", "time=s", "mass=kg", "--up", "y",
+             "--columns", "x=X", "--units", "length=cm,time=s", "mass=kg", "--up", "y",
              "--dt", "0.05", "--noise", "0.1", "--test", "s1", "s2"]
     assert main(words) == 0
     fit = json.loads(capsys.readouterr().out)
