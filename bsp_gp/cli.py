@@ -159,6 +159,8 @@ def _run_loop(args, progress):
     from bsp_gp.loop.close import close_loop, declared_law
 
     law = declared if dataset.latents else declared_law(dataset, declared)
+    if not dataset.latents:
+        _tell_constants(args, law)
     with _pool(args.workers) as pool:
         report = close_loop(
             dataset,
@@ -191,8 +193,11 @@ def _fit(args):
 
     import numpy as np
 
+    from bsp_gp.loop.close import declared_law
     from bsp_gp.loop.fitting import fit_law
 
+    laws = declared_law(dataset, laws)
+    _tell_constants(args, laws)
     with _Progress(args.quiet) as progress:
         progress("fitting")
         fit = fit_law(dataset, laws, rng=np.random.default_rng(args.seed))
@@ -204,6 +209,12 @@ def _fit(args):
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
+def _tell_constants(args, law):
+    """Say which names of a typed law were taken as constants: a slip shows before the work."""
+    if law.names and not args.quiet:
+        print(f"Constants to fit: {', '.join(law.names)}", file=sys.stderr, flush=True)
 
 
 def _infer(args):

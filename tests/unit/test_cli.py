@@ -30,6 +30,21 @@ def closed(data, tmp_path_factory):
     return out
 
 
+@pytest.mark.parametrize("command", ["close", "fit"])
+def test_names_taken_as_constants_are_told(command, data, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = [command, data, "--declare", "g * m_i * down", "--declare=-drag * v_i"]
+    words += FAST[:-1] if command == "close" else []
+    assert "--quiet" == FAST[-1]
+    assert main(words) == 0
+    captured = capsys.readouterr()
+    assert captured.err.splitlines()[0] == "Constants to fit: g, drag"
+    assert "Constants to fit" not in captured.out
+    if command == "fit":
+        assert main([*words, "--quiet"]) == 0
+        assert "Constants to fit" not in capsys.readouterr().err
+
+
 def tree(folder):
     return sorted(p.relative_to(folder).as_posix() for p in Path(folder).rglob("*"))
 
