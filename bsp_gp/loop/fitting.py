@@ -197,7 +197,7 @@ def fit_law(dataset, laws, *, rng, noise=None):
         converged=converged,
         message=message,
         split=observation.split_note,
-        notes=tuple(observation.dataset.notes),
+        notes=(*observation.dataset.notes, *observation.noise.notes),
     )
 
 
