@@ -45,7 +45,7 @@ class NoiseEstimate:
     method : str
         One line for the report.
     notes : tuple of str
-        That positions were rounded, where they were.
+        That positions were rounded, where they were, and which axes are left out.
     """
 
     sigma: tuple[float, ...]
@@ -115,6 +115,7 @@ def estimate_noise(data):
         degrees.append(n_effective)
         methods.append(f"{label}: {how}")
     inactive = tuple("xyz"[axis] for axis in range(n_dims) if not is_active[axis])
+    notes += [f"nothing moves along {axis}: that axis is left out" for axis in inactive]
     best = next((s for s in ("quoted", "declared") if s in sources), "estimated")
     return NoiseEstimate(
         tuple(sigma), best, tuple(degrees), inactive, "; ".join(methods), tuple(notes)

@@ -278,7 +278,7 @@ def _is_only_number(law):
 
 def _freed_reason(factor, half, delta, is_alone):
     """What freeing a declared number says; the same is said of the length scale and the clock."""
-    size = f"{name_number(factor - 1)} ± {name_number(half)} of its value"
+    size = f"{100 * (factor - 1):.4g}% ± {100 * half:.2g}% of its value"
     text = f"the declared number would have to be off by {size}"
     if delta < -TIE_BIC:
         text += ", and that fits better"
@@ -293,10 +293,6 @@ def _freed_reason(factor, half, delta, is_alone):
             "data cannot tell the three apart"
         )
     return text
-
-
-def name_number(value):
-    return f"{value:.2%}" if 1e-3 <= abs(value) < 10 else f"{value:.2g}"
 
 
 def held_out_rows(before, after):

@@ -102,6 +102,7 @@ def test_an_axis_without_variation_is_left_out():
     flat[..., 0] = 1.25
     estimate = estimate_noise([dataclasses.replace(scene, positions=flat)])
     assert estimate.inactive_axes == ("x",)
+    assert estimate.notes == ("nothing moves along x: that axis is left out",)
     assert math.isnan(estimate.sigma[0])
     assert estimate.sigma[1] == pytest.approx(0.01, rel=0.15)
 

@@ -10,7 +10,7 @@ from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, _blurred, _explained, _verdict
-from bsp_gp.loop.telling import _separated_by, name_number
+from bsp_gp.loop.telling import _freed_reason, _separated_by
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
 from bsp_gp.report.summary import summary_text
@@ -165,10 +165,9 @@ def test_explained_share_is_of_what_is_above_the_floor():
     assert _explained(Exact, errors(9, 2.0), errors(9, 1.0), errors(9)) == pytest.approx(0.75)
 
 
-def test_numbers_in_sentences():
-    assert name_number(-0.0123) == "-1.23%"
-    assert name_number(8e-8) == "8e-08"
-    assert name_number(0.5) == "50.00%"
+def test_the_size_of_a_changed_number_is_told_in_percent():
+    assert "off by 8.98% ± 0.041% of its value" in _freed_reason(1.0898, 0.00041, -50.0, False)
+    assert "off by -8e-06% ± 1e-07% of its value" in _freed_reason(1 - 8e-8, 1e-9, 50.0, True)
 
 
 def test_what_would_separate_ties():
