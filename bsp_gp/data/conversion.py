@@ -9,14 +9,19 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
 
-__all__ = ["KINDS", "Conversion", "is_unit", "unit_of"]
+__all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
 KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
 _NUMBERED = re.compile(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s+(.+)")
 _LENGTH = Unit.of(m=1)
 _TIME = Unit.of(s=1)
-_COLUMN_KIND = {"t": "time", "x": "length", "y": "length", "z": "length"}
+COLUMN_KINDS = {"t": "time"} | {
+    f"{prefix}{axis}": kind
+    for axis in "xyz"
+    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"))
+}
+"""Kind of unit of the columns of a trajectory table."""
 
 
 def is_unit(text):

@@ -81,6 +81,17 @@ def test_declared_units_win_over_the_header(tmp_path):
     assert dataset.scenes[0].positions[1, 0, 0] == pytest.approx(1.5e-3)
 
 
+@pytest.mark.parametrize(("length", "scale"), [("m", 1.0), ("0.17 um", 0.17e-6), ("cm", 0.01)])
+@pytest.mark.parametrize("header", ["t (s),x (cm),y (cm)", "t,x (px),y (px)"])
+def test_a_declared_kind_wins_over_the_header_and_is_told(tmp_path, header, length, scale):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header}\n0,0,1\n0.5,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    dataset = load_dataset(path, units={"length": length, "time": "s"})
+    assert dataset.scenes[0].positions[1, 0] == pytest.approx([1.5 * scale, 2 * scale])
+    told = [note for note in dataset.notes if "as declared" in note]
+    assert len(told) == (0 if f"({length})" in header else 2)
+
+
 def test_tracker_single_mass(tmp_path):
     path = tmp_path / "run.txt"
     path.write_text("mass A\nt\tx\ty\n0,0\t0,0\t1\n0,5\t1,5\t2\n1\t4,25\t3\n", encoding="utf-8")
