@@ -129,12 +129,13 @@ def _told_of(observation, model, chosen, attempts, p_value, alpha):
     """The attempt that a round tells of: the chosen one, a freed number that wins, or None."""
     if chosen is not None and not _number_wins(model, chosen, attempts, p_value, alpha):
         return chosen
-    best = min(attempts, key=lambda a: a.fit.chisqr, default=None)
-    if p_value > alpha or (chosen is None and not (best and best.redoes_declared)):
+    if p_value > alpha or not any(a.redoes_declared for a in attempts):
         return chosen
     freed = freed_attempt(observation, model)
     if freed is None:
         return chosen
+    if chosen is None and min(a.fit.chisqr for a in attempts) < freed.fit.chisqr:
+        return None  # what is ruled out explains more: the number is no cause
     n_eff = freed.fit.n_effective
     is_clear = model.fit.bic(n_eff) - freed.fit.bic(n_eff) >= MIN_BIC_GAIN
     return freed if is_clear else chosen

@@ -327,6 +327,21 @@ def test_a_changed_number_is_the_effect_of_its_round(is_ruled_out, monkeypatch):
     assert len(freed) == (1 if is_ruled_out else 2)
 
 
+def test_a_changed_number_is_found_where_every_force_along_the_line_is_ruled_out():
+    """Falls from rest: down is forward, so that what would help is no friction."""
+    t = np.arange(60) / 30
+    scenes = []
+    for k, child in enumerate(np.random.default_rng(4).spawn(4)):
+        y = 10.0 - 4.905 * t**2 + 0.01 * child.standard_normal(len(t))
+        p = np.stack([np.zeros(len(t)), y], axis=1)[:, None]
+        scenes.append(Scene(f"s{k}", t, p, [Entity("ball", properties={"mass": 1.0})]))
+    data = Dataset("falls", scenes, units=SI, up="y", noise=(0.01,), test=("s3",))
+    (done,) = close(data, "9 [m/s^2] * m_i * down").rounds
+    assert done.effect.kind == "declared_term_change"
+    (c,) = done.effect.constants
+    assert c.low - 0.02 < 9.81 < c.high + 0.02
+
+
 def test_a_round_in_which_no_law_may_be_adopted_lists_the_freed_numbers(monkeypatch):
     monkeypatch.setattr("bsp_gp.loop.rounds.choose", lambda *arguments: None)
     data = throws(n_scenes=6, n_times=30, sigma=0.01, noise=(0.01,))
