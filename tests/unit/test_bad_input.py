@@ -290,6 +290,7 @@ def test_a_full_disk_leaves_nothing(place, capsys, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device", str(self))
 
     monkeypatch.setattr("pathlib.Path.write_text", full)
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
     for words in (["fit", "data", "--law", LAW], ["simulate", "data", "--law", LAW]):
         assert "No space left" in complaint([*words, "--out", "out"], place, capsys)
 
