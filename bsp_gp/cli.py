@@ -133,6 +133,8 @@ def _close(args):
         progress("writing the report")
         run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
+    declared = [term.formula for term in report.law.terms if term.is_declared]
+    _tell_constants(args, dict.fromkeys(name for law in declared for name in law.constants))
     _summary(args, report)
     _finish(args, out)
 
@@ -159,6 +161,8 @@ def _run_loop(args, progress):
     from bsp_gp.loop.close import close_loop, declared_law
 
     law = declared if dataset.latents else declared_law(dataset, declared)
+    if not dataset.latents and law.names:  # a slip shows before the work
+        progress(f"constants to fit: {', '.join(law.names)}")
     with _pool(args.workers) as pool:
         report = close_loop(
             dataset,
@@ -191,11 +195,14 @@ def _fit(args):
 
     import numpy as np
 
+    from bsp_gp.loop.close import declared_law
     from bsp_gp.loop.fitting import fit_law
 
+    laws = declared_law(dataset, laws)
     with _Progress(args.quiet) as progress:
         progress("fitting")
         fit = fit_law(dataset, laws, rng=np.random.default_rng(args.seed))
+    _tell_constants(args, laws.names)
     text = fit.text()
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
@@ -204,6 +211,12 @@ def _fit(args):
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
+def _tell_constants(args, names):
+    """Say which names of a typed law were taken as constants and not as inputs."""
+    if names and not args.quiet:
+        print(f"Constants to fit: {', '.join(names)}", file=sys.stderr, flush=True)
 
 
 def _infer(args):

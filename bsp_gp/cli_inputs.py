@@ -23,7 +23,7 @@ def read_dataset(args):
     from bsp_gp.data.tables import load_dataset
 
     dataset = load_dataset(
-        args.data, units=_mapping("--units", args.units), fps=args.fps, dt=args.dt,
+        args.data, units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
         columns=_mapping("--columns", args.columns), train=args.train, test=args.test,
     )  # fmt: skip
     if args.up is not None:
@@ -39,6 +39,21 @@ def read_dataset(args):
             )
         dataset = replace(dataset, noise=tuple(s * unit_of_length(dataset) for s in args.noise))
     return dataset
+
+
+def _units(pairs):
+    """Pairs of --units, those joined by commas taken apart: no unit has a comma."""
+    out = []
+    for key, value in pairs or ():
+        for part in f"{key}={value}".split(","):
+            kind, equals, unit = part.partition("=")
+            if not (equals and kind.strip() and unit.strip()):
+                raise SettingsError(
+                    f"--units must be KIND=UNIT, got {part.strip()!r}; write length=m time=s or "
+                    "length=m,time=s"
+                )
+            out.append((kind.strip(), unit.strip()))
+    return out
 
 
 def _mapping(option, pairs):

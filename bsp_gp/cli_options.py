@@ -445,7 +445,7 @@ def _data(parser, with_noise=True):
         nargs="+",
         type=_pair,
         metavar="KIND=UNIT",
-        help="units of the numbers: length=m time=s mass=kg",
+        help="units of the numbers: length=m time=s mass=kg, or with commas",
     )
     group.add_argument(
         "--columns",

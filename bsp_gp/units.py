@@ -32,6 +32,8 @@ _TOWER = re.compile(
     r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*"
 )
 """Towers of powers and powers of three digits, which pint would compute at any cost."""
+_RAISED = re.compile(r"[⁺⁻]?[⁰¹²³⁴-⁹]+")
+_PLAIN = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹·⋅", "+-0123456789**")
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,8 @@ def parse_unit(text):
     Parameters
     ----------
     text : str
-        A product of powers of units known to pint; ``1`` or an empty text is dimensionless.
+        A product of powers of units known to pint, as ``m/s^2``, ``m/s²`` or ``m·s⁻²``; ``1``
+        or an empty text is dimensionless.
 
     Returns
     -------
@@ -153,7 +156,7 @@ def parse_unit(text):
     UnitError
         If the unit is unknown, not multiplicative (like °C), or of a non-SI dimension.
     """
-    clean = text.strip()
+    clean = _RAISED.sub(lambda power: f"^{power[0]}", text.strip()).translate(_PLAIN)
     if clean in ("", "1"):
         return 1.0, DIMENSIONLESS
     if not _ALLOWED.fullmatch(clean):

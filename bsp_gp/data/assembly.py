@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.conversion import unit_of
 from bsp_gp.data.roster import ABSURD, require_columns
 from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.sniffing import NUMBER_COLUMNS, TEXT_COLUMNS
 from bsp_gp.errors import DataError
+from bsp_gp.units import Unit
 
 __all__ = ["Rows", "build_rows", "build_scenes"]
 
@@ -30,6 +33,8 @@ class Rows:
     velocities, sigma : ndarray, shape (n, d), or None
     lines : ndarray of int, shape (n,)
         Line numbers in `file`.
+    notes : tuple of str
+        What was taken for granted.
     """
 
     scene: np.ndarray
@@ -42,6 +47,7 @@ class Rows:
     sigma: np.ndarray | None
     lines: np.ndarray
     file: str | None
+    notes: tuple[str, ...] = ()
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -65,14 +71,19 @@ def build_rows(table, declaration, conversion, *, scene_name):
     scene_name : str
         Name of the scene where the table has no such column.
     """
-    require_columns(table, ["x", "y"])
-    axes = [axis for axis in "xyz" if axis in table.frame.columns]
-    positions = [_numbers(table, axis) * conversion.length(axis) for axis in axes]
+    axes, line_notes = _axes(table)
+    table, gap_notes = _without_gaps(table)
+    known = [axis for axis in axes if axis in table.frame.columns]
+    still = np.zeros(len(table.frame))
+    positions = [_numbers(table, a) * conversion.length(a) if a in known else still for a in axes]
     velocities = None
     if declaration.velocity == "measured":
-        require_columns(table, [f"v{axis}" for axis in axes])
+        require_columns(table, [f"v{axis}" for axis in known])
         velocities = [
-            _numbers(table, f"v{a}", can_be_blank=True) * conversion.velocity(f"v{a}") for a in axes
+            _numbers(table, f"v{a}", can_be_blank=True) * conversion.velocity(f"v{a}")
+            if a in known
+            else still
+            for a in axes
         ]
     scene, scene_names = _codes(table, "scene", scene_name)
     entity, entity_names = _codes(table, "entity", table.title or "object")
@@ -87,7 +98,48 @@ def build_rows(table, declaration, conversion, *, scene_name):
         _sigma(table, axes, conversion),
         table.frame.index.to_numpy(),
         table.file,
+        (*line_notes, *gap_notes),
     )
+
+
+def _axes(table):
+    """Axes of the positions, and a note where one of x and y is not in the table.
+
+    A table of x alone, or of y alone, is motion along a line; but a column that is not used and
+    may be the other axis under another name is no reason to leave that axis out.
+    """
+    columns = [str(column) for column in table.frame.columns]
+    axes = [axis for axis in "xyz" if axis in columns]
+    if axes not in (["x"], ["y"]):
+        require_columns(table, ["x", "y"])
+        return axes, ()
+    other = "y" if axes == ["x"] else "x"
+    doubtful = [
+        column
+        for column in columns
+        if column not in NUMBER_COLUMNS + TEXT_COLUMNS
+        and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
+    ]
+    if doubtful:
+        raise DataError(
+            f"the header has no column {other!r}; present are {', '.join(columns)}",
+            file=table.file, column=other,
+            remedy=f'add it, or name it in [columns]: {other} = "its name in the file"; if all '
+            f"motion is along {axes[0]}, leave out {', '.join(doubtful)}",
+        )  # fmt: skip
+    return ["x", "y"], (f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",)
+
+
+def _without_gaps(table):
+    """The table without rows that have a time but no coordinate at all, and a note of them."""
+    axes = [axis for axis in "xyz" if axis in table.frame.columns]
+    empty = table.frame[axes].isna().all(axis=1).to_numpy()
+    if not empty.any():
+        return table, ()
+    if empty.all():
+        raise DataError("no row has any coordinates", file=table.file)
+    note = f"{int(empty.sum())} row(s) without coordinates are gaps in the track"
+    return replace(table, frame=table.frame[~empty]), (note,)
 
 
 def _numbers(table, column, can_be_blank=False):

@@ -9,23 +9,32 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
 
-__all__ = ["KINDS", "Conversion", "is_unit"]
+__all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
 KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
 _NUMBERED = re.compile(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s+(.+)")
 _LENGTH = Unit.of(m=1)
 _TIME = Unit.of(s=1)
-_COLUMN_KIND = {"t": "time", "x": "length", "y": "length", "z": "length"}
+COLUMN_KINDS = {"t": "time"} | {
+    f"{prefix}{axis}": kind
+    for axis in "xyz"
+    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"))
+}
+"""Kind of unit of the columns of a trajectory table."""
 
 
 def is_unit(text):
     """Whether `text` reads as a unit (``px`` included)."""
+    return unit_of(text) is not None
+
+
+def unit_of(text):
+    """The unit that `text` stands for (that of metres for ``px``); None if it is no unit."""
     try:
-        _scale(text)
+        return _scale(text)[1]
     except UnitError:
-        return False
-    return True
+        return None
 
 
 def _scale(text):
@@ -60,16 +69,18 @@ class Conversion:
     """
 
     def __init__(self, declared, columns, file=None, has_fps=False):
+        columns = set(columns)
         self.declared = dict(declared)
         self.file = file
-        unknown = sorted(set(self.declared) - set(KINDS) - set(columns))
+        unknown = sorted(set(self.declared) - set(KINDS) - columns)
         if unknown:
             self._fail(
                 f"[units] has {unknown[0]!r}, which is neither a kind ({', '.join(KINDS)}) "
                 f"nor a column ({', '.join(sorted(columns))})"
             )
         kinds = dict(self.declared)
-        for kind, column in (("length", "x"), ("time", "t")):
+        axis = "x" if "x" in columns else "y"  # motion along y alone has no x
+        for kind, column in (("length", axis), ("time", "t")):
             if kind not in kinds and column in kinds:
                 kinds[kind] = kinds[column]
         if has_fps and "length" in kinds:

@@ -286,7 +286,7 @@ def _parse_slowly(path, options, numeric):
     decimal_comma = "," if options["sep"] != "," else None
     frame = pd.read_csv(path, dtype=str, **options)
     for column in numeric:
-        cells = frame[column]
+        cells = frame[column].where(frame[column].str.strip() != "")  # blanks are no value
         plain = cells.str.replace(decimal_comma, ".", regex=False) if decimal_comma else cells
         numbers = pd.to_numeric(plain, errors="coerce").astype(float)
         bad = (numbers.isna() & cells.notna()).to_numpy()

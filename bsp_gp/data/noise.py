@@ -9,6 +9,7 @@ import numpy as np
 
 from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError
+from bsp_gp.units import Unit
 
 __all__ = ["NoiseEstimate", "estimate_noise"]
 
@@ -20,6 +21,11 @@ _CLIPPED_RMS = 0.98658  # rms of a standard normal within ±3
 _N_PASSES = 6
 _MIN_WINDOWS = 8
 _TOLERANCE = 1.0
+_MIN_GRID_VALUES = 6
+_MIN_GRID_STEP = 1e4
+"""Smallest step that counts as a grid, in roundings of the largest value."""
+_MIN_ROUGH = 0.25
+"""Part of the moving windows of a rounded track whose third difference is not zero, at least."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,8 @@ class NoiseEstimate:
         Axes along which no dynamic entity ever moves: they carry no information and are left out.
     method : str
         One line for the report.
+    notes : tuple of str
+        That positions were rounded, where they were, and which axes are left out.
     """
 
     sigma: tuple[float, ...]
@@ -45,6 +53,7 @@ class NoiseEstimate:
     n_effective: tuple[float, ...]
     inactive_axes: tuple[str, ...] = ()
     method: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def estimate_noise(data):
@@ -55,7 +64,8 @@ def estimate_noise(data):
     of degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other
     times the weights of the divided difference are used). The scale is robust, so contacts do
     not matter; k runs from 2 to 8 and the first order after which the estimate no longer falls
-    significantly is taken.
+    significantly is taken. Rounding is not white where a track moves slowly, so positions on a
+    grid (whole pixels, few decimals) are never more accurate than its step / sqrt(12).
 
     Parameters
     ----------
@@ -76,7 +86,9 @@ def estimate_noise(data):
     is_active = [any(np.ptp(x) > 0 for _, x in tracks[axis]) for axis in range(n_dims)]
     span = [_span(tracks[axis]) for axis in range(n_dims)]
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
-    sigma, sources, degrees, methods = [], [], [], []
+    steps = _grid_steps(tracks)
+    sigma, sources, degrees, methods, notes = [], [], [], [], []
+    unit = f" {data.units.text(Unit.of(m=1))}" if is_dataset else ""
     for axis in range(n_dims):
         if not is_active[axis]:
             sigma.append(math.nan)
@@ -90,13 +102,24 @@ def estimate_noise(data):
         else:
             value, order, n_effective = _from_differences(tracks[axis])
             source, how = "estimated", f"differences of order {order}"
+            if steps[axis] > value:
+                notes.append(
+                    f"{label} is rounded to steps of {steps[axis]:.4g}{unit}: its noise is taken "
+                    "as at least the step / sqrt(12)"
+                )
+            if value < steps[axis] / math.sqrt(12):
+                value, n_effective = steps[axis] / math.sqrt(12), math.inf
+                how = f"step of {steps[axis]:.4g}{unit} / sqrt(12)"
         sigma.append(max(float(value), FLOOR * span[axis]))
         sources.append(source)
         degrees.append(n_effective)
         methods.append(f"{label}: {how}")
     inactive = tuple("xyz"[axis] for axis in range(n_dims) if not is_active[axis])
+    notes += [f"nothing moves along {axis}: that axis is left out" for axis in inactive]
     best = next((s for s in ("quoted", "declared") if s in sources), "estimated")
-    return NoiseEstimate(tuple(sigma), best, tuple(degrees), inactive, "; ".join(methods))
+    return NoiseEstimate(
+        tuple(sigma), best, tuple(degrees), inactive, "; ".join(methods), tuple(notes)
+    )
 
 
 def _tracks(scenes, axis):
@@ -150,6 +173,70 @@ def _from_differences(tracks):
             chosen = candidate
     order, scale, n_effective = chosen
     return scale, order, n_effective
+
+
+def _grid_steps(tracks):
+    """Step of the grid that the values of each axis lie on, 0.0 where there is none.
+
+    Exact motion under a constant force is on a grid too, one of its own making; what tells
+    rounding from it is that third differences of rounded tracks do not vanish. An axis along
+    which they happen to vanish is rounded if it lies on the grid of one that shows it.
+
+    Parameters
+    ----------
+    tracks : sequence over axes of lists of (times, positions)
+    """
+    own = [_grid_step(axis) for axis in tracks]
+    seen = [s for s, axis in zip(own, tracks, strict=True) if s and _is_rough(axis, s)]
+    return [next((s for s in seen if step and _is_multiple(step, s)), 0.0) for step in own]
+
+
+def _is_multiple(step, of):
+    return step > 0.999 * of and abs(step / of - round(step / of)) < 1e-3
+
+
+def _grid_step(tracks):
+    """Greatest common divisor of the gaps between all values (Euclid), 0.0 if it is rounding."""
+    values = np.unique(np.concatenate([np.empty(0), *(x for _, x in tracks)]))
+    rounding = 16 * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
+    gaps = np.diff(values)
+    gaps = np.sort(gaps[gaps > rounding])
+    if len(gaps) < _MIN_GRID_VALUES - 1:
+        return 0.0
+    step = float(gaps[0])
+    while step > _MIN_GRID_STEP * rounding:
+        step = _refined(step, gaps)
+        multiples = np.round(gaps / step)
+        rest = np.abs(gaps - multiples * step)
+        rest = rest[rest > np.minimum(rounding * (1 + multiples), 1e-3 * step)]
+        if not len(rest):
+            return step
+        step = float(rest[0])  # that of the smallest gap is the most accurate
+    return 0.0
+
+
+def _refined(step, gaps):
+    """The step by least squares on ever larger gaps that are multiples of it."""
+    for most in (10, 1e3, 1e5):
+        multiples = np.round(gaps / step)
+        kept = (multiples > 0) & (multiples <= most)
+        kept &= np.abs(gaps - multiples * step) < 1e-3 * step
+        if kept.any():
+            step = float(gaps[kept] @ multiples[kept] / (multiples[kept] @ multiples[kept]))
+    return step
+
+
+def _is_rough(tracks, step):
+    """Whether tracks in steps of a grid are no polynomials of low degree, piece by piece."""
+    n_moving = n_rough = 0
+    for _, x in tracks:
+        counts = np.round((x - x[0]) / step)
+        if len(counts) < 4:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(counts, 4)
+        n_moving += np.count_nonzero(np.ptp(windows, axis=1))
+        n_rough += np.count_nonzero(np.diff(counts, 3))
+    return n_rough > _MIN_ROUGH * n_moving
 
 
 def _differences(times, x, order):

@@ -6,8 +6,10 @@ import csv
 import re
 from dataclasses import dataclass
 
-from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError
+from bsp_gp.units import Unit
 
 __all__ = ["NUMBER_COLUMNS", "TEXT_COLUMNS", "Layout", "normalise_columns", "sniff", "split_line"]
 
@@ -15,10 +17,23 @@ NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz",
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
-ALIASES = {"time": "t", "particle": "entity", "object": "entity", "track": "entity"}
+ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _WITH_UNIT = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]")
+_AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+in\s+)[(\[]?([^()\[\]]+)[)\]]?")
+"""``t / s``, ``t in s``, ``t, s`` and ``v / (m/s)``: the part after the mark may be a unit."""
+_TIME_WORDS = frozenset({"time", "elapsed", "zeit", "temps", "tiempo", "tempo"})
+_PLACE_WORDS = frozenset(
+    "position pos coordinate coord coordinates koordinate ort lage weg location posición"
+    " posizione displacement".split()
+)
+_SPEED_WORDS = frozenset({"velocity", "speed", "geschwindigkeit", "vitesse", "v"})
+_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+_UNIT_OF = PROPERTY_UNITS | {
+    name: {"t": _TIME, "v": _LENGTH / _TIME}.get(name[0], _LENGTH)
+    for name in NUMBER_COLUMNS if name != "frame"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,23 +84,52 @@ def normalise_columns(columns, rename=None):
     """
     back = {theirs.strip(): ours for ours, theirs in (rename or {}).items()}
     cells = [str(cell).strip().strip('"').strip() for cell in columns]
-    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
-    is_split = [m is not None and bool(m.group(1)) and is_unit(m.group(2)) for m in matches]
-    stems = [m.group(1) if ok else c for c, m, ok in zip(cells, matches, is_split, strict=True)]
+    stems, texts = (
+        zip(*(_split_unit(cell, back) for cell in cells), strict=True) if cells else ((), ())
+    )
     names = [back.get(c, back.get(stem, stem)) for c, stem in zip(cells, stems, strict=True)]
     renamed = frozenset(n for n, stem in zip(names, stems, strict=True) if n in (rename or {}))
     renamed = frozenset(n for n in renamed if rename[n].strip() in (*cells, *stems))
     for k, name in enumerate(names):
-        lower = name.lower()
-        ours = ALIASES.get(lower, lower if lower in NUMBER_COLUMNS + TEXT_COLUMNS else name)
+        ours = _our_name(name)
         if name not in renamed and ours not in names:
             names[k] = ours
-    units = {
-        name: match.group(2)
-        for name, match, ok in zip(names, matches, is_split, strict=True)
-        if ok and match.group(2)
-    }
+    units = {name: text for name, text in zip(names, texts, strict=True) if text}
     return tuple(names), units, renamed
+
+
+def _split_unit(cell, back):
+    """Name and unit of one cell of a header; without a unit (cell, "").
+
+    After a mark that other names have too (``/``, ``in``), only what fits the column counts.
+    """
+    match = _WITH_UNIT.fullmatch(cell)
+    if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
+        return match[1], match[2]
+    match = _AFTER_MARK.fullmatch(cell)
+    if match:
+        name = back.get(cell, back.get(match[1], _our_name(match[1])))
+        if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
+            return match[1], match[2].strip()
+    return cell, ""
+
+
+def _our_name(name):
+    """Our name of a column that people call ``Time``, ``Zeit t``, ``x-position`` or ``v_x``."""
+    lower = name.lower()
+    if lower in NUMBER_COLUMNS + TEXT_COLUMNS:
+        return lower
+    words = re.split(r"[\s_-]+", lower)
+    symbols = [word for word in words if word in ("t", "x", "y", "z")]
+    about = {word for word in words if word not in symbols}
+    if about and about <= _TIME_WORDS and symbols in ([], ["t"]):
+        return "t"
+    if about and len(symbols) == 1 and symbols != ["t"]:
+        if about <= _PLACE_WORDS:
+            return symbols[0]
+        if about <= _SPEED_WORDS:
+            return f"v{symbols[0]}"
+    return ALIASES.get(lower, name)
 
 
 def split_line(line, delimiter):

@@ -15,7 +15,7 @@ from pathlib import Path
 import pandas as pd
 
 from bsp_gp.data.assembly import build_rows, build_scenes
-from bsp_gp.data.conversion import Conversion
+from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, read_table
@@ -162,7 +162,6 @@ def _frame_table(frame, rename, what):
     if what == "frames":
         unused = [n for n in names if n not in NUMBER_COLUMNS + TEXT_COLUMNS]
         notes = tuple(f"{what}: column {n!r} is not used" for n in unused)
-        frame = frame.drop(columns=unused)
     return Table(frame=frame, units=units, renamed=renamed, file=what, notes=notes)
 
 
@@ -179,7 +178,7 @@ def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     _require_renames(declaration, tables)
-    units = {k: v for t in tables for k, v in t.units.items()} | dict(declaration.units)
+    units, units_notes = _units_of(tables, dict(declaration.units))
     known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
@@ -194,7 +193,14 @@ def _assemble(table, roster, declaration, default_name):
     scenes, idle = build_scenes(rows, roster)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
-    notes = [*table.notes, *(roster.notes if roster else ()), *idle, *split_note]
+    notes = [
+        *table.notes,
+        *units_notes,
+        *rows.notes,
+        *(roster.notes if roster else ()),
+        *idle,
+        *split_note,
+    ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
     if has_velocity and declaration.velocity == "ignore":
         notes.append(
@@ -220,6 +226,18 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
     )
+
+
+def _units_of(tables, declared):
+    """Units of the headers and the declared ones, which win, with notes where the two differ."""
+    units, notes = {}, []
+    for column, text in ((c, text) for table in tables for c, text in table.units.items()):
+        kind = COLUMN_KINDS.get(column, column)
+        if column in declared or kind not in declared:
+            units[column] = text
+        elif text != declared[kind]:
+            notes.append(f"{column} is in {declared[kind]!r} as declared, not in {text!r}")
+    return units | declared, notes
 
 
 def _require_renames(declaration, tables):

@@ -192,7 +192,12 @@ class _Builder:
     def function(self, name, args):
         operator = self.operators.get(name, _CONVENIENCE.get(name, name))
         if operator not in OPERATORS:
-            self.fail(f"unknown function {name!r}; known are {', '.join(sorted(OPERATORS))}")
+            near = _nearest(name, (*OPERATORS, *_CONVENIENCE))
+            self.fail(
+                f"unknown function {name!r}; "
+                + (f"did you mean {near}? " if near else "")
+                + f"known are {', '.join(sorted(OPERATORS))}"
+            )
         if len(args) != OPERATORS[operator].arity:
             self.fail(f"{name} takes {OPERATORS[operator].arity} argument(s), got {len(args)}")
         return self.call(operator, *args)
@@ -215,6 +220,7 @@ class _Builder:
         if name in OPERATORS:
             self.fail(f"{name!r} is a function and needs arguments")
         self._reject_near_property(name)
+        self._reject_misspelling(name)
         return Constant(name)
 
     def _reject_near_property(self, name):
@@ -228,10 +234,46 @@ class _Builder:
                 "_i or _j"
             )
         columns = {property_of(n)[0] for n in present}
-        if name in columns or (name in ALIASES and ALIASES[name] in columns and len(name) > 1):
+        if name in columns or ALIASES.get(name) in columns:
             self.fail(
                 f"{name!r} is a property; write {name}_i for the receiver or {name}_j for the "
-                "source"
+                "source, or give the constant another name"
             )
         if name in ("p", "v", "r", "x", "y", "z"):
             self.fail(f"{name!r} is not defined; write p_i, p_j, v_i, v_j or norm(p_i - p_j)")
+
+    def _reject_misspelling(self, name):
+        """Nor must an input with one letter wrong."""
+        near = _nearest(name, {n for n in (*self.types, *STATE_INPUTS) if len(n) > 2})
+        if near:
+            self.fail(
+                f"{name!r} is no input, and differs from {near!r} by one letter; write {near}, or "
+                "give the constant to fit a name that differs more"
+            )
+
+
+def _nearest(name, allowed):
+    """The first of the allowed names that is one slip away, None if none is.
+
+    A slip is one letter too many, missing or wrong, or two neighbours swapped (the distance 1 of
+    Damerau, Commun. ACM 7, 171, 1964). A digit (c1, v_0) and another letter in a name of three
+    (v_t, m_x) are none: so people tell constants from inputs.
+    """
+    if len(name) < 2:
+        return None
+    return next((other for other in sorted(allowed) if _is_slip(name, other)), None)
+
+
+def _is_slip(name, other):
+    short, long = sorted((name, other), key=len)
+    if len(long) - len(short) > 1 or name == other:
+        return False
+    start = next((k for k, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), None)
+    start = len(short) if start is None else start
+    if len(short) < len(long):
+        is_one, changed = short[start:] == long[start + 1 :], long[start]
+    else:
+        is_one, changed = short[start + 1 :] == long[start + 1 :], name[start]
+        swapped = long[:start] + long[start : start + 2][::-1] + long[start + 2 :]
+        is_one = (is_one and len(name) > 3) or short == swapped
+    return is_one and not changed.isdigit()

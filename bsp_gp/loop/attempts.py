@@ -29,13 +29,14 @@ def evaluate(observation, law, fit=None):
 
 def attempts_of(observation, model, proposals, workers):
     """Every proposal of the shortlist, fitted jointly with the rest of the law."""
-    jobs = [(observation, model.fit.law, proposal) for proposal in proposals.shortlist]
+    jobs = [(observation, model.fit, proposal) for proposal in proposals.shortlist]
     run = map if workers is None else workers.map
     return [attempt for attempt in run(_attempt, jobs) if attempt is not None]
 
 
 def _attempt(job):
-    observation, law, proposal = job
+    observation, before, proposal = job
+    law = before.law
     name = fresh_name(law)
     formula = rename_constant(proposal.formula, proposal.constant, name)
     start = 0.0
@@ -45,7 +46,7 @@ def _attempt(job):
     bounds = sign_bounds(observation, new)
     low, high = bounds.get(name, (-np.inf, np.inf))
     try:
-        fit = observation.fit(new, bounds=bounds)
+        fit = observation.fit_beyond(new, before, bounds)
     except EvaluationError:
         return None  # no finite value at some instant of the training data; counted by the round
     if not np.isfinite(fit.chisqr):
@@ -86,7 +87,7 @@ def choose(observation, model, search, attempts):
         return None
     n_eff = min(attempts, key=lambda a: a.fit.chisqr).fit.n_effective
     best = min(able, key=lambda a: (a.score(n_eff), a.complexity))
-    best = _like_declared(observation, model.law, best, n_eff)
+    best = _like_declared(observation, model, best, n_eff)
     if observation.is_exact:
         best = plan_ahead(observation, model.law, best, search)
     return best
@@ -117,8 +118,9 @@ def _with_properties(formula, properties):
     return product([coefficient, *vectors])
 
 
-def _like_declared(observation, law, best, n_eff):
+def _like_declared(observation, model, best, n_eff):
     """Prefer the property factors of the declared pair law where the data cannot tell."""
+    law = model.law
     properties = _declared_pair(law)
     term = best.law.terms[-1]
     if not properties or term.kind != "pair":
@@ -128,7 +130,7 @@ def _like_declared(observation, law, best, n_eff):
         return best
     name = split_linear(formula)[0]
     new = law.plus(Term(formula, "pair"), {name: 0.0})
-    fit = observation.fit(new, bounds=sign_bounds(observation, new))
+    fit = observation.fit_beyond(new, model.fit, sign_bounds(observation, new))
     # On exact data what is left is misfit: a tenth of it more is no evidence.
     same = (
         fit.chisqr < 1.1 * best.fit.chisqr

@@ -268,6 +268,7 @@ def _caveats(observation, search):
         )
     if observation.noise.source == "estimated":
         yield f"the noise level was estimated from the data: {observation.noise.method}"
+    yield from observation.noise.notes
     if len(observation.segments) > len(observation.train):
         yield (
             f"tracks depend so strongly on their start that they were fitted in "

@@ -81,7 +81,10 @@ class LawFit:
 
     def text(self):
         """The fit as a table for a terminal; variables stand with their 90 % intervals."""
-        e, sigma = self.errors, ", ".join(f"{s:.3g}" for s in self.noise["sigma"])
+        e, sigma = (
+            self.errors,
+            ", ".join(f"{s:.3g}" if math.isfinite(s) else "-" for s in self.noise["sigma"]),
+        )
         lines = [
             "[[Model]]", f"    F_i = {self.law_text}",
             "[[Fit Statistics]]",
@@ -197,7 +200,7 @@ def fit_law(dataset, laws, *, rng, noise=None):
         converged=converged,
         message=message,
         split=observation.split_note,
-        notes=tuple(observation.dataset.notes),
+        notes=(*observation.dataset.notes, *observation.noise.notes),
     )
 
 

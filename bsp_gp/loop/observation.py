@@ -24,6 +24,7 @@ __all__ = ["Observation"]
 
 N_FLOOR = 8
 """Simulated copies of the held-out data behind the noise floor and parametric intervals."""
+_SAME_CHISQR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,29 @@ class Observation:
             whole=whole,
             converged=whole.converged,
         )
+
+    def fit_beyond(self, law, contained, bounds=None):
+        """Fit a law that contains a fitted one, never worse than that one.
+
+        Whole tracks are fitted from the constants of the regression. Where those lead astray, the
+        fit is started again from the constants of the contained law.
+
+        Parameters
+        ----------
+        law : ForceLaw
+            Its constants reproduce the contained law.
+        contained : Fit
+        bounds : dict, optional
+
+        Returns
+        -------
+        Fit
+        """
+        fit = self.fit(law, bounds)
+        if self.is_exact or fit.chisqr <= contained.chisqr * (1 + _SAME_CHISQR):
+            return fit
+        again = self.fit(law, bounds, start=law)
+        return fit if fit.chisqr <= again.chisqr else again
 
     def _effective(self, regression, residual):
         """Number of rows discounted for lag-one autocorrelation of the whitened residual."""

@@ -7,11 +7,24 @@ import time
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
-from bsp_gp.loop.telling import effect_of, freed_numbers, held_out_rows, rivals_of
+from bsp_gp.loop.telling import (
+    effect_of,
+    freed_attempt,
+    freed_effect,
+    freed_numbers,
+    held_out_rows,
+    rivals_of,
+)
 
 __all__ = ["run_round"]
 
 MIN_BIC_GAIN = 6.0
+
+
+FREED = (
+    "a change of a declared number fits better than any new term; a wrong number, a wrong length "
+    "scale and a wrong clock do the same, and these data cannot tell them apart"
+)
 
 
 MAX_BLUR = 10.0
@@ -48,19 +61,28 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     chosen, attempts = _along_the_best(
         observation, model, search, chosen, attempts, search_rng, workers
     )
-    if chosen is None:
+    shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
+    if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
-        return _empty_round(number, missing, model, floor, proposals, attempts, started), model
-    progress(f"round {number}: weighing {chosen.name} on held-out data")
-    after = evaluate(observation, chosen.law, chosen.fit)
+        rivals = freed_numbers(observation, model)
+        return _empty_round(number, missing, model, floor, proposals, attempts, rivals, started), (
+            model
+        )
+    is_freed = shown is not chosen
+    progress(f"round {number}: weighing {shown.name} on held-out data")
+    after = evaluate(observation, shown.law, shown.fit)
     floor, copies = observation.floor(after.law, floor_rng)
     ratio = observation.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
-    adopted, verdict, reason = _verdict(
-        observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
-    )
-    effect = effect_of(observation, chosen, attempts, proposals.p_value)
-    rivals = rivals_of(observation, model, chosen, attempts)
-    rivals += freed_numbers(observation, model, chosen)
+    if is_freed:
+        adopted, verdict, reason = False, "cannot tell", FREED
+        effect = freed_effect(observation, model, shown, proposals.p_value)
+    else:
+        adopted, verdict, reason = _verdict(
+            observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
+        )
+        effect = effect_of(observation, chosen, attempts, proposals.p_value)
+    rivals = rivals_of(observation, model, shown, attempts)
+    rivals += freed_numbers(observation, model, chosen, is_freed)
     done = Round(
         number=number,
         missing=missing,
@@ -103,6 +125,22 @@ def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
     return chosen, attempts
 
 
+def _told_of(observation, model, chosen, attempts, p_value, alpha):
+    """The attempt that a round tells of: the chosen one, a freed number that wins, or None."""
+    if chosen is not None and not _number_wins(model, chosen, attempts, p_value, alpha):
+        return chosen
+    if p_value > alpha or not any(a.redoes_declared for a in attempts):
+        return chosen
+    freed = freed_attempt(observation, model)
+    if freed is None:
+        return chosen
+    if chosen is None and min(a.fit.chisqr for a in attempts) < freed.fit.chisqr:
+        return None  # what is ruled out explains more: the number is no cause
+    n_eff = freed.fit.n_effective
+    is_clear = model.fit.bic(n_eff) - freed.fit.bic(n_eff) >= MIN_BIC_GAIN
+    return freed if is_clear else chosen
+
+
 def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value, alpha):
     """Adopt, or say why not."""
     n_eff = chosen.fit.n_effective
@@ -123,14 +161,8 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             "seen, not adopted",
             (f"the evidence for it is weak: BIC falls by {gain:.1f}, less than {MIN_BIC_GAIN:g}"),
         )
-    freed = [a.fit for a in attempts if a.redoes_declared and _is_better(a.fit, chosen.fit, n_eff)]
-    if freed:
-        return (
-            False,
-            "cannot tell",
-            "a change of a declared number fits better than any new term; a wrong number, a wrong "
-            "length scale and a wrong clock do the same, and these data cannot tell them apart",
-        )
+    if _number_wins(model, chosen, attempts, p_value, alpha):
+        return False, "cannot tell", FREED
     if not share >= MIN_SHARE:
         rivals = [
             a
@@ -173,6 +205,14 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
         ),
     )
+
+
+def _number_wins(model, chosen, attempts, p_value, alpha):
+    """Whether something is there, and a change of a declared number explains it best."""
+    n_eff = chosen.fit.n_effective
+    if p_value > alpha or model.fit.bic(n_eff) - chosen.fit.bic(n_eff) < MIN_BIC_GAIN:
+        return False
+    return any(a.redoes_declared and _is_better(a.fit, chosen.fit, n_eff) for a in attempts)
 
 
 def _is_better(fit, other, n_eff):
@@ -233,8 +273,8 @@ def _quiet_round(number, missing, model, floor, started):
     )
 
 
-def _empty_round(number, missing, model, floor, proposals, attempts, started):
-    rivals = tuple(
+def _empty_round(number, missing, model, floor, proposals, attempts, freed, started):
+    rivals = [
         Rival(
             a.name,
             a.kind,
@@ -247,12 +287,12 @@ def _empty_round(number, missing, model, floor, proposals, attempts, started):
             a.reason,
         )
         for a in attempts
-    )
+    ]
     return Round(
         number,
         missing,
         None,
-        rivals,
+        (*rivals, *freed),
         False,
         "something is left, but every law that was tried is ruled out by its sign or is only a "
         "change of a declared number",

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import TIE_BIC
 from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
 from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival
 from bsp_gp.loop.planning import MOST_EQUALS
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
 
-__all__ = ["constant_estimates", "effect_of", "freed_numbers", "held_out_rows", "rivals_of"]
+__all__ = [
+    "constant_estimates",
+    "effect_of",
+    "freed_attempt",
+    "freed_effect",
+    "freed_numbers",
+    "held_out_rows",
+    "rivals_of",
+]
 
 MAX_RIVALS = 8
 
@@ -137,24 +146,46 @@ def _ratio_of(observation, law, before):
     return observation.headline_error(law) / bottom if bottom else float("nan")
 
 
-def freed_numbers(observation, model, chosen):
-    """What freeing each declared number would do, alone and beside the chosen effect."""
+def _freed_fits(observation, base, contained):
+    """Fits of a law with each declared number free: (term, scaled term, name of scale, fit)."""
+    for index, term in enumerate(base.terms):
+        if not term.is_declared or term.formula.constants:
+            continue
+        name = fresh_name(base, "s")
+        scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
+        terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
+        law = ForceLaw(terms, {**base.constants, name: 1.0})
+        fit = observation.fit_beyond(law, contained, sign_bounds(observation, law))
+        yield term, scaled, name, fit
+
+
+def freed_numbers(observation, model, chosen=None, wins=False):
+    """What freeing each declared number would do, alone and beside the chosen effect.
+
+    Parameters
+    ----------
+    observation : Observation
+    model : Model
+        The one entering the round.
+    chosen : Attempt, optional
+        The best new term; without one the numbers are weighed against the model itself.
+    wins : bool
+        Whether a freed number, not the chosen term, is the effect of the round.
+
+    Returns
+    -------
+    list of Rival
+    """
     out = []
-    for base, label in (
-        (model.law, "instead of the effect"),
-        (chosen.fit.law, "beside the effect"),
-    ):
-        for index, term in enumerate(base.terms):
-            if not term.is_declared or term.formula.constants:
-                continue
-            name = fresh_name(base, "s")
-            scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
-            terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
-            law = ForceLaw(terms, {**base.constants, name: 1.0})
-            fit = observation.fit(law, bounds=sign_bounds(observation, law))
-            k = [n for n, _ in fit.parameters].index(name)
-            delta = fit.bic(chosen.fit.n_effective) - chosen.fit.bic()
-            factor, half = fit.values[k], fit.intervals[k]
+    best = chosen.fit if chosen else model.fit
+    effect = "the effect" if not wins else chosen.name if chosen else "a new term"
+    bases = [(model.law, model.fit, f"instead of {effect}" if chosen else "alone")]
+    if chosen:
+        bases.append((chosen.fit.law, chosen.fit, f"beside {effect}"))
+    for base, contained, label in bases:
+        for _, scaled, name, fit in _freed_fits(observation, base, contained):
+            factor, half = _scale_of(fit, name)
+            delta = fit.bic(best.n_effective) - best.bic()
             out.append(
                 Rival(
                     f"declared number freed, {label}",
@@ -171,6 +202,73 @@ def freed_numbers(observation, model, chosen):
     return out
 
 
+def _scale_of(fit, name):
+    """Value and 90 % half-width of the factor on a declared number."""
+    k = [n for n, _ in fit.parameters].index(name)
+    return float(fit.values[k]), float(fit.intervals[k])
+
+
+def freed_attempt(observation, model):
+    """The declared number whose change explains most, as an Attempt; None if none is fixed."""
+    fits = list(_freed_fits(observation, model.law, model.fit))
+    if not fits:
+        return None
+    term, scaled, _, fit = min(fits, key=lambda found: found[3].chisqr)
+    return Attempt(
+        fit.law, fit, 0.0, f"declared number {_number_of(term)[0]}", to_text(scaled.formula),
+        to_latex(scaled.formula), "declared_term_change",
+        float(1 - fit.chisqr / model.fit.chisqr),
+    )  # fmt: skip
+
+
+def _number_of(term):
+    """Name of the number of a declared term and the Number, None if it is the term's strength."""
+    above, _ = factors(term.formula)
+    numbers = [part for part in above if isinstance(part, Number) and abs(part.value) != 1]
+    if len(numbers) == 1:
+        return numbers[0].text, numbers[0]
+    return f"in front of {to_text(term.formula)}", None
+
+
+def freed_effect(observation, model, freed, p_value):
+    """The change of a declared number as an Effect: what it was declared as and what it would be.
+
+    Parameters
+    ----------
+    observation : Observation
+    model : Model
+        The one entering the round.
+    freed : Attempt
+        Of `freed_attempt`.
+    p_value : float
+
+    Returns
+    -------
+    Effect
+    """
+    (scale,) = set(freed.law.names) - set(model.law.names)
+    index = next(k for k, t in enumerate(freed.law.terms) if scale in t.formula.constants)
+    name, number = _number_of(model.law.terms[index])
+    factor, half = _scale_of(freed.fit, scale)
+    declared, unit = (number.value, number.type.unit) if number else (1.0, None)
+    low, high = sorted((declared * (factor - half), declared * (factor + half)))
+    text = "" if unit is None or unit.is_dimensionless else observation.dataset.units.text(unit)
+    alike = ()
+    if _is_only_number(model.law):
+        alike = ("a length scale that is off", "a clock that is off")
+    return Effect(
+        name=freed.name,
+        kind=freed.kind,
+        law=freed.text,
+        latex=freed.latex,
+        entities=tuple(dict.fromkeys(observation.train_regression.receiver_names())),
+        constants=(ConstantEstimate(name, declared * factor, low, high, text),),
+        p_value=p_value,
+        equivalents=alike,
+        separated_by="a known length and a known time in the same recording" if alike else "",
+    )
+
+
 def _is_only_number(law):
     """Whether one term has a fixed number and no term knows a length of its own."""
     fixed = [term for term in law.terms if not term.formula.constants]
@@ -180,7 +278,7 @@ def _is_only_number(law):
 
 def _freed_reason(factor, half, delta, is_alone):
     """What freeing a declared number says; the same is said of the length scale and the clock."""
-    size = f"{name_number(factor - 1)} ± {name_number(half)} of its value"
+    size = f"{100 * (factor - 1):.4g}% ± {100 * half:.2g}% of its value"
     text = f"the declared number would have to be off by {size}"
     if delta < -TIE_BIC:
         text += ", and that fits better"
@@ -195,10 +293,6 @@ def _freed_reason(factor, half, delta, is_alone):
             "data cannot tell the three apart"
         )
     return text
-
-
-def name_number(value):
-    return f"{value:.2%}" if 1e-3 <= abs(value) < 10 else f"{value:.2g}"
 
 
 def held_out_rows(before, after):

@@ -106,7 +106,8 @@ def verdict_parts(report):
             text = "Something is missing from the declared model, but these data cannot tell what."
         else:
             text = "These data cannot tell whether anything is missing from the declared model."
-        return text, _ended(last.reason) if last else ""
+        reason = _ended(last.reason) if last else ""
+        return text, reason[:1].upper() + reason[1:]
     return f"Verdict: {report.verdict}.", ""
 
 

@@ -101,6 +101,8 @@ def _ties(report):
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
                 f"the simplest {r.effect.equivalents[0]}"
             )
+            if r.effect.kind == "declared_term_change":
+                text = f"Not separable on these data: {' and '.join(r.effect.equivalents)}"
             if r.effect.separated_by:
                 text += f"; to tell: {r.effect.separated_by}"
             return _wrapped(text, 2, indent="  ")

@@ -122,6 +122,7 @@ ARGUMENTS = {
     "abbreviated option": (["--declare", LAW, "--over"], ["--over"]),
     "units without value": (["--declare", LAW, "--units", "length"], ["NAME=VALUE"]),
     "units twice": (["--declare", LAW, "--units", "length=m", "length=cm"], ["twice"]),
+    "units after a comma": (["--declare", LAW, "--units", "length=m,time"], ["'time'", "KIND"]),
     "unit of nothing": (["--declare", LAW, "--units", "depth=m"], ["'depth'"]),
     "unknown unit": (["--declare", LAW, "--units", "length=ells"], ["'ells'"]),
     "up": (["--declare", LAW, "--up", "north"], ["--up", "'north'"]),
@@ -288,8 +289,8 @@ def test_a_full_disk_leaves_nothing(place, capsys, monkeypatch):
     def full(self, *args, **kwargs):
         raise OSError(errno.ENOSPC, "No space left on device", str(self))
 
-    for write in ("write_text", "write_bytes"):
-        monkeypatch.setattr(f"pathlib.Path.{write}", full)
+    monkeypatch.setattr("pathlib.Path.write_text", full)
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
     for words in (["fit", "data", "--law", LAW], ["simulate", "data", "--law", LAW]):
         assert "No space left" in complaint([*words, "--out", "out"], place, capsys)
 

@@ -30,6 +30,21 @@ def closed(data, tmp_path_factory):
     return out
 
 
+@pytest.mark.parametrize("command", ["close", "fit"])
+def test_names_taken_as_constants_are_told(command, data, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = [command, data, "--declare", "g * m_i * down", "--declare=-drag * v_i"]
+    words += FAST[:-1] if command == "close" else []
+    assert "--quiet" == FAST[-1]
+    assert main(words) == 0
+    captured = capsys.readouterr()
+    assert "Constants to fit: g, drag" in captured.err.splitlines()
+    assert "Constants to fit" not in captured.out
+    if command == "fit":
+        assert main([*words, "--quiet"]) == 0
+        assert "Constants to fit" not in capsys.readouterr().err
+
+
 def tree(folder):
     return sorted(p.relative_to(folder).as_posix() for p in Path(folder).rglob("*"))
 
@@ -241,7 +256,7 @@ def test_options_stand_in_for_the_toml(data, tmp_path, capsys):
     table = tmp_path / "raw.csv"
     table.write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = ["fit", str(table), "--law", "g * m_i * down", "--law", "-k1 * m_i * v_i", "--json",
-             "--columns", "x=X", "--units", "length=cm", "time=s", "mass=kg", "--up", "y",
+             "--columns", "x=X", "--units", "length=cm,time=s", "mass=kg", "--up", "y",
              "--dt", "0.05", "--noise", "0.1", "--test", "s1", "s2"]
     assert main(words) == 0
     fit = json.loads(capsys.readouterr().out)

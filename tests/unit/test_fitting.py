@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -158,3 +159,11 @@ def test_gaps_and_static_bodies_are_kept():
 def test_bad_arguments_of_simulate(laws, settings, message):
     with pytest.raises(BspError, match=message):
         simulate_law(throws(), laws, **settings)
+
+
+def test_an_axis_without_motion_is_reported():
+    falls = throws(n_scenes=6, n_times=30, sigma=0.01)
+    scenes = [replace(s, positions=s.positions * [0.0, 1.0]) for s in falls.scenes]
+    fit = fit_law(replace(falls, scenes=tuple(scenes)), [GRAVITY, DRAG], rng=rng())
+    assert "nothing moves along x: that axis is left out" in fit.notes
+    assert "noise              = -, 0.0" in fit.text()

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.formats import read_table
+from bsp_gp.data.sniffing import normalise_columns
 from bsp_gp.data.tables import load_dataset
 
 X = [0.0, 1.5, 4.25]
@@ -38,6 +39,11 @@ def test_dialects(tmp_path, dialect):
         "t (s),x (cm),y (cm)\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
         "t [s];x [cm];y [cm]\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
         "t,x,y\ns,cm,cm\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
+        "Zeit t (s);x (cm);y (cm)\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
+        "t in s;x in cm;y in cm\n0;0;1\n0,5;1,5;2\n1;4,25;3\n",
+        "t / s,x / cm,y / cm\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
+        "t/s\tx/cm\ty/cm\n0\t0\t1\n0,5\t1,5\t2\n1\t4,25\t3\n",
+        "Elapsed Time (s),x-Position [cm],pos_y / (cm)\n0,0,1\n0.5,1.5,2\n1,4.25,3\n",
         "t\tx\ty\n(s)\t(cm)\t(cm)\n0\t0\t1\n0.5\t1.5\t2\n1\t4.25\t3\n",
     ],
 )
@@ -49,11 +55,41 @@ def test_units_in_the_header(tmp_path, text):
     assert dataset.units.declared["length"] == "cm"
 
 
+@pytest.mark.parametrize(
+    ("header", "names"),
+    [
+        (["t", "ratio / s", "x", "in s"], ("t", "ratio / s", "x", "in s")),
+        (["t", "x / s", "y in kg", "x"], ("t", "x / s", "y in kg", "x")),
+        (["t", "x error", "fit x", "x"], ("t", "x error", "fit x", "x")),
+        (["t", "x", "v_x / (m/s)", "y velocity (m/s²)"], ("t", "x", "vx", "vy")),
+        (["t", "x", "position x"], ("t", "x", "position x")),
+    ],
+)
+def test_names_in_headers(header, names):
+    assert normalise_columns(header)[0] == names
+
+
+def test_a_renamed_column_keeps_the_unit_of_its_header():
+    names, units, renamed = normalise_columns(["t", "Ort / cm"], {"x": "Ort"})
+    assert names == ("t", "x") and units == {"x": "cm"} and renamed == {"x"}
+
+
 def test_declared_units_win_over_the_header(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t (s),x (cm),y (cm)\n0,0,1\n0.5,1.5,2\n1,4.25,3\n", encoding="utf-8")
     dataset = load_dataset(path, units={"x": "mm", "y": "mm"})
     assert dataset.scenes[0].positions[1, 0, 0] == pytest.approx(1.5e-3)
+
+
+@pytest.mark.parametrize(("length", "scale"), [("m", 1.0), ("0.17 um", 0.17e-6), ("cm", 0.01)])
+@pytest.mark.parametrize("header", ["t (s),x (cm),y (cm)", "t,x (px),y (px)"])
+def test_a_declared_kind_wins_over_the_header_and_is_told(tmp_path, header, length, scale):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header}\n0,0,1\n0.5,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    dataset = load_dataset(path, units={"length": length, "time": "s"})
+    assert dataset.scenes[0].positions[1, 0] == pytest.approx([1.5 * scale, 2 * scale])
+    told = [note for note in dataset.notes if "as declared" in note]
+    assert len(told) == (0 if f"({length})" in header else 2)
 
 
 def test_tracker_single_mass(tmp_path):

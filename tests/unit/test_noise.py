@@ -102,6 +102,7 @@ def test_an_axis_without_variation_is_left_out():
     flat[..., 0] = 1.25
     estimate = estimate_noise([dataclasses.replace(scene, positions=flat)])
     assert estimate.inactive_axes == ("x",)
+    assert estimate.notes == ("nothing moves along x: that axis is left out",)
     assert math.isnan(estimate.sigma[0])
     assert estimate.sigma[1] == pytest.approx(0.01, rel=0.15)
 
@@ -124,6 +125,73 @@ def test_zero_means_exact_and_is_floored():
     scene = make_scene("orbit")
     estimate = estimate_noise(Dataset("d", (scene,), noise=(0.0,)))
     assert estimate.sigma == pytest.approx((2e-12, 2e-12), rel=1e-2)
+
+
+def drift(t):
+    """Slow enough for a track to stay in one pixel over many frames."""
+    return np.stack([7.3 * t + 100.0, 3 * np.sin(2 * t)], axis=1)
+
+
+T = np.arange(200) / 30
+
+
+def estimate(x):
+    return estimate_noise([Scene("s", T, x[:, None], (BALL,))])
+
+
+@pytest.mark.parametrize("step", [1.0, 0.5, 0.00173, 1e-6])
+def test_positions_on_a_grid_are_no_better_than_its_step(step):
+    found = estimate(np.round(drift(T)) * step + 0.4 * step)
+    assert found.sigma == pytest.approx((step / math.sqrt(12),) * 2, rel=1e-6)
+    assert found.n_effective == (math.inf, math.inf)
+    assert f"x is rounded to steps of {step:.4g}" in found.notes[0]
+    assert "/ sqrt(12)" in found.method
+
+
+def test_a_whole_number_of_pixels_a_frame_is_rounded_like_the_other_axis():
+    x = np.round(100 * fall(T))
+    assert np.all(np.diff(x[:, 0]) == 10)
+    found = estimate(x)
+    assert found.sigma[0] == pytest.approx(1 / math.sqrt(12))
+    assert found.sigma[1] == pytest.approx(1 / math.sqrt(12), rel=0.15)
+    assert len(found.notes) == 2
+
+
+def test_noise_above_the_step_is_estimated_as_before():
+    x = np.round(drift(T) + 2 * np.random.default_rng(31).normal(size=(200, 2)))
+    found = estimate(x)
+    assert found.sigma == pytest.approx((2.0, 2.0), rel=0.2)
+    assert found.notes == ()
+    assert np.all(np.isfinite(found.n_effective))
+
+
+def elastic(t):
+    """Pieces of uniform motion with all values on one grid, exactly."""
+    return np.stack([0.4 * t, np.abs((2 * t) % 4 - 2)], axis=1)
+
+
+@pytest.mark.parametrize(
+    "x",
+    [
+        fall(T),
+        np.stack([3 * np.arange(200.0), np.arange(200.0) ** 2], axis=1),
+        elastic(np.arange(200) * 0.02),
+        drift(T),
+        orbit(T),
+    ],
+    ids=["fall", "whole numbers", "elastic", "drift", "orbit"],
+)
+def test_exact_motion_is_no_grid(x):
+    found = estimate(x)
+    assert found.notes == ()
+    assert np.all(np.array(found.sigma) < 1e-7 * np.ptp(x, axis=0))
+
+
+def test_what_is_declared_is_not_changed_by_a_grid():
+    scene = Scene("s", T, np.round(drift(T))[:, None], (BALL,))
+    found = estimate_noise(Dataset("d", (scene,), noise=(0.01,)))
+    assert found.sigma == (0.01, 0.01)
+    assert found.notes == ()
 
 
 def test_three_frames_are_enough_to_answer():

@@ -428,3 +428,26 @@ def test_springs_of_a_body_at_a_post():
     )
     fit = observation.fit(law)
     assert abs(fit.values[0] - 8.0) < 2 * fit.intervals[0]
+
+
+def turning(rate=6.0, sigma=0.05, n=200, dt=0.05):
+    """Circles at one rate, so noisy that their second differences say little."""
+    t = dt * np.arange(n)
+    scenes = []
+    for k, child in enumerate(rng(5).spawn(4)):
+        p = (0.2 + 0.1 * k) * np.stack([np.cos(rate * t), np.sin(rate * t)], axis=1)
+        p = p + sigma * child.standard_normal(p.shape)
+        scenes.append(Scene(f"s{k}", t, p[:, None], [Entity("ball", properties={"mass": 1.0})]))
+    return Dataset("turning", scenes, units=SI, noise=(sigma,), test=("s3",))
+
+
+def test_a_fit_that_contains_another_is_never_worse():
+    """A turn too many or too few is a minimum of its own, where the regression may lead."""
+    observation, law = observed(turning(), "c1 * m_i * perp(v_i)")
+    inner = observation.fit(law, start=law.with_constants({"c1": 6.0}))
+    more = inner.law.plus(declared_law(observation.dataset, ["c2 * m_i * v_i"]).terms[0], {"c2": 0})
+    assert observation.fit(more).chisqr > 2 * inner.chisqr
+    fit = observation.fit_beyond(more, inner)
+    assert fit.chisqr <= inner.chisqr * (1 + 1e-6)
+    assert fit.values[0] == pytest.approx(6.0, rel=0.01)
+    assert observation.fit_beyond(law, inner).chisqr == pytest.approx(inner.chisqr)

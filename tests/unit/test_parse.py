@@ -148,6 +148,15 @@ def test_units_need_calibrated_data():
         ("norm * 2", TYPES, ("is a function",)),
         ("nrm(v_i)", TYPES, ("unknown function 'nrm'", "norm")),
         ("norm(v_i, v_j)", TYPES, ("norm takes 1 argument(s), got 2",)),
+        ("norm_(v_i)", TYPES, ("unknown function 'norm_'", "did you mean norm?")),
+        ("c1 * m * v_i", TYPES, ("'m' is a property", "m_i")),
+        ("v * m_i", TYPES, ("'v' is not defined", "v_i")),
+        ("9.81 * m_i * dwon", TYPES, ("'dwon'", "write down")),
+        ("9.81 * m_i * dwon", FLAT, ("'dwon'", "write down")),
+        ("9.81 * m_i * own", TYPES, ("'own'", "write down")),
+        ("c1 * mi * v_i", TYPES, ("'mi'", "write m_i")),
+        ("c1 * v_ii", TYPES, ("'v_ii'", "write v_i")),
+        ("c1 * vi_", TYPES, ("'vi_'", "write v_i")),
         ("norm()", TYPES, ("norm takes 1 argument(s), got 0",)),
     ],
 )
@@ -156,9 +165,16 @@ def test_misspelt_names_do_not_become_constants(text, types, parts):
     assert all(part in message for part in parts), message
 
 
-@pytest.mark.parametrize("name", ["c1", "k", "m", "drag", "c_10", "m_x"])
+@pytest.mark.parametrize(
+    "name", ["c1", "g", "c", "drag", "c_10", "m_x", "v_0", "v_t", "mu0", "down1"]
+)
 def test_other_names_are_constants(name):
     assert parse(f"{name} * v_i").constants == (name,)
+
+
+@pytest.mark.parametrize("name", ["k", "q", "R", "mu"])
+def test_a_short_name_is_a_constant_where_the_data_have_no_such_property(name):
+    assert parse(f"{name} * v_i", FLAT).constants == (name,)
 
 
 HOSTILE = {

@@ -10,9 +10,10 @@ from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, _blurred, _explained, _verdict
-from bsp_gp.loop.telling import _separated_by, name_number
+from bsp_gp.loop.telling import _freed_reason, _separated_by
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
+from bsp_gp.report.summary import summary_text
 from tests.planted import SI
 from tests.throws import C1, GRAVITY, throws
 from tests.worlds import WEIGHT, flights, linear_drag, nothing
@@ -164,10 +165,9 @@ def test_explained_share_is_of_what_is_above_the_floor():
     assert _explained(Exact, errors(9, 2.0), errors(9, 1.0), errors(9)) == pytest.approx(0.75)
 
 
-def test_numbers_in_sentences():
-    assert name_number(-0.0123) == "-1.23%"
-    assert name_number(8e-8) == "8e-08"
-    assert name_number(0.5) == "50.00%"
+def test_the_size_of_a_changed_number_is_told_in_percent():
+    assert "off by 8.98% ± 0.041% of its value" in _freed_reason(1.0898, 0.00041, -50.0, False)
+    assert "off by -8e-06% ± 1e-07% of its value" in _freed_reason(1 - 8e-8, 1e-9, 50.0, True)
 
 
 def test_what_would_separate_ties():
@@ -295,8 +295,61 @@ def test_a_changed_number_is_not_adopted_but_listed_with_its_size():
     assert change == pytest.approx(100 * (9.81 / 9 - 1), abs=0.2)
     assert freed[0].held_out_ratio < 0.2
     assert "length scale" in done.reason + freed[0].reason
+    assert "instead of uniform push along y" in freed[0].name
     assert report.law.text() == "9 [m/s^2] * m_i * down"
     assert report.total["after"] == report.total["before"]
+
+
+@pytest.mark.parametrize("is_ruled_out", [False, True])
+def test_a_changed_number_is_the_effect_of_its_round(is_ruled_out, monkeypatch):
+    """Not the force that comes nearest, whether or not there is such a force."""
+    if is_ruled_out:
+        monkeypatch.setattr("bsp_gp.loop.rounds.choose", lambda *arguments: None)
+    report = close(
+        flights(0, nothing, n_train=5, n_test=5, noise=None), "900 [cm/s^2] * m_i * down"
+    )
+    (done,) = report.rounds
+    assert (done.verdict, done.adopted) == ("cannot tell", False)
+    effect = done.effect
+    assert effect.kind == "declared_term_change"
+    assert effect.name == "declared number 900 [cm/s^2]"
+    assert effect.law == "s1 * (900 [cm/s^2] * m_i * down)"
+    (c,) = effect.constants
+    assert (c.name, c.unit) == ("900 [cm/s^2]", "m/s^2")
+    assert c.low - 0.02 < 9.81 < c.high + 0.02
+    assert any("clock" in text for text in effect.equivalents)
+    assert done.after.rollout_rmse < 0.1 * done.before.rollout_rmse
+    assert done.ratio.high < 0.1
+    assert "declared number 900 [cm/s^2]: seen, not adopted" in summary_text(report)
+    forces = [r for r in done.rivals if r.kind != "declared_term_change"]
+    assert forces and all(r.reason for r in forces)
+    freed = [r for r in done.rivals if r.kind == "declared_term_change"]
+    assert len(freed) == (1 if is_ruled_out else 2)
+
+
+def test_a_changed_number_is_found_where_every_force_along_the_line_is_ruled_out():
+    """Falls from rest: down is forward, so that what would help is no friction."""
+    t = np.arange(60) / 30
+    scenes = []
+    for k, child in enumerate(np.random.default_rng(4).spawn(4)):
+        y = 10.0 - 4.905 * t**2 + 0.01 * child.standard_normal(len(t))
+        p = np.stack([np.zeros(len(t)), y], axis=1)[:, None]
+        scenes.append(Scene(f"s{k}", t, p, [Entity("ball", properties={"mass": 1.0})]))
+    data = Dataset("falls", scenes, units=SI, up="y", noise=(0.01,), test=("s3",))
+    (done,) = close(data, "9 [m/s^2] * m_i * down").rounds
+    assert done.effect.kind == "declared_term_change"
+    (c,) = done.effect.constants
+    assert c.low - 0.02 < 9.81 < c.high + 0.02
+
+
+def test_a_round_in_which_no_law_may_be_adopted_lists_the_freed_numbers(monkeypatch):
+    monkeypatch.setattr("bsp_gp.loop.rounds.choose", lambda *arguments: None)
+    data = throws(n_scenes=6, n_times=30, sigma=0.01, noise=(0.01,))
+    (done,) = close(data, GRAVITY).rounds
+    assert done.effect is None and done.verdict == "seen, not adopted"
+    (freed,) = [r for r in done.rivals if r.kind == "declared_term_change"]
+    assert freed.name == "declared number freed, alone"
+    assert "of its value" in freed.reason
 
 
 def test_a_forward_push_is_not_adopted():

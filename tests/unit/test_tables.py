@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset, Entity, LatentDeclaration, Scene
 from bsp_gp.data.tables import load_dataset, save_dataset
 from bsp_gp.errors import DataError, OutputError
@@ -101,6 +102,32 @@ def test_gaps_and_union_of_times(folder):
     assert scene.times == pytest.approx([0, 0.1, 0.2, 0.3])
     assert np.isnan(scene.positions[:, 0, 0]).tolist() == [False, False, True, False]
     assert np.isnan(scene.positions[:, 1, 0]).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("blank", ["", "  ", '"  "', "\u00a0"])
+def test_a_row_without_coordinates_is_a_gap(folder, blank):
+    dataset = load_dataset(folder(f"t,x,y\n0,0,1\n1,{blank},{blank}\n2,1,3\n3,2,4\n"))
+    assert dataset.scenes[0].times.tolist() == [0.0, 2.0, 3.0]
+    assert "1 row(s) without coordinates are gaps in the track" in dataset.notes
+    with pytest.raises(DataError, match="line 3, column y: empty cell"):
+        load_dataset(folder(f"t,x,y\n0,0,1\n1,0,{blank}\n2,1,3\n3,2,4\n"))
+    with pytest.raises(DataError, match="no row has any coordinates"):
+        load_dataset(folder(f"t,x,y\n0,{blank},{blank}\n1,{blank},{blank}\n"))
+
+
+@pytest.mark.parametrize(("axis", "column", "still"), [("x", 0, "y"), ("y", 1, "x")])
+def test_motion_along_a_line(folder, axis, column, still):
+    dataset = load_dataset(folder(f"t (s),{axis} (cm),v (cm/s)\n0,0,1\n1,1,3\n2,4,5\n3,9,7\n"))
+    positions = dataset.scenes[0].positions[:, 0]
+    assert positions[:, column] == pytest.approx([0, 0.01, 0.04, 0.09])
+    assert not positions[:, 1 - column].any()
+    assert any(f"no column {still!r}" in note for note in dataset.notes)
+    assert estimate_noise(dataset).inactive_axes == (still,)
+
+
+def test_the_other_axis_under_an_unknown_name_is_asked_for(folder):
+    with pytest.raises(DataError, match="no column 'y'.*along x, leave out height"):
+        load_dataset(folder("t,x,height\n0,0,1\n1,1,3\n2,4,5\n"))
 
 
 def test_entities_differ_between_scenes(folder):

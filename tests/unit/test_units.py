@@ -36,6 +36,8 @@ def test_text_round_trip(unit, text):
     [
         ("cm", 0.01, Unit.of(m=1)),
         (" km/h ", 1 / 3.6, Unit.of(m=1, s=-1)),
+        ("m/s²", 1.0, ACCELERATION),
+        ("cm·s⁻²", 0.01, ACCELERATION),
         ("N/cm", 100.0, Unit.of(kg=1, s=-2)),
         ("g", 1e-3, Unit.of(kg=1)),
         ("C", 1.0, Unit.of(A=1, s=1)),
