@@ -54,6 +54,7 @@ lint: $(VENV)/.dev  ## check the code with ruff
 bench: $(VENV)/.dev  ## time the searches, other tools beside them
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[peers]'
 	@$(BIN)/python experiments/bench/searches.py $(ARGS)
+	@$(BIN)/python experiments/bench/inference.py $(ARGS)
 
 clean:  ## remove .venv, build products and caches
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
