@@ -35,10 +35,9 @@ test: $(VENV)/.ok  ## run the default tests
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
 
-EXPERIMENTS := compare_searches data_efficiency ablation em_nbody engines phys101
+EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101
 
 quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[engines]'
 	@mkdir -p runs/quick
 	@set -e; for name in $(EXPERIMENTS); do \
 	    echo "experiments/$$name.py --quick"; \
