@@ -45,7 +45,6 @@ def test_noise_of_another_kind_is_no_force(noise):
         assert not any(r.adopted for r in report.rounds), (seed, report.law_text)
 
 
-@pytest.mark.xfail(reason="the noise of positions in whole pixels is estimated as 1e-11 of them")
 @pytest.mark.parametrize("seed", [0, 2])
 def test_positions_in_whole_pixels(seed):
     pixel = 0.02
