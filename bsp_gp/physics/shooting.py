@@ -379,11 +379,12 @@ class _Problem:
         n_states = 0
         for flat, jc, js in blocks:
             for s in range(len(flat)):
-                hcs = jc[s] @ js[s].T
-                hss = js[s] @ js[s].T
-                if not (np.isfinite(hss).all() and np.isfinite(hcs).all()):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    hcc, hcs, hss = (a @ b.T for a, b in ((jc[s], jc[s]), (jc[s], js[s]),
+                                                          (js[s], js[s])))  # fmt: skip
+                if not all(np.isfinite(part).all() for part in (hcc, hcs, hss)):
                     continue  # a rollout that ran away says nothing of the constants
-                information += jc[s] @ jc[s].T - hcs @ np.linalg.pinv(hss, hermitian=True) @ hcs.T
+                information += hcc - hcs @ np.linalg.pinv(hss, hermitian=True) @ hcs.T
                 n_states += int((np.abs(np.diag(hss)) > 0).sum())
         covariance = covariance_of(information)
         n_rows = int(sum(seen.sum() for seen in self.seen))
