@@ -143,7 +143,8 @@ def rivals_of(observation, model, chosen, attempts):
 def _ratio_of(observation, law, before):
     """Held-out error of a law over that of the model entering the round."""
     bottom = before.residual_acceleration if observation.is_exact else before.rollout_rmse
-    return observation.headline_error(law) / bottom if bottom else float("nan")
+    with np.errstate(over="ignore", invalid="ignore"):  # a rival may run away on held-out data
+        return observation.headline_error(law) / bottom if bottom else float("nan")
 
 
 def _freed_fits(observation, base, contained):
