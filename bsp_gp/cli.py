@@ -526,22 +526,9 @@ def _free_folder(folder, overwrite, names):
 
 def _write_folder(folder, files):
     """Write texts or bytes as the files of a folder, whole or not at all."""
-    import shutil
-    import tempfile
-    from pathlib import Path
+    from bsp_gp.data.folder import whole_folder
 
-    fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with whole_folder(folder) as fresh:
         for name, content in files.items():
             content = content.encode("utf-8") if isinstance(content, str) else content
             (fresh / name).write_bytes(content)
-        fresh.chmod(0o755)
-        if folder.exists():
-            old = fresh.with_name(f"{fresh.name}-old")
-            folder.rename(old)
-            fresh.rename(folder)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            fresh.rename(folder)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)

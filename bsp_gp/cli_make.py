@@ -132,15 +132,15 @@ def _films(args, truth, folder, rng, progress):
     """Films of the first scenes in a folder, and where everything is in them."""
     import pandas as pd
 
+    from bsp_gp.data.folder import whole_folder
     from bsp_gp.vision.film import Camera, Look, film_scene, write_film, write_frames
 
     scenes = [truth.scene(k) for k in range(args.film)]
     camera = Camera.fitting(scenes, *args.size)
     look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
     fps = 1 / truth.settings.dt
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     tables = []
-    try:
+    with whole_folder(folder) as partial:
         for scene, scene_rng in zip(scenes, rng.spawn(len(scenes)), strict=True):
             progress(f"filming scene {scene.name}")
             frames, places = film_scene(scene, camera, look, rng=scene_rng)
@@ -156,10 +156,6 @@ def _films(args, truth, folder, rng, progress):
                 for k, name in enumerate(scene.names)
             ]  # fmt: skip
         _write(partial / _CAMERA, _camera_text(camera, fps).encode())
-        partial.chmod(0o755)
-        os.replace(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return pd.concat(tables, ignore_index=True)
 
 

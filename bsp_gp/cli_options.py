@@ -141,14 +141,10 @@ def _add_close(commands):
         _LAW_HELP,
     )  # fmt: skip
     _data(parser)
-    model = parser.add_mutually_exclusive_group(required=True)
-    model.add_argument(
-        "--declare",
-        action="append",
-        metavar="LAW",
-        help="a force of the declared model; repeat for more",
-    )
-    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _model(
+        parser, "--declare", required=True,
+        help_="a force of the declared model; repeat for more",
+    )  # fmt: skip
     _loop(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
@@ -161,16 +157,7 @@ def _add_fit(commands):
         _LAW_HELP.replace("--declare", "--law"),
     )  # fmt: skip
     _data(parser)
-    model = parser.add_mutually_exclusive_group()
-    model.add_argument(
-        "--law",
-        "--declare",
-        dest="declare",
-        action="append",
-        metavar="LAW",
-        help="a force; repeat for more",
-    )
-    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _model(parser, "--law", "--declare", help_="a force; repeat for more", required=False)
     _loop(parser)
     _latents(parser)
     _output(
@@ -188,12 +175,10 @@ def _add_compare(commands):
         _LAW_HELP,
     )  # fmt: skip
     _data(parser)
-    model = parser.add_mutually_exclusive_group()
-    model.add_argument(
-        "--declare", action="append", metavar="LAW",
-        help="a force that is there already; repeat for more (default: none)",
+    _model(
+        parser, "--declare", required=False,
+        help_="a force that is there already; repeat for more (default: none)",
     )  # fmt: skip
-    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
     group = parser.add_argument_group("search")
     group.add_argument(
         "--grammar", default="physics", metavar="NAME",
@@ -231,16 +216,11 @@ def _add_infer(commands):
         _LAW_HELP.replace("--declare", "--law"),
     )  # fmt: skip
     _data(parser)
-    model = parser.add_mutually_exclusive_group(required=True)
-    model.add_argument(
-        "--law",
-        "--declare",
-        dest="declare",
-        action="append",
-        metavar="LAW",
-        help="a force; repeat for more; its named constants are sampled together with the unknowns",
-    )
-    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _model(
+        parser, "--law", "--declare", required=True,
+        help_="a force; repeat for more; its named constants are sampled together with the "
+        "unknowns",
+    )  # fmt: skip
     _latents(parser)
     _seed(parser)
     _output(parser, "folder of the posterior: tables, draws, figures (default: print only)")
@@ -253,16 +233,7 @@ def _add_simulate(commands):
         _LAW_HELP.replace("--declare", "--law"),
     )  # fmt: skip
     _data(parser, with_noise=False)
-    model = parser.add_mutually_exclusive_group(required=True)
-    model.add_argument(
-        "--law",
-        "--declare",
-        dest="declare",
-        action="append",
-        metavar="LAW",
-        help="a force; repeat for more",
-    )
-    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    _model(parser, "--law", "--declare", help_="a force; repeat for more", required=True)
     parser.add_argument(
         "--set",
         action="extend",
@@ -478,6 +449,13 @@ def _data(parser, with_noise=True):
             help="standard deviation of positions, one or one per axis, in the "
             "data's unit of length; 0 = exact (default: estimated)",
         )
+
+
+def _model(parser, *names, help_, required):
+    """Laws, typed or from a file."""
+    model = parser.add_mutually_exclusive_group(required=required)
+    model.add_argument(*names, dest="declare", action="append", metavar="LAW", help=help_)
+    model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
 
 
 def _loop(parser):

@@ -6,6 +6,7 @@ import math
 import os
 import shutil
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
 
-__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "save_dataset"]
+__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "save_dataset", "whole_folder"]
 
 TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
 
@@ -44,17 +45,41 @@ def save_dataset(dataset, folder, overwrite=False):
     """
     folder = Path(folder)
     _require_free(folder, overwrite)
+    with whole_folder(folder) as partial:
+        _trajectories(dataset).to_csv(partial / TRAJECTORIES, index=False, lineterminator="\n")
+        _entities(dataset).to_csv(partial / ENTITIES, index=False, lineterminator="\n")
+        (partial / TOML).write_text(toml_text(_declaration(dataset)), encoding="utf-8")
+    return folder
+
+
+@contextmanager
+def whole_folder(folder):
+    """Write a folder whole or not at all: a new one to fill, which takes its place at the end.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        What is there already is replaced; whether it may be is for the caller to check.
+
+    Yields
+    ------
+    pathlib.Path
+        An empty folder beside it.
+
+    Raises
+    ------
+    OutputError
+        If something cannot be written.
+    """
     try:
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     except OSError as error:
         raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
     try:
-        _trajectories(dataset).to_csv(partial / TRAJECTORIES, index=False, lineterminator="\n")
-        _entities(dataset).to_csv(partial / ENTITIES, index=False, lineterminator="\n")
-        (partial / TOML).write_text(toml_text(_declaration(dataset)), encoding="utf-8")
+        yield partial
         partial.chmod(0o755)
         if folder.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+            old = partial.with_name(f"{partial.name}-old")
             os.replace(folder, old)
             os.replace(partial, folder)
             shutil.rmtree(old)
@@ -64,7 +89,6 @@ def save_dataset(dataset, folder, overwrite=False):
         raise OutputError(f"cannot write {folder}: {error.strerror}") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return folder
 
 
 def _require_free(folder, overwrite):

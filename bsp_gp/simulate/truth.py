@@ -7,14 +7,12 @@ test can score its verdict.
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data.folder import whole_folder
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import OutputError
 from bsp_gp.simulate.engine import acceleration
@@ -174,11 +172,7 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
             raise OutputError(f"{folder} holds other files, never overwritten; choose another name")
         if not overwrite:
             raise OutputError(f"{folder} exists already; choose another name, or overwrite")
-    try:
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as error:
-        raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
-    try:
+    with whole_folder(folder) as partial:
         text = json.dumps(
             {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
         )
@@ -186,18 +180,6 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
         _states_table(truth).to_csv(partial / STATES, index=False, lineterminator="\n")
         if pixels is not None:
             pixels.to_csv(partial / PIXELS, index=False, lineterminator="\n")
-        partial.chmod(0o755)
-        if folder.exists():
-            old = partial.with_name(f"{partial.name}-old")
-            os.replace(folder, old)
-            os.replace(partial, folder)
-            shutil.rmtree(old)
-        else:
-            os.replace(partial, folder)
-    except OSError as error:
-        raise OutputError(f"cannot write {folder}: {error.strerror}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return folder
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data.folder import whole_folder
 from bsp_gp.errors import OutputError, SettingsError
 
 __all__ = ["Camera", "Look", "film_scene", "write_film", "write_frames"]
@@ -324,23 +325,13 @@ def write_frames(frames, folder):
     -------
     pathlib.Path
     """
-    import shutil
-
     import cv2
 
     folder = Path(folder)
     if folder.exists():
         raise OutputError(f"{folder} exists already; choose another name")
-    try:
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as error:
-        raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
-    try:
+    with whole_folder(folder) as partial:
         for k, frame in enumerate(frames):
             if not cv2.imwrite(str(partial / f"{k:04d}.png"), frame[..., ::-1]):
                 raise OutputError(f"OpenCV cannot write PNG files in {folder.parent}")
-        partial.chmod(0o755)
-        os.replace(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return folder

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import html
 import math
-import os
 import re
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bsp_gp.data.folder import save_dataset
+from bsp_gp.data.folder import save_dataset, whole_folder
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import OutputError, SettingsError
 from bsp_gp.units import UnitSystem
@@ -281,15 +278,9 @@ def write_recording(
         regions = tuple(mats(picture, seen, colours))
     dataset = to_dataset(video, track, calibration, regions, smooth)
     out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with whole_folder(out) as partial:
         save_dataset(dataset, partial / "data")
         (partial / "quality.html").write_text(quality_page(video, track, calibration), "utf-8")
         if film:
             write_annotated(video, track, partial / "film.mp4", regions)
-        partial.chmod(0o755)
-        os.replace(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
     return out, track
