@@ -43,8 +43,8 @@ def work(name, n_scenes, shuffle, prior, seed):
 def main():
     args = options(__doc__.splitlines()[0])
     reference_data("synth")
-    seeds = range(args.seed, args.seed + (1 if args.quick else 3))
-    jobs = [(*point, prior, s) for point in points(args.quick) for prior in GRAMMARS for s in seeds]
+    jobs = [(*point, prior, args.seed + point[-1] - 1) for point in points(args.quick)
+            for prior in GRAMMARS]  # fmt: skip
     table = run_jobs(jobs, work, args.out, args.workers).rename(columns={"method": "prior"})
     text = summary(table, "Priors of the grammar", "prior")
     print(text)

@@ -19,7 +19,8 @@ from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.rounds import run_round
 from bsp_gp.loop.telling import constant_estimates
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, unknown_receivers
+from bsp_gp.physics.evaluation import unknown_receivers
+from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import FORCE, Unit
 
 __all__ = ["close_loop", "declared_law"]

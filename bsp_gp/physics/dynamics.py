@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.errors import SettingsError
+from bsp_gp.physics.evaluation import PreparedLaw
 
 __all__ = ["INTEGRATORS", "Tracks", "rollout", "step_euler", "step_leapfrog", "step_rk4"]
 
@@ -143,25 +144,27 @@ def rollout(law, batch, positions, velocities, *, integrator="rk4", substeps=1, 
     v = np.zeros_like(p)
     p[..., receivers, :] = positions
     v[..., receivers, :] = velocities
-    values = law.values(bodies) if values is None else values
+    law = PreparedLaw(law, bodies, values)
     out = np.empty((len(batch.times), *positions.shape))
     out[0] = positions
     with np.errstate(all="ignore"):
         for k in range(len(batch.times) - 1):
             h = (batch.times[k + 1] - batch.times[k]) / substeps
             for m in range(substeps):
-                p, v = _advance(step, law, bodies, tracks, p, v, batch.times[k], h, k, m, values)
+                p, v = _advance(step, law, tracks, p, v, batch.times[k], h, k, m)
             out[k + 1] = p[..., receivers, :]
     return out
 
 
-def _advance(step, law, bodies, tracks, p, v, t, h, k, m, values):
+def _advance(step, law, tracks, p, v, t, h, k, m):
     """One sub-step; `point` counts halves of the sub-step for the tracks."""
-    receivers = bodies.receivers
+    receivers = law.bodies.receivers
 
     def acceleration(p, v, t, point):
         p, v = tracks.place(p, v, k, 2 * m + point)
-        a = law.acceleration(bodies, p, v, t + (m + point / 2) * h, values)
+        a = law.acceleration(p, v, t + (m + point / 2) * h)
+        if len(receivers) == p.shape[-2]:
+            return a
         full = np.zeros_like(p)
         full[..., receivers, :] = a
         return full

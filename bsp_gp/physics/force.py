@@ -13,14 +13,13 @@ from bsp_gp.language.formula import (
     Call,
     Constant,
     Input,
-    evaluate,
     evaluate_with_gradient,
     factors,
     product,
 )
-from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs
+from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear"]
@@ -182,20 +181,7 @@ class ForceLaw:
         -------
         ndarray, shape (..., S, R, d), m/s^2
         """
-        values = self.values(bodies) if values is None else values
-        lookups = {}
-        shape = (
-            *positions.shape[:-3], bodies.n_scenes, len(bodies.receivers), bodies.n_dims
-        )  # fmt: skip
-        total = np.zeros(shape)
-        for term in self.terms:
-            if term.kind not in lookups:
-                lookup = law_inputs(term.kind, bodies, positions, velocities, times)
-                lookups[term.kind] = (lookup, {})
-            lookup, cache = lookups[term.kind]
-            force = evaluate(term.acceleration_formula, lookup, values[term.kind], cache)
-            total = total + settle(force, term, bodies, shape, self.is_per_entity(term))
-        return total
+        return PreparedLaw(self, bodies, values).acceleration(positions, velocities, times)
 
     def is_per_entity(self, term):
         """Whether a constant of the term has one value per receiver."""
@@ -217,49 +203,6 @@ class ForceLaw:
         return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
 
 
-def settle(force, term, bodies, shape, per_entity=False):
-    """Sum a term's values over sources and turn the force into an acceleration.
-
-    A receiver of which a property that the term needs is unknown cannot feel the term: its
-    acceleration is 0. With constants of its own (`per_entity`) only its mass is not needed:
-    the constant is then per unit mass.
-    """
-    if term.kind == "pair":
-        full = (*shape[:-1], bodies.others.shape[1], shape[-1])
-        with np.errstate(invalid="ignore"):  # inf - inf is nan, which the caller refuses
-            force = np.broadcast_to(force, full).sum(axis=-2)
-    if term.needs_mass:
-        mass = bodies.column("mass")[:, bodies.receivers]
-        force = force / np.where(np.isnan(mass), 1.0 if per_entity else np.inf, mass)[..., None]
-    unknown = unknown_receivers(term, bodies)
-    if unknown.any():
-        force = np.where(unknown[..., None], 0.0, force)
-    return np.broadcast_to(force, shape)
-
-
-def unknown_receivers(term, bodies):
-    """Receivers of which the term names a property (beside a cancelling mass) that is unknown.
-
-    Returns
-    -------
-    ndarray of bool, shape (S, R)
-    """
-    kept = bodies.__dict__.setdefault("_unknown", {})
-    if term.acceleration_formula not in kept:
-        kept[term.acceleration_formula] = _unknown_receivers(term, bodies)
-    return kept[term.acceleration_formula]
-
-
-def _unknown_receivers(term, bodies):
-    unknown = np.zeros((bodies.n_scenes, len(bodies.receivers)), dtype=bool)
-    for name in term.acceleration_formula.inputs:
-        known = property_of(name)
-        if known and known[1] == "i":
-            column = bodies.column(known[0])[:, bodies.receivers]
-            unknown |= np.isnan(column).reshape(*column.shape[:2], -1).any(axis=-1)
-    return unknown
-
-
 def term_gradient(law, term, bodies, positions, velocities, times):
     """Acceleration of one term and its exact derivatives by the (scalar) constants of the term.
 
@@ -274,9 +217,9 @@ def term_gradient(law, term, bodies, positions, velocities, times):
     value, gradient = evaluate_with_gradient(
         term.acceleration_formula, lookup, law.values(bodies)[term.kind], names
     )
-    own = law.is_per_entity(term)
-    return settle(value, term, bodies, shape, own), {
-        name: settle(slope, term, bodies, shape, own)
+    settling = Settling(term, bodies, law.is_per_entity(term))
+    return settling(value, shape), {
+        name: settling(slope, shape)
         for name, slope in gradient.items()
         if slope is not None
     }

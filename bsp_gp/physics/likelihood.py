@@ -29,7 +29,8 @@ import numpy as np
 from bsp_gp.errors import DataError, EvaluationError, SettingsError
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
-from bsp_gp.physics.force import settle, term_gradient
+from bsp_gp.physics.evaluation import Settling
+from bsp_gp.physics.force import term_gradient
 
 __all__ = [
     "METHODS",
@@ -154,13 +155,8 @@ class Regression:
                 term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
             )
             known = None if cache is None else cache[index]
-            value = settle(
-                evaluate(term.acceleration_formula, lookup, cache=known),
-                term,
-                batch.bodies,
-                batch.target.shape,
-                per_entity,
-            )
+            force = evaluate(term.acceleration_formula, lookup, cache=known)
+            value = Settling(term, batch.bodies, per_entity)(force, batch.target.shape)
             parts.append(batch.whiten(checked(value, batch)))
         if not per_entity:
             return self._flat(parts)[:, None], ("",)

@@ -41,7 +41,7 @@ def problem(name):
 
         numbers = {"n_scenes": int(number)} if what == "made" else {"n_bodies": int(number)}
         dataset, _ = make(preset("nbody", **numbers), np.random.default_rng(0))
-        scenes, types = list(dataset), set(dataset_types(dataset))
+        scenes, types = list(dataset.scenes), set(dataset_types(dataset))
     else:
         types = scenario(what).types
         scenes = [scenario(what).scene(str(k)) for k in range(1, int(number) + 1)]

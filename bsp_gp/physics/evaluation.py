@@ -1,0 +1,169 @@
+"""Laws made ready for many evaluations in the same scenes: a rollout asks at every step.
+
+What does not change along a track (properties, directions, constants, and all that depends on
+them alone) is computed once; what several terms share is computed once a step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.language.formula import Call, Constant, Input
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import OPERATORS
+from bsp_gp.physics.bodies import law_inputs
+
+__all__ = ["PreparedLaw", "Settling", "unknown_receivers"]
+
+CHANGING = ("p_i", "p_j", "v_i", "v_j", "p_c", "t")
+"""Inputs that differ from instant to instant; all others belong to the scene."""
+
+
+class PreparedLaw:
+    """A law with the constants and the bodies of some scenes put in.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    bodies : Bodies
+    values : dict, optional
+        Constants as `ForceLaw.values` gives them; they may have leading axes for copies.
+    """
+
+    def __init__(self, law, bodies, values=None):
+        self.bodies = bodies
+        values = law.values(bodies) if values is None else values
+        self._programs = []
+        for kind in dict.fromkeys(term.kind for term in law.terms):
+            terms = [term for term in law.terms if term.kind == kind]
+            settlings = [Settling(term, bodies, law.is_per_entity(term)) for term in terms]
+            formulas = [term.acceleration_formula for term in terms]
+            self._programs.append((_Program(kind, formulas, bodies, values[kind]), settlings))
+
+    def acceleration(self, positions, velocities, times):
+        """Acceleration of every receiver, shape (..., S, R, d), m/s^2; see `ForceLaw`."""
+        bodies = self.bodies
+        shape = (
+            *positions.shape[:-3], bodies.n_scenes, len(bodies.receivers), bodies.n_dims
+        )  # fmt: skip
+        total = np.zeros(shape)
+        with np.errstate(all="ignore"):
+            for program, settlings in self._programs:
+                forces = program.run(positions, velocities, times)
+                for force, settling in zip(forces, settlings, strict=True):
+                    total = total + settling(force, shape)
+        return total
+
+
+class _Program:
+    """Formulas of one kind as a list of steps on numbered values."""
+
+    def __init__(self, kind, formulas, bodies, constants):
+        self.kind = kind
+        self.bodies = bodies
+        self.start = []
+        self.inputs = []
+        self.steps = []
+        self._numbers = {}
+        self._scene = law_inputs(kind, bodies, None, None, None)
+        with np.errstate(all="ignore"):
+            self.results = [self._add(formula, constants) for formula in formulas]
+
+    def _add(self, node, constants):
+        """Number of a node's value; its steps are appended on first sight."""
+        if node in self._numbers:
+            return self._numbers[node]
+        value = step = None
+        if isinstance(node, Call):
+            arguments = [self._add(arg, constants) for arg in node.args]
+            compute = OPERATORS[node.operator].evaluate
+            types = tuple(arg.type for arg in node.args)
+            known = [self.start[k] for k in arguments]
+            if any(v is None for v in known):
+                step = (compute, types, arguments)
+            else:
+                value = compute(types, *known)
+        elif isinstance(node, Constant):
+            value = constants[node.name]
+        elif not isinstance(node, Input):
+            value = np.float64(node.value)
+        elif node.name not in CHANGING:
+            value = self._scene[node.name]
+        number = self._numbers[node] = len(self.start)
+        self.start.append(value)
+        if step is not None:
+            self.steps.append((number, *step))
+        elif value is None:
+            self.inputs.append((number, node.name))
+        return number
+
+    def run(self, positions, velocities, times):
+        """Values of the formulas."""
+        values = self.start.copy()
+        lookup = law_inputs(self.kind, self.bodies, positions, velocities, times)
+        for number, name in self.inputs:
+            values[number] = lookup[name]
+        for number, compute, types, arguments in self.steps:
+            values[number] = compute(types, *[values[k] for k in arguments])
+        return [values[k] for k in self.results]
+
+
+class Settling:
+    """Sums a term's values over sources and turns the force into an acceleration.
+
+    A receiver of which a property that the term needs is unknown cannot feel the term: its
+    acceleration is 0. With constants of its own (`per_entity`) only its mass is not needed:
+    the constant is then per unit mass.
+
+    Parameters
+    ----------
+    term : Term
+    bodies : Bodies
+    per_entity : bool
+    """
+
+    def __init__(self, term, bodies, per_entity=False):
+        self._is_pair = term.kind == "pair"
+        self._n_sources = bodies.others.shape[1]
+        self._mass = None
+        if term.needs_mass:
+            mass = bodies.column("mass")[:, bodies.receivers]
+            unknown = 1.0 if per_entity else np.inf
+            self._mass = np.where(np.isnan(mass), unknown, mass)[..., None]
+        lost = unknown_receivers(term, bodies)
+        self._lost = lost[..., None] if lost.any() else None
+
+    def __call__(self, force, shape):
+        """Acceleration of `shape` (..., S, R, d) from the values of the term's formula."""
+        if self._is_pair:
+            full = (*shape[:-1], self._n_sources, shape[-1])
+            with np.errstate(invalid="ignore"):  # inf - inf is nan, which the caller refuses
+                force = np.broadcast_to(force, full).sum(axis=-2)
+        if self._mass is not None:
+            force = force / self._mass
+        if self._lost is not None:
+            force = np.where(self._lost, 0.0, force)
+        return np.broadcast_to(force, shape)
+
+
+def unknown_receivers(term, bodies):
+    """Receivers of which the term names a property (beside a cancelling mass) that is unknown.
+
+    Returns
+    -------
+    ndarray of bool, shape (S, R)
+    """
+    kept = bodies.__dict__.setdefault("_unknown", {})
+    if term.acceleration_formula not in kept:
+        kept[term.acceleration_formula] = _unknown_receivers(term, bodies)
+    return kept[term.acceleration_formula]
+
+
+def _unknown_receivers(term, bodies):
+    unknown = np.zeros((bodies.n_scenes, len(bodies.receivers)), dtype=bool)
+    for name in term.acceleration_formula.inputs:
+        known = property_of(name)
+        if known and known[1] == "i":
+            column = bodies.column(known[0])[:, bodies.receivers]
+            unknown |= np.isnan(column).reshape(*column.shape[:2], -1).any(axis=-1)
+    return unknown
