@@ -152,7 +152,7 @@ def _run_loop(args, progress):
         dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "n_null": max(299, round(1 / args.alpha)),
+        "n_null": max(299, round(1 / args.alpha)), "n_bootstrap": args.bootstrap,
         "per_entity": {"auto": "auto", "yes": True, "no": False}[args.per_entity],
         "exclude": excluded_inputs(args, grammar, dataset), "seed": args.seed,
     }  # fmt: skip

@@ -22,7 +22,7 @@ PROVENANCE_KEYS = (
     "version", "contact",
 )  # fmt: skip
 TOP_KEYS = (
-    "name", *PROVENANCE_KEYS, "dt", "fps", "noise",
+    "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory",
     "units", "axes", "columns", "latent", "split", "evaluation", "provenance",
 )  # fmt: skip
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
@@ -37,8 +37,8 @@ class Declaration:
     name : str or None
     units : mapping of str to str
         Kind or column -> unit.
-    up, dt, fps, noise, velocity
-        As in `bsp_gp.data.scene.Dataset`; `dt` and `noise` in the data's own units.
+    up, dt, fps, noise, noise_memory, velocity
+        As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units.
     columns : mapping of str to str
         Our name of a column -> its name in the file.
     latents : tuple of LatentDeclaration
@@ -56,6 +56,7 @@ class Declaration:
     dt: float | None = None
     fps: float | None = None
     noise: tuple[float, ...] | None = None
+    noise_memory: float | None = None
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
     latents: tuple[LatentDeclaration, ...] = ()
@@ -191,6 +192,7 @@ class _Reader:
             dt=self.positive(self.content, "dt"),
             fps=self.positive(self.content, "fps"),
             noise=self.noise(),
+            noise_memory=self.noise_memory(),
             velocity=velocity,
             columns=columns,
             latents=self.latents(),
@@ -212,6 +214,17 @@ class _Reader:
         if min(values) < 0:
             self.fail(f"noise must not be negative, got {min(values):g}", remedy="0 means exact")
         return values
+
+    def noise_memory(self):
+        value = self.content.get("noise_memory")
+        if value is None:
+            return None
+        value = self.number(value, "noise_memory")
+        if value < 0:
+            self.fail(
+                f"noise_memory must not be negative, got {value:g}", remedy="0 means white noise"
+            )
+        return value
 
     def latents(self):
         allowed = ("prior", "low", "high", "mean", "sd", "entities", "share", "values")

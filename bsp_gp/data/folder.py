@@ -193,6 +193,7 @@ def _declaration(dataset):
     tables = {
         "name": dataset.name,
         "noise": None if noise is None else noise[0] if len(noise) == 1 else list(noise),
+        "noise_memory": dataset.noise_memory,
         "units": _units(dataset),
         "axes": {"up": dataset.up},
         "columns": {"velocity": dataset.velocity},

@@ -274,6 +274,8 @@ class Dataset:
         Axis that points up: "x", "y", "z", "-x", "-y" or "-z"; None if not declared.
     noise : tuple of float or None
         Declared standard deviation of a position, one value or one per axis, metres. 0 = exact.
+    noise_memory : float or None
+        Declared correlation time of the position noise, s; 0 = white.
     velocity : str
         "measured" if the velocity columns are data in their own right, else "ignore".
     latents : tuple of LatentDeclaration
@@ -297,6 +299,7 @@ class Dataset:
     evaluation: Evaluation = field(default_factory=Evaluation)
     provenance: Mapping = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    noise_memory: float | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "scenes", tuple(self.scenes))
@@ -339,6 +342,7 @@ class Dataset:
                 self.evaluation,
                 dict(self.provenance),
                 self.notes,
+                self.noise_memory,
             ),
         )
 

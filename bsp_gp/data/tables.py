@@ -220,6 +220,7 @@ def _assemble(table, roster, declaration, default_name):
         property_units={**latent_units, **(roster.units if roster else {})},
         up=_up(declaration, scenes[0].n_dims),
         noise=_noise(declaration, conversion, scenes[0].n_dims),
+        noise_memory=_noise_memory(declaration, conversion),
         velocity=declaration.velocity,
         latents=latents,
         evaluation=declaration.evaluation,
@@ -325,3 +326,9 @@ def _noise(declaration, conversion, n_dims):
             file=declaration.file, column="noise",
         )  # fmt: skip
     return tuple(value * conversion.length("x") for value in declaration.noise)
+
+
+def _noise_memory(declaration, conversion):
+    if declaration.noise_memory is None:
+        return None
+    return declaration.noise_memory * conversion.time()

@@ -67,6 +67,7 @@ def close_loop(
     max_rounds=5,
     max_levels=8,
     n_null=299,
+    n_bootstrap=None,
     per_entity="auto",
     exclude=("t",),
     seed=None,
@@ -93,6 +94,9 @@ def close_loop(
         Bound of the search, in levels of a derivation.
     n_null : int
         Simulated residuals behind the p-value; at least 1 / alpha - 1.
+    n_bootstrap : int
+        Data sets that are simulated and searched at most to test a finding that is not far beyond
+        those residuals; 0 = none, else at least 1 / alpha - 1. By default 99, or 1 / alpha.
     per_entity : bool or "auto"
         Whether an effect may have a constant of its own for every body.
     exclude : sequence of str
@@ -115,7 +119,9 @@ def close_loop(
     """
     started = time.perf_counter()
     progress = progress or (lambda text: None)
-    _check(alpha, max_rounds, n_null, max_levels)
+    if n_bootstrap is None:
+        n_bootstrap = max(99, round(1 / alpha)) if alpha else 0
+    _check(alpha, max_rounds, n_null, n_bootstrap, max_levels)
     declared = (declared,) if isinstance(declared, str) else declared
     if dataset.latents:
         from bsp_gp.loop.unknowns import close_with_unknowns
@@ -123,7 +129,8 @@ def close_loop(
         return close_with_unknowns(
             dataset, declared, close_loop, declared_law, rng=rng, progress=progress,
             grammar=grammar, alpha=alpha, max_rounds=max_rounds, max_levels=max_levels,
-            n_null=n_null, per_entity=per_entity, exclude=exclude, seed=seed, workers=workers,
+            n_null=n_null, n_bootstrap=n_bootstrap, per_entity=per_entity, exclude=exclude,
+            seed=seed, workers=workers,
         )  # fmt: skip
     law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
     grammar = (
@@ -153,19 +160,19 @@ def close_loop(
     first = model = evaluate(observation, law)
     rounds = []
     for number, round_rng in enumerate(round_rngs, 1):
-        done, model = run_round(
-            number, observation, model, search, alpha, round_rng, progress, workers
+        done, model, search = run_round(
+            number, model, search, alpha, round_rng, progress, workers, n_bootstrap
         )
         rounds.append(done)
         if not done.adopted:
             break
     progress("writing up")
     return _report(
-        observation, search, law, first, model, rounds, grammar, alpha, seed, final_rng, started
+        search, law, first, model, rounds, grammar, alpha, seed, final_rng, started
     )
 
 
-def _check(alpha, max_rounds, n_null, max_levels):
+def _check(alpha, max_rounds, n_null, n_bootstrap, max_levels):
     if not 0 < alpha < 1:
         raise SettingsError(f"alpha must be between 0 and 1, got {alpha!r}")
     if max_rounds < 1:
@@ -176,6 +183,11 @@ def _check(alpha, max_rounds, n_null, max_levels):
         raise SettingsError(
             f"n_null must be at least 1/alpha - 1 = {1 / alpha - 1:.0f} for a p-value to reach "
             f"alpha = {alpha:g}, got {n_null!r}"
+        )
+    if n_bootstrap and n_bootstrap < 1 / alpha - 1:
+        raise SettingsError(
+            f"n_bootstrap must be 0, or at least 1/alpha - 1 = {1 / alpha - 1:.0f} for a p-value "
+            f"to reach alpha = {alpha:g}, got {n_bootstrap!r}"
         )
 
 
@@ -194,7 +206,8 @@ def _check_masses(observation, law):
                 )
 
 
-def _report(observation, search, law, first, model, rounds, grammar, alpha, seed, rng, started):
+def _report(search, law, first, model, rounds, grammar, alpha, seed, rng, started):
+    observation = search.observation
     floor_rng, ratio_rng = rng.spawn(2)
     dataset = observation.dataset
     floor, copies = observation.floor(model.law, floor_rng)
@@ -219,6 +232,7 @@ def _report(observation, search, law, first, model, rounds, grammar, alpha, seed
             "method": observation.noise.method,
             "likelihood": observation.method,
             "sigma_used": [float(s) for s in observation.regression_sigma],
+            "memory_s": observation.memory,
         },
         rounds=tuple(rounds),
         law=model.law,
@@ -270,6 +284,10 @@ def _caveats(observation, search):
     if observation.noise.source == "estimated":
         yield f"the noise level was estimated from the data: {observation.noise.method}"
     yield from observation.noise.notes
+    if observation.memory:
+        unit = dataset.units.text(Unit.of(s=1))
+        source = "estimated beside the law" if observation.may_have_memory else "declared"
+        yield f"position errors have a memory of {observation.memory:.3g} {unit} ({source})"
     if len(observation.segments) > len(observation.train):
         yield (
             f"tracks depend so strongly on their start that they were fitted in "

@@ -12,13 +12,13 @@ from bsp_gp.loop.denoise import states_of, tracks_of
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
-from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
 __all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
 
 SHORTLIST = 6
+TOP_K = 40
 
 
 SHORTLIST_NATS = 12.0
@@ -72,13 +72,27 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Proposals:
-    """Outcome of one search for what is missing."""
+    """Outcome of one search for what is missing.
+
+    Attributes
+    ----------
+    shortlist : tuple of Proposal
+        Best evidence first.
+    p_value : float
+        On simulated residuals, the model's fit and the denoised states kept.
+    certificates : tuple of str
+    n_scored : int
+    seconds : float
+    null_evidence : float
+        Greatest evidence on a simulated residual, nats.
+    """
 
     shortlist: tuple[Proposal, ...]
     p_value: float
     certificates: tuple[str, ...]
     n_scored: int
     seconds: float
+    null_evidence: float = float("nan")
 
 
 @dataclass(eq=False)
@@ -153,7 +167,11 @@ class EffectSearch:
         )
         return single and len(set(names)) >= 2 and bool(test & train)
 
-    def propose(self, fit, rng, progress=None, *, along=None, n_null=None):
+    def on(self, observation):
+        """The same search on another observation of the data set."""
+        return replace(self, observation=observation, notes=[], _pools={})
+
+    def propose(self, fit, rng, progress=None, *, along=None, n_null=None, top_k=TOP_K):
         """Search what the fitted model leaves.
 
         Parameters
@@ -166,16 +184,16 @@ class EffectSearch:
             best attempt so far lie nearer to the truth.
         n_null : int, optional
             Simulated residuals, by default the search's; 0 = no p-value (nan).
+        top_k : int
+            Laws kept per unit of complexity, and overall.
 
         Returns
         -------
         Proposals
         """
         self._n_null = self.n_null if n_null is None else n_null
-        track = along or fit
-        self._track_law = track.law
-        self._states = states_of(track.whole, self.observation.train) if track.whole else {}
-        self._tracks = tracks_of(track.whole, self.observation.train) if track.whole else {}
+        self._top_k = top_k
+        self._follow(along or fit)
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
@@ -191,12 +209,47 @@ class EffectSearch:
                 max_levels=self.max_levels,
                 missing_inputs=self.missing,
                 null_targets=null,
+                top_k=top_k,
                 progress=progress,
             )
             outcomes.append((result, False, 1, regression))
         if self.per_entity:
             outcomes.append(self._own_constants(fit, own_rng, progress))
         return self._collect(outcomes, fit.law)
+
+    def left(self, fit, proposal=None):
+        """What a fitted law leaves, to be explained by its own constants and a proposal's.
+
+        Parameters
+        ----------
+        fit : Fit
+        proposal : Proposal, optional
+
+        Returns
+        -------
+        regression : Regression
+        residual : ndarray, shape (n,)
+            Whitened.
+        columns : ndarray, shape (n, k)
+            Of the law's constants, then of the proposal's.
+        """
+        self._follow(fit)
+        own = proposal is not None and proposal.per_entity
+        scenes = [_with_unit_masses(s) for s in self.observation.train] if own else None
+        regression = self._regression(scenes or self.pooled_scenes)
+        residual, columns = self._left(regression, fit.law)
+        if proposal is not None:
+            rest = split_linear(proposal.formula)[1]
+            more = regression.column(Term(rest, proposal.kind), per_entity=own)[0]
+            columns = np.column_stack([columns, more])
+        return regression, residual, columns
+
+    def _follow(self, fit):
+        """Evaluate laws at the states of this fit from now on."""
+        train = self.observation.train
+        self._track_law = fit.law
+        self._states = states_of(fit.whole, train) if fit.whole else {}
+        self._tracks = tracks_of(fit.whole, train) if fit.whole else {}
 
     def pool(self, kind, wanted):
         """All laws of a kind with one of the wanted property factors, as columns (kept)."""
@@ -230,6 +283,7 @@ class EffectSearch:
             missing_inputs=self.missing,
             groups=groups,
             null_targets=null_targets(regression, rng, self._n_null),
+            top_k=self._top_k,
             progress=progress,
         )
         return result, True, len(groups), regression
@@ -245,15 +299,7 @@ class EffectSearch:
         return columns
 
     def _regression(self, scenes):
-        observation = self.observation
-        return build_regression(
-            scenes,
-            method=observation.method,
-            sigma=observation.regression_sigma,
-            up=observation.dataset.up,
-            sources=observation.sources,
-            states=self._states_for(scenes),
-        )
+        return self.observation.regression(scenes, self._states_for(scenes))
 
     def _states_for(self, scenes):
         """Denoised states, with bodies left out that are no receivers in these scenes."""
@@ -297,15 +343,7 @@ class EffectSearch:
             positions[:, scene.dynamic] = np.where(seen, p[:, kept], np.nan)
             scenes.append(replace(scene, positions=positions))
             states[scene.name] = (p[:, kept], v[:, kept])
-        observation = self.observation
-        own = build_regression(
-            scenes,
-            method=observation.method,
-            sigma=observation.regression_sigma,
-            up=observation.dataset.up,
-            sources=observation.sources,
-            states=states,
-        )
+        own = self.observation.regression(scenes, states)
         return own.residual(self._track_law)
 
     def _collect(self, outcomes, law):
@@ -325,6 +363,7 @@ class EffectSearch:
             tuple(r.certificate.text() for r, *_ in outcomes),
             sum(r.n_evaluated for r, *_ in outcomes),
             sum(r.seconds for r, *_ in outcomes),
+            float(np.max(null)) if self._n_null else float("nan"),
         )
 
     def _proposal(self, candidate, own, n_constants, n_rows):

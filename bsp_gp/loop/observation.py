@@ -16,7 +16,8 @@ from bsp_gp.loop.fitted import Fit, clipped
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
-from bsp_gp.physics.shooting import fit_rollout, predict
+from bsp_gp.physics.noise import draw_noise
+from bsp_gp.physics.shooting import cut_segments, fit_rollout, predict
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -46,6 +47,8 @@ class Observation:
     train_regression: object
     test_regression: object
     sources: bool
+    memory: float = 0.0
+    segment_rows: int | None = None
 
     def __getstate__(self):
         """What travels to workers: everything but what is kept for the running loop."""
@@ -87,6 +90,7 @@ class Observation:
             substeps=self.substeps,
             up=self.dataset.up,
             bounds=bounds,
+            memory=self.memory,
         )
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
@@ -148,10 +152,7 @@ class Observation:
     def _effective_positions(self, fit):
         tops = bottoms = 0.0
         n_tracks = 0
-        for batch, predicted in zip(fit.batches, fit.predicted, strict=True):
-            observed = batch.positions[:, :, batch.bodies.receivers]
-            error = np.where(np.isfinite(self.sigma), (observed - predicted) / self.sigma, 0.0)
-            error = np.nan_to_num(error)
+        for error in fit.whitened:
             tops += float((error[1:] * error[:-1]).sum())
             bottoms += float((error * error).sum())
             n_tracks += int((np.abs(error).sum(axis=0) > 0).sum())
@@ -171,6 +172,11 @@ class Observation:
         n = len(scene.times)
         wanted = self.dataset.evaluation.initial_rows
         return min(wanted if wanted is not None else max(min(12, max(3, n // 3)), n // 5), n - 1)
+
+    @property
+    def may_have_memory(self):
+        """Whether a correlation time of the noise is to be estimated."""
+        return self.method == "gls" and self.dataset.noise_memory is None
 
     @property
     def velocity(self):
@@ -196,6 +202,7 @@ class Observation:
             substeps=self.substeps,
             up=self.dataset.up,
             velocity=self.velocity,
+            memory=self.memory,
         )
         for scene, track in zip(scenes, tracks, strict=True):
             track[:, self.is_late(scene)] = np.nan
@@ -224,7 +231,7 @@ class Observation:
         regression = (
             self.test_regression
             if scenes is self.test
-            else self._regression(scenes, self.regression_sigma)
+            else self.regression(scenes)
         )
         units = self.dataset.units
         return Errors(
@@ -262,6 +269,12 @@ class Observation:
             for scene, predicted in zip(scenes, self.predictions(law, scenes), strict=True)
         ]
 
+    def _score_copies(self, law, copies):
+        """The same for copies of the held-out scenes, rolled out together: a list of lists."""
+        scenes = [scene for copy in copies for scene in copy]
+        rows = iter(self._score(law, scenes) if scenes else ())
+        return [[next(rows) for _ in copy] for copy in copies]
+
     def _scene_errors(self, scene, predicted):
         observed = scene.positions[:, scene.dynamic]
         error = np.where(np.isfinite(self.sigma), observed - predicted, 0.0)
@@ -278,10 +291,26 @@ class Observation:
             "endpoints": [float(end) for end in ends if np.isfinite(end)],
         }
 
-    def _regression(self, scenes, sigma):
+    def regression(self, scenes, states=None):
+        """The accelerations of some scenes, read off as the training scenes' are.
+
+        Parameters
+        ----------
+        scenes : sequence of Scene
+        states : dict, optional
+            As for `build_regression`.
+        """
         return build_regression(
-            scenes, method=self.method, sigma=sigma, up=self.dataset.up, sources=self.sources
-        )
+            scenes, method=self.method, sigma=self.regression_sigma, up=self.dataset.up,
+            sources=self.sources, states=states, memory=self.memory,
+        )  # fmt: skip
+
+    def with_train(self, train):
+        """The observation with other positions in the training scenes."""
+        return replace(
+            self, train=tuple(train), segments=tuple(cut_segments(train, self.segment_rows)),
+            train_regression=self.regression(train),
+        )  # fmt: skip
 
     def floor(self, law, rng):
         """Errors that a perfect model would still make.
@@ -335,8 +364,7 @@ class Observation:
         """Scenes as a law would have made them: its rollouts from fitted states, and noise."""
         out = []
         for scene, predicted in zip(scenes, states, strict=True):
-            sigma = np.where(np.isfinite(self.sigma), self.sigma, 0.0)
-            noise = rng.standard_normal(predicted.shape) * sigma
+            noise = draw_noise(scene, self.sigma, self.memory, rng)
             positions = np.array(scene.positions)
             dynamic = scene.dynamic
             seen = np.isfinite(positions[:, dynamic])
@@ -357,6 +385,7 @@ class Observation:
             integrator=self.integrator,
             substeps=self.substeps,
             up=self.dataset.up,
+            memory=self.memory,
         )
         found = {}
         for batch, predicted in zip(fit.batches, fit.predicted, strict=True):
@@ -385,17 +414,16 @@ class Observation:
             method = f"resampling {len(before)} held-out scenes"
         else:
             draws = []
-            for copy in copies or ():
-                _, rows_after = self.errors(law_after, list(copy))
-                _, rows_before = self.errors(law_before, list(copy))
-                # The copies carry the noise of the adopted law; its misfit is carried over.
-                extra = max(
-                    sum(r["sum_squares"] for r in after)
-                    - np.mean([sum(r["sum_squares"] for r in rows_after)]),
-                    0.0,
-                )
-                top = sum(r["sum_squares"] for r in rows_after) + extra
-                bottom = sum(r["sum_squares"] for r in rows_before)
+            copies = copies or ()
+            rows_after, rows_before = (
+                self._score_copies(law, copies) for law in (law_after, law_before)
+            )
+            # The copies carry the noise of the adopted law; its misfit is carried over.
+            observed = sum(r["sum_squares"] for r in after)
+            for mine_after, mine_before in zip(rows_after, rows_before, strict=True):
+                top = sum(r["sum_squares"] for r in mine_after)
+                bottom = sum(r["sum_squares"] for r in mine_before)
+                top += max(observed - top, 0.0)
                 draws.append(float(np.sqrt(top / bottom)) if bottom > 0 else float("nan"))
             method = "parametric: fewer than five held-out scenes"
         draws = [d for d in draws if np.isfinite(d)]

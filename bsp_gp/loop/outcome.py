@@ -176,7 +176,15 @@ class Effect:
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of the loop."""
+    """One turn of the loop.
+
+    Attributes
+    ----------
+    significance : str
+        How the p-value came about, where data sets were simulated and searched.
+    noise_memory : float
+        Correlation time of the position noise, s; 0 = white.
+    """
 
     number: int
     missing: Missing
@@ -192,6 +200,8 @@ class Round:
     certificate: str
     seconds: float = 0.0
     verdict: str = ""
+    significance: str = ""
+    noise_memory: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,11 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     method = "derivative" if measured else "one_step" if is_exact else "gls"
     regression_sigma = _acceleration_sigma(train, dataset.up) if measured else sigma
     integrator = "euler" if _touches(law) or method == "one_step" else "rk4"
-    common = {"method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources}
+    memory = dataset.noise_memory or 0.0
+    common = {
+        "method": method, "sigma": regression_sigma, "up": dataset.up, "sources": sources,
+        "memory": memory,
+    }  # fmt: skip
     observation = Observation(
         dataset,
         tuple(train),
@@ -97,6 +101,7 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
         build_regression(train, **common),
         build_regression(test, **common),
         sources,
+        memory,
     )
     if measured and integrator == "rk4":
         # Steps must be finer than what a wrong law does to a track, not than the noise.
@@ -110,7 +115,8 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
         observation = replace(
             observation, substeps=_substeps(observation, start, observation.sigma)
         )
-    return replace(observation, segments=tuple(_segments(observation, start)))
+    rows = _segment_rows(observation, start)
+    return replace(observation, segments=tuple(cut_segments(train, rows)), segment_rows=rows)
 
 
 def _made_in_steps(scenes, law, up, sources):
@@ -238,8 +244,8 @@ def _substeps(observation, law, tolerance):
     return substeps
 
 
-def _segments(observation, law):
-    """Cut tracks where a small change of the initial state has grown `CHAOS` times."""
+def _segment_rows(observation, law):
+    """Rows after which a small change of the initial state has grown `CHAOS` times, or None."""
     shortest = None
     for batch in stack(observation.train, observation.dataset.up):
         p, v = guess_state(batch)
@@ -260,4 +266,4 @@ def _segments(observation, law):
         grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))
         if len(grown):
             shortest = min(shortest or len(growth), max(int(grown[0]), 8))
-    return cut_segments(observation.train, shortest)
+    return shortest

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.loop.outcome import Missing
+from bsp_gp.physics.noise import TrackNoise
 from bsp_gp.units import ACCELERATION
 
 __all__ = ["LAGS", "examine_residual", "ljung_box"]
@@ -83,18 +84,17 @@ def ljung_box(regression, residual, lags=LAGS):
 
 def _ljung_box_of_tracks(observation, whole, lags=LAGS):
     """The same for the position residuals of a fit to whole tracks."""
-    parts, mean, covariance = [], np.zeros(lags), np.zeros((lags, lags))
-    for batch, predicted in zip(whole.batches, whole.predicted, strict=True):
-        left = batch.positions[:, :, batch.bodies.receivers] - predicted
-        with np.errstate(invalid="ignore"):
-            parts.append(np.nan_to_num(left / observation.sigma))
-        for s in range(parts[-1].shape[1]):
-            basis = np.stack([np.ones(len(left)), np.nan_to_num(batch.times[:, s])], axis=1)
-            for seen in (parts[-1][:, s].reshape(len(left), -1) != 0).T:
-                if seen.sum() > 2:
-                    moments = _taken_by_state(np.where(seen[:, None], basis, 0.0), seen, lags)
-                    mean, covariance = mean + moments[0], covariance + moments[1]
-    return _pooled_ljung_box(parts, whole.n_rows - whole.n_free, lags, mean, covariance)
+    mean, covariance = np.zeros(lags), np.zeros((lags, lags))
+    for batch in whole.batches:
+        noise = TrackNoise(batch, observation.sigma, observation.memory)
+        clock = np.broadcast_to(np.nan_to_num(batch.times)[..., None, None], noise.seen.shape)
+        basis = noise.whiten(np.stack([np.ones_like(clock), clock]))  # (2, T, S, R, d)
+        for track in np.ndindex(noise.seen.shape[1:]):
+            seen = noise.seen[(slice(None), *track)]
+            if seen.sum() > 2:
+                moments = _taken_by_state(basis[(slice(None), slice(None), *track)].T, seen, lags)
+                mean, covariance = mean + moments[0], covariance + moments[1]
+    return _pooled_ljung_box(whole.whitened, whole.n_rows - whole.n_free, lags, mean, covariance)
 
 
 def _taken_by_state(basis, seen, lags):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
+from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
@@ -15,6 +17,7 @@ from bsp_gp.loop.telling import (
     held_out_rows,
     rivals_of,
 )
+from bsp_gp.units import Unit
 
 __all__ = ["run_round"]
 
@@ -31,29 +34,59 @@ MAX_BLUR = 10.0
 """Growth of the relative error of an adopted constant at which a further term is refused."""
 
 
+STRONG = 5.0
+"""Multiple of the greatest evidence in simulated residuals beyond which no data sets are simulated
+and searched: nothing that this leaves out of account is as large."""
+
+
 MOST_REFINEMENTS = 2
 MIN_SHARE = 0.75
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 
-def run_round(number, observation, model, search, alpha, rng, progress, workers=None):
+def run_round(number, model, search, alpha, rng, progress, workers=None, n_bootstrap=99):
     """Run one round on a fitted model.
+
+    Parameters
+    ----------
+    number : int
+    model : Model
+    search : EffectSearch
+        With the observation.
+    alpha : float
+    rng : numpy.random.Generator
+    progress : callable
+    workers : concurrent.futures.Executor, optional
+    n_bootstrap : int
+        Data sets simulated at most to test a finding; 0 = simulated residuals alone.
 
     Returns
     -------
     round : Round
     model : Model
         The one to go on with: the new one if a term was adopted.
+    search : EffectSearch
+        On the observation with the noise under which `model` was fitted.
     """
     started = time.perf_counter()
-    search_rng, floor_rng, ratio_rng = rng.spawn(3)
+    observation = search.observation
+    search_rng, floor_rng, ratio_rng, bootstrap_rng = rng.spawn(4)
     progress(f"round {number}: testing the residual against noise")
     missing = examine_residual(observation, model.fit, alpha)
     if not missing.is_missing:
         floor, _ = observation.floor(model.law, floor_rng)
-        return _quiet_round(number, missing, model, floor, started), model
+        return _quiet_round(number, missing, model, floor, started), model, search
     progress(f"round {number}: searching for what is missing")
-    proposals = search.propose(model.fit, search_rng)
+    complete = (search, model.fit)  # the hypothesis that the bootstrap tests
+    search, fit, proposals = search_with_memory(search, model.fit, search_rng)
+    if search.observation is not observation:
+        observation = search.observation
+        model = evaluate(observation, fit.law, fit)
+        missing = examine_residual(observation, fit, alpha)
+        if not missing.is_missing:
+            floor, _ = observation.floor(model.law, floor_rng)
+            done = _noise_round(number, observation, missing, model, floor, started)
+            return done, model, search
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
@@ -65,22 +98,30 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
         rivals = freed_numbers(observation, model)
-        return _empty_round(number, missing, model, floor, proposals, attempts, rivals, started), (
-            model
-        )
+        done = _empty_round(number, missing, model, floor, proposals, attempts, rivals, started)
+        return done, model, search
     is_freed = shown is not chosen
+    p_value, how = proposals.p_value, ""
+    is_weak = strength(proposals) < STRONG * max(proposals.null_evidence, 0.0)
+    if p_value <= alpha and is_weak and n_bootstrap and not observation.is_exact and not is_freed:
+        progress(f"round {number}: the same search on simulated data")
+        significance = bootstrap(
+            *complete, strength(proposals), bootstrap_rng, alpha=alpha, n_max=n_bootstrap,
+            workers=workers,
+        )  # fmt: skip
+        p_value, how = significance.p_value, significance.text()
     progress(f"round {number}: weighing {shown.name} on held-out data")
     after = evaluate(observation, shown.law, shown.fit)
     floor, copies = observation.floor(after.law, floor_rng)
     ratio = observation.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
     if is_freed:
         adopted, verdict, reason = False, "cannot tell", FREED
-        effect = freed_effect(observation, model, shown, proposals.p_value)
+        effect = freed_effect(observation, model, shown, p_value)
     else:
         adopted, verdict, reason = _verdict(
-            observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
+            observation, model, after, chosen, attempts, floor, ratio, p_value, alpha
         )
-        effect = effect_of(observation, chosen, attempts, proposals.p_value)
+        effect = effect_of(observation, chosen, attempts, p_value)
     rivals = rivals_of(observation, model, shown, attempts)
     rivals += freed_numbers(observation, model, chosen, is_freed)
     done = Round(
@@ -101,8 +142,10 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
         ),
         seconds=time.perf_counter() - started,
         verdict=verdict,
+        significance=how,
+        noise_memory=observation.memory,
     )
-    return done, (after if adopted else model)
+    return done, (after if adopted else model), search
 
 
 def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
@@ -271,6 +314,21 @@ def _quiet_round(number, missing, model, floor, started):
         time.perf_counter() - started,
         "nothing missing",
     )
+
+
+def _noise_round(number, observation, missing, model, floor, started):
+    unit = observation.dataset.units.text(Unit.of(s=1))
+    return Round(
+        number=number, missing=missing, effect=None, rivals=(), adopted=False,
+        reason=(
+            "positions are wrong for longer than a frame, and that explains what is left: noise "
+            f"with a memory of {observation.memory:.2g} {unit} leaves as much, so no law is needed "
+            "and none can be seen"
+        ),
+        before=model.errors, after=None, floor=floor, ratio=None, held_out=(), certificate="",
+        seconds=time.perf_counter() - started, verdict="cannot tell",
+        noise_memory=observation.memory,
+    )  # fmt: skip
 
 
 def _empty_round(number, missing, model, floor, proposals, attempts, freed, started):

@@ -175,6 +175,8 @@ class Batch:
     positions : ndarray, shape (T, S, N, d)
     velocities : ndarray, shape (T, S, N, d) or None
         Measured ones only.
+    sigma : ndarray, shape (T, S, N, d) or None
+        Quoted standard deviations of the positions; nan where a point quotes none.
     """
 
     scenes: tuple
@@ -182,6 +184,7 @@ class Batch:
     times: np.ndarray
     positions: np.ndarray
     velocities: np.ndarray | None
+    sigma: np.ndarray | None = None
 
 
 def stack(scenes, up=None, velocity="ignore"):
@@ -213,11 +216,15 @@ def _batch(scenes, key, up):
     times = np.full((n_times, len(scenes)), np.nan)
     positions = np.full((n_times, len(scenes), n_entities, n_dims), np.nan)
     velocities = np.full_like(positions, np.nan) if measured else None
+    is_quoted = any(scene.sigma is not None for scene in scenes)
+    sigma = np.full_like(positions, np.nan) if is_quoted else None
     for s, scene in enumerate(scenes):
         times[: len(scene.times), s] = scene.times
         positions[: len(scene.times), s] = scene.positions
         if measured:
             velocities[: len(scene.times), s] = scene.velocities
+        if scene.sigma is not None:
+            sigma[: len(scene.times), s] = scene.sigma
     shapes = [Shapes.of(scene.entities) for scene in scenes]
     fields = ("code", "radius", "width", "height")
     stacked = Shapes(*(np.stack([getattr(s, name) for s in shapes]) for name in fields))
@@ -229,7 +236,7 @@ def _batch(scenes, key, up):
         n_dims=n_dims,
         up=up,
     )
-    return Batch(scenes, bodies, times, positions, velocities)
+    return Batch(scenes, bodies, times, positions, velocities, sigma)
 
 
 def _columns(scenes, shapes, n_dims):

@@ -137,13 +137,15 @@ class Settling:
         """Acceleration of `shape` (..., S, R, d) from the values of the term's formula."""
         if self._is_pair:
             full = (*shape[:-1], self._n_sources, shape[-1])
+            if np.shape(force) != full:
+                force = np.broadcast_to(force, full)
             with np.errstate(invalid="ignore"):  # inf - inf is nan, which the caller refuses
-                force = np.broadcast_to(force, full).sum(axis=-2)
+                force = force.sum(axis=-2)
         if self._mass is not None:
             force = force / self._mass
         if self._lost is not None:
             force = np.where(self._lost, 0.0, force)
-        return np.broadcast_to(force, shape)
+        return force if np.shape(force) == tuple(shape) else np.broadcast_to(force, shape)
 
 
 def unknown_receivers(term, bodies):

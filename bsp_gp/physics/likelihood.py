@@ -31,6 +31,7 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import term_gradient
+from bsp_gp.physics.noise import relative_sizes
 
 __all__ = [
     "METHODS",
@@ -192,6 +193,21 @@ class Regression:
             )
         )
 
+    def log_scale(self):
+        """Logarithm of the determinant of the whitening, for likelihoods of the noise itself."""
+        total = 0.0
+        for batch in self.batches:
+            total += float(np.log(batch.scale[batch.valid]).sum())
+            if batch.whitener is not None:
+                diagonal = np.einsum("...tt->...t", batch.whitener)
+                if diagonal.ndim == 3:
+                    diagonal = np.moveaxis(diagonal, -1, 0)
+                else:
+                    diagonal = diagonal[:, None, None]
+                used = np.broadcast_to(diagonal[..., None], batch.valid.shape)[batch.valid]
+                total += float(np.log(used).sum())
+        return total
+
     def raw_residuals(self, law):
         """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""
         return [
@@ -253,6 +269,7 @@ def build_regression(
     sources=True,
     states=None,
     unsure=None,
+    memory=0.0,
 ):
     """Read accelerations off measured tracks.
 
@@ -277,6 +294,9 @@ def build_regression(
     unsure : float, optional
         Rows whose contact or region condition would flip if a body moved by less than this,
         metres, are left out: with position noise they are as likely wrong as right.
+    memory : float
+        Correlation time of the position noise, s, for the methods with an exact covariance;
+        these also heed the errors that single points quote.
 
     Raises
     ------
@@ -294,7 +314,7 @@ def build_regression(
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     measured = "measured" if method == "derivative" else "ignore"
     batches = [
-        _regression_batch(batch, method, sigma, sources, states or {}, unsure)
+        _regression_batch(batch, method, sigma, sources, states or {}, unsure, memory)
         for batch in stack(scenes, up, measured)
     ]
     regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
@@ -306,7 +326,7 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources, given, unsure):
+def _regression_batch(batch, method, sigma, sources, given, unsure, memory):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
@@ -325,7 +345,9 @@ def _regression_batch(batch, method, sigma, sources, given, unsure):
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
     if method in ("gls", "one_step_gls"):
-        whitener = _gls_whitener(batch.times, valid)
+        sizes = relative_sizes(batch, sigma)
+        sizes = None if sizes is None else sizes[:, :, bodies.receivers]
+        whitener = _gls_whitener(batch.times, valid, sizes, memory)
     names = tuple(scene.name for scene in batch.scenes)
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
@@ -455,34 +477,44 @@ def _difference_matrix(times):
     return matrix
 
 
-def _gls_whitener(times, valid):
-    """Inverse Cholesky factors of the covariance of second differences, per unit sigma."""
-    from scipy.linalg import solve_triangular
+def _gls_whitener(times, valid, sizes=None, memory=0.0):
+    """Inverse Cholesky factors of the covariance of second differences, per unit sigma.
 
+    `sizes` (T, S, R) are the errors of the points as parts of sigma.
+    """
     n_times, n_scenes = times.shape
     rows_valid = valid.any(axis=-1)  # (n, S, R)
     same_grid = np.all(times == times[:, :1])
-    if same_grid and rows_valid.all():
-        return _whitening_block(times[:, 0], np.ones(n_times - 2, dtype=bool), solve_triangular)
+    if same_grid and sizes is None and rows_valid.all():
+        return _whitening_block(times[:, 0], rows_valid[:, 0, 0], None, memory)
     if n_times > DENSE_LIMIT:
         raise DataError(
-            f"tracks of {n_times} rows with gaps or differing times are too long for the exact "
-            "covariance; split them into scenes of at most 1500 rows"
+            f"tracks of {n_times} rows with gaps, differing times or errors of single points are "
+            "too long for the exact covariance; split them into scenes of at most 1500 rows"
         )
     blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))
     for s in range(n_scenes):
         for r in range(valid.shape[2]):
-            blocks[s, r] = _whitening_block(times[:, s], rows_valid[:, s, r], solve_triangular)
+            size = None if sizes is None else sizes[:, s, r]
+            blocks[s, r] = _whitening_block(times[:, s], rows_valid[:, s, r], size, memory)
     return blocks
 
 
-def _whitening_block(times, rows, solve_triangular):
+def _whitening_block(times, rows, size, memory):
+    from scipy.linalg import solve_triangular
+
     n = len(times) - 2
     block = np.zeros((n, n))
     if not rows.any():
         return block
     matrix = np.nan_to_num(_difference_matrix(times))[rows]
-    factor = np.linalg.cholesky(matrix @ matrix.T)
+    if size is not None:
+        matrix = matrix * size
+    covariance = matrix @ matrix.T
+    if memory > 0:
+        gaps = np.nan_to_num(np.abs(times[:, None] - times))
+        covariance = matrix @ np.exp(-gaps / memory) @ matrix.T
+    factor = np.linalg.cholesky(covariance)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
     block[np.ix_(rows, rows)] = inverse
     return block

@@ -15,6 +15,7 @@ import numpy as np
 
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import rollout
+from bsp_gp.physics.noise import TrackNoise
 
 __all__ = ["RolloutFit", "cut_segments", "fit_rollout", "guess_state", "parameter_list", "predict"]
 
@@ -52,6 +53,8 @@ class RolloutFit:
     positions, velocities : tuple of ndarray, (S, R, d)
         Fitted initial states per batch.
     predicted : tuple of ndarray, (T, S, R, d)
+    whitened : tuple of ndarray, (T, S, R, d)
+        Whitened position errors, 0 where not seen.
     converged : bool
     """
 
@@ -66,6 +69,7 @@ class RolloutFit:
     positions: tuple
     velocities: tuple
     predicted: tuple
+    whitened: tuple
     converged: bool
 
     @property
@@ -148,6 +152,7 @@ def fit_rollout(
     bounds=None,
     max_iterations=MAX_ITERATIONS,
     fit_states=True,
+    memory=0.0,
 ):
     """Fit constants and initial states to whole tracks.
 
@@ -158,7 +163,7 @@ def fit_rollout(
     law : ForceLaw
         Start values in its constants.
     sigma : array-like, shape (d,), metres
-        Position noise; axes with nan are left out.
+        Position noise where no point quotes its own; axes with nan are left out.
     free : sequence of str, optional
         Constants to fit; all of the law by default. Empty: initial states only.
     integrator, substeps
@@ -167,36 +172,36 @@ def fit_rollout(
         Interval of a constant (of every entity's).
     fit_states : bool
         False keeps the initial states at the (measured) first row.
+    memory : float
+        Correlation time of the position noise, s; 0 = white.
 
     Returns
     -------
     RolloutFit
     """
     problem = _Problem(
-        scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states
+        scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states, memory
     )
     return problem.solve(max_iterations)
 
 
 class _Problem:
     def __init__(
-        self, scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states
-    ):
+        self, scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states,
+        memory,
+    ):  # fmt: skip
         self.law = law
         self.integrator = integrator
         self.substeps = substeps
         self.fit_states = fit_states
         self.batches = stack(scenes, up, velocity)
         self.parameters = parameter_list(law, free)
-        sigma = np.asarray(sigma, dtype=float)
-        known = np.isfinite(sigma)
-        self.weight = np.where(known, 1.0 / np.where(known, sigma, 1.0), 0.0)
-        self.observed, self.seen = [], []
+        self.observed, self.noise = [], []
         for batch in self.batches:
+            noise = TrackNoise(batch, sigma, memory)
             observed = batch.positions[:, :, batch.bodies.receivers]
-            seen = np.isfinite(observed) & (self.weight > 0)
-            self.observed.append(np.where(seen, observed, 0.0))
-            self.seen.append(seen)
+            self.observed.append(np.where(noise.seen, observed, 0.0))
+            self.noise.append(noise)
         low = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[0] for n, _ in self.parameters])
         high = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n, _ in self.parameters])
         self.low, self.high = low, high
@@ -280,7 +285,7 @@ class _Problem:
 
     def _sum(self, k, predicted):
         with np.errstate(over="ignore", invalid="ignore"):
-            error = np.where(self.seen[k], self.observed[k] - predicted, 0.0) * self.weight
+            error = self.noise[k].whiten(self.observed[k] - predicted)
             return float(np.square(error).sum())
 
     def _linearise(self, x, states):
@@ -289,16 +294,16 @@ class _Problem:
         for k, batch in enumerate(self.batches):
             p, v = states[k]
             predicted, by_constant, by_state = self._derivatives(k, batch, x, p, v)
-            mask = self.seen[k] * self.weight
             # Shorter scenes are padded: the prediction has no number there.
-            residual = np.where(self.seen[k], self.observed[k] - predicted, 0.0) * self.weight
+            whiten = self.noise[k].whiten
+            residual = whiten(self.observed[k] - predicted)
             chisqr += self._sum(k, predicted)
             n_scenes = residual.shape[1]
             flat = np.moveaxis(residual, 1, 0).reshape(n_scenes, -1)
-            jc = np.moveaxis(by_constant * mask, 2, 0).reshape(n_scenes, len(x), flat.shape[1])
+            jc = np.moveaxis(whiten(by_constant), 2, 0).reshape(n_scenes, len(x), flat.shape[1])
             js = np.zeros((n_scenes, 0, flat.shape[1]))
             if self.fit_states:
-                js = np.moveaxis(by_state * mask, 2, 0).reshape(n_scenes, -1, flat.shape[1])
+                js = np.moveaxis(whiten(by_state), 2, 0).reshape(n_scenes, -1, flat.shape[1])
             blocks.append((flat, jc, js))
             all_predicted.append(predicted)
         return blocks, chisqr, all_predicted
@@ -387,7 +392,7 @@ class _Problem:
                 information += hcc - hcs @ np.linalg.pinv(hss, hermitian=True) @ hcs.T
                 n_states += int((np.abs(np.diag(hss)) > 0).sum())
         covariance = covariance_of(information)
-        n_rows = int(sum(seen.sum() for seen in self.seen))
+        n_rows = int(sum(noise.seen.sum() for noise in self.noise))
         return RolloutFit(
             self.law.with_values(self.parameters, x),
             self.parameters,
@@ -400,6 +405,10 @@ class _Problem:
             tuple(p for p, _ in states),
             tuple(v for _, v in states),
             tuple(predicted),
+            tuple(
+                noise.whiten(observed - track)
+                for noise, observed, track in zip(self.noise, self.observed, predicted, strict=True)
+            ),
             converged,
         )
 
@@ -452,14 +461,17 @@ def _solve_bounded(matrix, vector, x, low, high):
 
 
 def predict(
-    scenes, law, sigma, *, n_initial, integrator="rk4", substeps=1, up=None, velocity="ignore"
-):
+    scenes, law, sigma, *, n_initial, integrator="rk4", substeps=1, up=None, velocity="ignore",
+    memory=0.0,
+):  # fmt: skip
     """Predict scenes whose initial states are fitted on their first rows only.
 
     Parameters
     ----------
     n_initial : callable
         ``n_initial(scene) -> int``: rows used; 1 = take the measured state of the first row.
+    memory : float
+        Correlation time of the position noise, s.
 
     Returns
     -------
@@ -478,6 +490,7 @@ def predict(
         up=up,
         velocity=velocity,
         fit_states=not known,
+        memory=memory,
     )
     start = {}
     for batch, p, v in zip(fit.batches, fit.positions, fit.velocities, strict=True):

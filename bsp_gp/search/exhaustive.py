@@ -339,18 +339,25 @@ class _Exhaustive:
         else:
             scorer = CorrelatedScorer if self.is_correlated else RowScorer
         gain = np.zeros(block.allowed.shape)
-        null_gain = np.zeros((len(self.null_gain), *block.allowed.shape))
+        n_null, is_split = len(self.null_gain), len(self.groups) > 1
+        null_gain = np.zeros((n_null, *block.allowed.shape)) if is_split else None
         vector = directed.value / np.max(np.abs(directed.value))
         for ys, q in zip(self.y_groups, self.q_groups, strict=True):
             numerators, denominator = scorer(self, block, vector, q, ys).products()
-            safe = np.where(denominator > 0, denominator, np.inf)
-            gain += np.square(numerators[0]) / safe
-            for k in range(len(null_gain)):
-                null_gain[k] += np.square(numerators[k + 1]) / safe
-        gain = np.where(block.allowed, gain, 0.0)
-        if len(null_gain):
-            flat = np.where(block.allowed, null_gain, 0.0).reshape(len(null_gain), -1)
-            self.null_gain = np.maximum(self.null_gain, flat.max(axis=1))
+            usable = (denominator > 0) & block.allowed
+            inverse = np.where(usable, 1.0 / np.where(usable, denominator, 1.0), 0.0)
+            gain += np.square(numerators[0]) * inverse
+            room = np.empty_like(inverse)
+            for k in range(n_null):
+                np.square(numerators[k + 1], out=room)
+                np.multiply(room, inverse, out=room)
+                if is_split:
+                    null_gain[k] += room
+                else:
+                    self.null_gain[k] = max(self.null_gain[k], room.max())
+        if is_split and n_null:
+            greatest = null_gain.reshape(n_null, -1).max(axis=1)
+            self.null_gain = np.maximum(self.null_gain, greatest)
         total = (
             directed.complexity
             + block.cost

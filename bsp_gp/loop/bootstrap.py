@@ -1,0 +1,172 @@
+"""Question 5 through the whole search: how often a complete model looks as incomplete.
+
+The declared model is taken for the truth: its fitted tracks with noise as large and with as long
+a memory as its residual has. On every such data set everything is done again: the model is
+fitted, the tracks are denoised, the noise is estimated, all laws are searched. The p-value counts
+how often the best law is as strong as the one that was found. Rounds need no further correction:
+a round is only reached if all before it adopted something, so that at most one of them meets a
+complete model first (a gatekeeping procedure).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.errors import EvaluationError
+from bsp_gp.loop.denoise import tracks_of
+from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
+from bsp_gp.physics.noise import draw_noise
+
+__all__ = ["Significance", "bootstrap", "strength"]
+
+ENOUGH = 8
+"""As strong simulated findings after which a p-value is known well enough (Besag and Clifford
+1991, Biometrika 78, 301)."""
+LEAST = 19
+"""Simulated data sets before a finding may count as beyond them all."""
+BATCH = 8
+TAIL = 1.5
+"""Factor on the width of the tail, which is estimated from few simulated findings."""
+
+
+@dataclass(frozen=True)
+class Significance:
+    """Outcome of a bootstrap.
+
+    Attributes
+    ----------
+    p_value : float
+    n_done : int
+        Simulated data sets.
+    n_as_strong : int
+        Of these, with a finding as strong as the observed one.
+    n_failed : int
+        That could not be fitted; they count as if as strong.
+    is_extrapolated : bool
+        No finding came near, and the p-value is that of the fitted tail.
+    strengths : tuple of float
+        Of the simulated findings, nats.
+    """
+
+    p_value: float
+    n_done: int
+    n_as_strong: int
+    n_failed: int
+    is_extrapolated: bool
+    strengths: tuple[float, ...]
+
+    def text(self):
+        """For the report: how the p-value came about."""
+        if self.is_extrapolated:
+            how = "none comes near, the p-value is that of their fitted tail"
+        else:
+            how = f"{self.n_as_strong} of them with as strong a finding"
+        failed = f", {self.n_failed} of them without a fit" if self.n_failed else ""
+        return f"the whole search on {self.n_done} simulated data sets{failed}: {how}"
+
+
+def strength(proposals):
+    """Evidence of the best proposal that is more than a change of a declared number, nats."""
+    able = [p.evidence for p in proposals.shortlist if not p.redoes_declared]
+    return max(able, default=-math.inf)
+
+
+def bootstrap(search, fit, observed, rng, *, alpha=0.01, n_max=99, workers=None):
+    """p-value of a finding, with everything that led to it done again on simulated data.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        On the observation as it was before a memory of its noise was estimated.
+    fit : Fit
+        Of the model that may be complete.
+    observed : float
+        `strength` of what was found.
+    rng : numpy.random.Generator
+    alpha : float
+        Level; far beyond it no further data are simulated.
+    n_max : int
+    workers : concurrent.futures.Executor, optional
+        The answer does not depend on it.
+
+    Returns
+    -------
+    Significance
+    """
+    source = _Source(search, fit)
+    run = map if workers is None else workers.map
+    strengths, n_failed = [], 0
+    seeds = rng.spawn(n_max)
+    for start in range(0, n_max, BATCH):
+        for value in run(source, seeds[start : start + BATCH]):
+            n_failed += value is None
+            strengths.append(math.inf if value is None else value)
+            done = _decided(strengths, n_failed, observed, alpha, n_max)
+            if done is not None:
+                return done
+    n_strong = sum(s >= observed for s in strengths)
+    return Significance(
+        (n_strong + 1) / (n_max + 1), n_max, n_strong, n_failed, False, tuple(strengths)
+    )
+
+
+def _decided(strengths, n_failed, observed, alpha, n_max):
+    n, n_strong = len(strengths), sum(s >= observed for s in strengths)
+    if n_strong >= ENOUGH:
+        return Significance(n_strong / n, n, n_strong, n_failed, False, tuple(strengths))
+    if n < LEAST or n == n_max or n_strong:
+        return None
+    p = _tail(np.array(strengths), observed)
+    return None if p > alpha / 10 else Significance(p, n, 0, n_failed, True, tuple(strengths))
+
+
+def _tail(strengths, observed):
+    """Chance of the observed strength under the Gumbel law of the simulated maxima.
+
+    The greatest of many chi-squared gains has a tail that falls by e for each nat, not faster.
+    """
+    width = max(TAIL * math.sqrt(6) / math.pi * float(np.std(strengths, ddof=1)), 1.0)
+    middle = float(np.mean(strengths)) - 0.5772156649015329 * width / TAIL
+    return -math.expm1(-math.exp(min(-(observed - middle) / width, 50.0)))
+
+
+class _Source:
+    """Makes a data set as the model would have it, and returns what the search finds in it."""
+
+    def __init__(self, search, fit):
+        observation = search.observation
+        self.noise = observation
+        if observation.may_have_memory:
+            noise = estimate_memory(search, fit)
+            if noise.memory > 0:
+                self.noise = with_memory(observation, noise.memory, noise.factor)
+        self.search = search
+        self.law = fit.law
+        self.tracks = tracks_of(fit.whole, observation.train)
+
+    def __call__(self, rng):
+        data_rng, search_rng = rng.spawn(2)
+        train = [self._simulated(scene, data_rng) for scene in self.search.observation.train]
+        search = self.search.on(self.search.observation.with_train(train))
+        try:
+            fit = search.observation.fit(self.law)
+            _, _, proposals = search_with_memory(search, fit, search_rng, n_null=0, top_k=1)
+        except EvaluationError:
+            return None
+        return strength(proposals)
+
+    def _simulated(self, scene, rng):
+        """The scene with simulated positions; one whose rollout ran away is kept as it is."""
+        if scene.name not in self.tracks:
+            return scene
+        track, _ = self.tracks[scene.name]
+        drawn = track + draw_noise(scene, self.noise.sigma, self.noise.memory, rng)
+        positions = np.array(scene.positions)
+        seen = np.isfinite(positions[:, scene.dynamic])
+        # An axis along which nothing moves has no noise and keeps its values.
+        drawn = np.where(np.isfinite(self.noise.sigma), drawn, positions[:, scene.dynamic])
+        positions[:, scene.dynamic] = np.where(seen, drawn, np.nan)
+        return replace(scene, positions=positions, velocities=None)

@@ -1,0 +1,161 @@
+"""Tracking noise with a memory: estimated beside the law, so that neither is taken for the other.
+
+Errors of a tracker may be alike from frame to frame. Taken for white noise they look like a
+small force; a force that the model lacks looks like such errors. The correlation time is
+therefore estimated on what the best proposal of the search leaves, by maximum likelihood on the
+second differences (from which initial states have dropped out), and the search is repeated with
+it, until the two agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["NoiseFit", "estimate_memory", "search_with_memory", "with_memory"]
+
+STEPS = (0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 25.0)
+"""Correlation times that are tried, in median time steps; between them by a parabola."""
+MIN_GAIN = 6.0
+"""Fall of the BIC at which a memory is taken for real."""
+MOST_TURNS = 2
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Noise that explains a residual.
+
+    Attributes
+    ----------
+    memory : float
+        Correlation time, s; 0 = white.
+    factor : float
+        Its standard deviation over the one assumed.
+    gain : float
+        Fall of the BIC against white noise.
+    """
+
+    memory: float
+    factor: float
+    gain: float
+
+
+def estimate_memory(search, fit, proposal=None):
+    """Correlation time of the noise, given the law and perhaps one more term.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        Its observation's own memory does not matter.
+    fit : Fit
+        Of the law; its constants are refitted, and that of the proposal.
+    proposal : Proposal, optional
+
+    Returns
+    -------
+    NoiseFit
+    """
+    step = np.median(np.concatenate([np.diff(s.times) for s in search.observation.train]))
+    tried = np.array([0.0, *(step * k for k in STEPS)])
+    logs, factors, n = [], [], 1
+    for memory in tried:
+        log, factor, n = _profile(search.on(with_memory(search.observation, memory)), fit, proposal)
+        logs.append(log)
+        factors.append(factor)
+    logs = np.array(logs)
+    best = int(np.argmax(logs))
+    gain = 2 * (logs[best] - logs[0]) - np.log(n)
+    if best == 0 or gain < MIN_GAIN:
+        return NoiseFit(0.0, factors[0], 0.0)
+    memory = _peak(np.log(tried[1:]), logs[1:], best - 1)
+    _, factor, _ = _profile(search.on(with_memory(search.observation, memory)), fit, proposal)
+    return NoiseFit(memory, factor, float(gain))
+
+
+def _peak(x, y, k):
+    """Where the parabola through the best point and its neighbours is highest."""
+    if 0 < k < len(x) - 1:
+        a, b, _ = np.polyfit(x[k - 1 : k + 2] - x[k], y[k - 1 : k + 2], 2)
+        if a < 0:
+            shift = np.clip(-b / (2 * a), x[k - 1] - x[k], x[k + 1] - x[k])
+            return float(np.exp(x[k] + shift))
+    return float(np.exp(x[k]))
+
+
+def _profile(search, fit, proposal):
+    """Log-likelihood with constants and noise level profiled out, noise level, and rows."""
+    regression, residual, columns = search.left(fit, proposal)
+    if columns.shape[1]:
+        sizes = np.linalg.norm(columns, axis=0)
+        columns = columns[:, sizes > 0] / sizes[sizes > 0]
+        residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
+    n = regression.n_rows
+    free = max(n - columns.shape[1], 1)
+    size = float(residual @ residual)
+    log = regression.log_scale() - 0.5 * free * np.log(max(size, 1e-300))
+    return log, float(np.sqrt(size / free)), n
+
+
+def with_memory(observation, memory, factor=1.0):
+    """The observation under noise with a memory.
+
+    Parameters
+    ----------
+    observation : Observation
+    memory : float
+        Correlation time, s.
+    factor : float
+        On the standard deviation, where that was estimated: differences of positions see little
+        of an error that hardly changes from one to the next.
+    """
+    factor = factor if observation.noise.source == "estimated" else 1.0
+    changed = replace(
+        observation,
+        memory=float(memory),
+        sigma=observation.sigma * factor,
+        regression_sigma=observation.regression_sigma * factor,
+        noise=replace(observation.noise, sigma=tuple(np.array(observation.noise.sigma) * factor)),
+    )
+    return replace(
+        changed,
+        train_regression=changed.regression(observation.train),
+        test_regression=changed.regression(observation.test),
+    )
+
+
+def search_with_memory(search, fit, rng, **options):
+    """Search for what a fitted law lacks, the noise estimated beside it.
+
+    Parameters
+    ----------
+    search : EffectSearch
+    fit : Fit
+    rng : numpy.random.Generator
+    **options
+        For `EffectSearch.propose`.
+
+    Returns
+    -------
+    search : EffectSearch
+        On the observation with the noise that was found, or the one given.
+    fit : Fit
+        Of the law under that noise.
+    proposals : Proposals
+    """
+    proposals = search.propose(fit, rng, **options)
+    if not search.observation.may_have_memory:
+        return search, fit, proposals
+    for _ in range(MOST_TURNS):
+        # A changed number explains a residual as well as a new term does.
+        best = max(proposals.shortlist, key=lambda p: p.evidence, default=None)
+        noise = estimate_memory(search, fit, best)
+        before = search.observation.memory
+        if abs(noise.memory - before) <= 0.1 * max(noise.memory, before):
+            break
+        observation = with_memory(search.observation, noise.memory, noise.factor)
+        search = search.on(observation)
+        fit = observation.fit(fit.law)
+        proposals = search.propose(fit, rng, **options)
+    return search, fit, proposals
+
