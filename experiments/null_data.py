@@ -23,8 +23,9 @@ MEMORY = {"white": 0.0, "memory 0.5": 0.5, "memory 0.8": 0.8}
 WORLDS = {
     "fall": {"has_table": False, "noise": 0.005, "n_frames": 40, "dt": 0.025},
     "spring": {"noise": 0.003, "n_frames": 50},
-    "nbody": {"n_bodies": 3, "noise": 0.05, "n_frames": 30, "distance": (20.0, 60.0),
-              "jitter": (-5.0, 5.0), "dt": 0.04, "substeps": 20},
+    "nbody": {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1,
+              "distance": (15.0, 30.0), "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 30,
+              "dt": 0.2, "substeps": 100},
 }  # fmt: skip
 """What is changed in the presets: smooth motion without contacts, at most 300 rows a set."""
 N_SETS = 500

@@ -1,0 +1,306 @@
+"""Which undeclared effects are found, named rightly, and measured rightly, at a given strength.
+
+Every data set lacks one effect, made by pymunk or by a second engine, as strong as makes its
+signal-to-noise ratio the one asked for: SNR^2 = d' S^-1 d, d being the difference of positions
+between the true motion and the best refitted declared model (constants and initial states free),
+S the covariance of the noise, summed over the data set. `snr_rival` is the same against the
+nearest wrong effect, refitted. Both come from the truth of the generator.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from common import options, run_jobs, save_figure, write_text
+
+from bsp_gp.errors import BspError, MissingDependencyError
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.attempts import evaluate
+from bsp_gp.loop.close import close_loop, declared_law
+from bsp_gp.loop.preparing import observe
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.shooting import fit_rollout
+from bsp_gp.simulate.effects import Effect, ExtraBody, effect
+from bsp_gp.simulate.engine import run_pymunk
+from bsp_gp.simulate.forces import MatFriction, PointSpring
+from bsp_gp.simulate.synth import make, preset
+from bsp_gp.simulate.world import point
+
+ALPHA = 0.01
+SNRS = (10.0,)
+N_SEEDS = 100
+SAME_FORM = 1e-5
+"""Laws are of one form if their accelerations on the true motion are parallel to this part."""
+GAP_BIC = 2.0
+
+FALL = {"has_table": False, "noise": 0.005, "n_frames": 40, "dt": 0.025, "n_scenes": 10,
+        "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}  # fmt: skip
+MAT = {"forces": (), "noise": 0.05, "n_frames": 40, "n_scenes": 10}
+NBODY = {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1, "distance": (15.0, 30.0),
+         "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 40, "dt": 0.15, "substeps": 100,
+         "n_scenes": 6}  # fmt: skip
+POST = (1.0, 4.0)
+
+
+def _spring(value):
+    post = ExtraBody(point("post"), POST, is_hidden=False)
+    return Effect("spring", (("value", value),), False, (PointSpring(value, *POST),), body=post)
+
+
+def _grip(value):
+    return Effect("mat friction", (("value", value),), False, (MatFriction(value),))
+
+
+def _named(name, **fixed):
+    return lambda value: effect(name, value, is_declared=False, **fixed)
+
+
+CASES = {
+    "linear drag": ("fall", FALL, _named("drag"), 0.02),
+    "quadratic drag": ("fall", FALL, _named("quadratic_drag"), 0.005),
+    "uniform wind": ("fall", FALL, _named("wind"), 0.02),
+    "perpendicular": ("fall", FALL, _named("perpendicular"), 0.02),
+    "magnetic": ("fall", FALL, _named("magnetic"), 0.02),
+    "spring to a point": ("fall", FALL, _spring, 0.02),
+    "periodic push": ("fall", FALL, _named("push", period=0.5), 0.05),
+    "friction on a mat": ("mat", MAT, _grip, 0.02),
+    "pair force": ("nbody", NBODY, _named("pair"), 1.0),
+    "changed exponent": ("nbody", NBODY, lambda v: _named("exponent")(2.0 + v), 0.001),
+}
+"""Preset, its numbers, effect of a strength, and a strength to begin with."""
+
+LAWS = {
+    "linear drag": "c * v_i", "quadratic drag": "c * norm(v_i) * v_i", "uniform wind": "c * e_x",
+    "perpendicular": "c * perp(v_i)", "magnetic": "c * charge_i * perp(v_i)",
+    "spring to a point": "c * (p_j - p_i)", "attraction": "c * m_i * m_j * normalize(p_j - p_i)",
+    "pair force": "c * charge_i * charge_j / norm(p_i - p_j)^2 * normalize(p_i - p_j)",
+    "friction on a mat": "c * is_on(s_i, p_i, s_j, p_j) * m_i * mu_j * normalize(v_i)",
+    "friction": "c * m_i * normalize(v_i)",
+}  # fmt: skip
+"""What may be taken for an effect, where the data have what it names."""
+
+
+def engine_of(name, settings):
+    """The engine of this name, or None where it lacks the effect or is not installed."""
+    if name == "pymunk":
+        return run_pymunk
+    try:
+        from second_engine import run_mujoco
+
+        make(replace(settings, n_scenes=1, n_frames=3), np.random.default_rng(0), run_mujoco)
+    except (MissingDependencyError, BspError):
+        return None
+    return run_mujoco
+
+
+def world(case, strength, rng, engine="pymunk", noise=None):
+    """Data set and truth of a case."""
+    name, numbers, build, _ = CASES[case]
+    noise = numbers["noise"] if noise is None else noise
+    settings = preset(name, [build(strength)], **{**numbers, "noise": noise})
+    run = engine_of(engine, settings)
+    if run is None:
+        raise BspError(f"{engine} has no {case}")
+    return make(settings, rng, run)
+
+
+def seen_against(dataset, truth, extra, sigma):
+    """SNR of exact positions against the declared model, or it and one more law."""
+    law = declared_law(dataset, truth.declared)
+    if extra:
+        formula = parse_formula(extra, dataset_types(dataset), units=dataset.units)
+        law = law.plus(Term(formula), {"c": 0.0})
+    fit = fit_rollout(dataset.scenes, law, np.full(2, sigma), up=dataset.up, substeps=2)
+    return float(np.sqrt(fit.chisqr))
+
+
+def tuned(case, snr, seed, engine):
+    """Strength at which the exact data of a case differ from the declared model by `snr`."""
+    strength, sigma = CASES[case][3], CASES[case][1]["noise"]
+    for _ in range(4):
+        rng = np.random.default_rng((list(CASES).index(case), seed))
+        dataset, truth = world(case, strength, rng, engine, noise=0.0)
+        found = seen_against(dataset, truth, "", sigma)
+        if abs(found / snr - 1) < 0.01:
+            break
+        strength *= snr / found
+    return strength, found, dataset, truth
+
+
+def rival_of(case, dataset, truth):
+    """SNR against the nearest wrong effect, and its name."""
+    best, sigma = ("", np.inf), CASES[case][1]["noise"]
+    for name, text in LAWS.items():
+        if name == case:
+            continue
+        try:
+            value = seen_against(dataset, truth, text, sigma)
+        except BspError:  # the data have not what it names
+            continue
+        best = min(best, (name, value), key=lambda item: item[1])
+    return best
+
+
+class Judge:
+    """Compares laws with what was undeclared, along the true motion."""
+
+    def __init__(self, dataset, truth):
+        self.dataset = dataset
+        scenes = [truth.scene(k) for k in range(len(truth.scenes))]
+        self.scenes = scenes
+        moving = scenes[0].dynamic
+        both = truth.accelerations() - truth.accelerations(of_declared=True)
+        self.missing = both[:, :, moving].ravel()
+
+    def acceleration(self, law):
+        """Accelerations of a law along the true motion, one vector."""
+        from bsp_gp.physics.bodies import stack
+
+        (batch,) = stack(self.scenes, self.dataset.up, "measured")
+        value = law.acceleration(batch.bodies, batch.positions, batch.velocities, batch.times)
+        return np.moveaxis(value, 1, 0).ravel()
+
+    def factor(self, law):
+        """How many times the law the missing effect is, nan if it is of another form."""
+        value = self.acceleration(law)
+        size = value @ value
+        if not (np.isfinite(size) and size > 0):
+            return np.nan
+        along = (value @ self.missing) / size
+        left = self.missing - along * value
+        return along if left @ left < SAME_FORM * (self.missing @ self.missing) else np.nan
+
+    def is_form(self, text):
+        """Whether a law as text is of the form of the missing effect."""
+        try:
+            formula = parse_formula(text, dataset_types(self.dataset), units=self.dataset.units)
+        except BspError:
+            return False
+        law = ForceLaw((Term(formula),), dict.fromkeys(formula.constants, 1.0))
+        return bool(np.isfinite(self.factor(law)))
+
+
+def work(case, engine, snr, seed):
+    """One data set: a row."""
+    strength, found, exact, truth = tuned(case, snr, seed, engine)
+    rival, snr_rival = rival_of(case, exact, truth)
+    rng = np.random.default_rng((list(CASES).index(case), seed))
+    dataset, truth = world(case, strength, rng, engine)
+    loop_rng, observe_rng = np.random.default_rng((1, seed)).spawn(2)
+    report = close_loop(dataset, truth.declared, rng=loop_rng, alpha=ALPHA, max_rounds=3)
+    judge = Judge(dataset, truth)
+    extra = tuple(term for term in report.law.terms if not term.is_declared)
+    law = ForceLaw(extra, {n: v for n, v in report.law.constants.items()
+                           if any(n in t.formula.constants for t in extra)})  # fmt: skip
+    factor = judge.factor(law) if extra else np.nan
+    first = report.rounds[0]
+    reported = [] if first.effect is None else [first.effect.law, *first.effect.equivalents]
+    if not first.adopted:
+        reported += [r.law for r in first.rivals if r.delta_bic < GAP_BIC]
+    covered = ""
+    if len(extra) == 1 and np.isfinite(factor):
+        (constant,) = [c for c in report.constants if c.name in law.constants]
+        covered = bool(constant.low <= constant.value * factor <= constant.high)
+    return [{
+        "effect": case, "engine": engine, "snr": found, "snr_rival": snr_rival, "rival": rival,
+        "seed": seed, "strength": strength,
+        "detected": any(r.missing.is_missing for r in report.rounds), "verdict": first.verdict,
+        "adopted": bool(extra), "named": bool(np.isfinite(factor)),
+        "in_class": bool(np.isfinite(factor)) or any(map(judge.is_form, reported)),
+        "n_class": len(reported), "covered": covered, "law": report.law_text,
+        "p_value": first.effect.p_value if first.effect else "",
+        "rollout_ratio_to_oracle": report.total["after"].rollout_rmse / oracle(
+            dataset, truth, case, observe_rng),
+    }]  # fmt: skip
+
+
+def oracle(dataset, truth, case, rng):
+    """Held-out rollout error of the declared model with the true form added, or of truth itself."""
+    law = declared_law(dataset, truth.declared)
+    if case in LAWS:
+        formula = parse_formula(LAWS[case], dataset_types(dataset), units=dataset.units)
+        law = law.plus(Term(formula), {"c": 0.0})
+    elif case == "changed exponent":
+        law = declared_law(dataset, truth.acting)
+    else:
+        return np.nan  # no law of the language says it
+    pairs = any(term.kind == "pair" for term in law.terms)
+    observation = observe(dataset, law, rng, sources=pairs)
+    return evaluate(observation, law).errors.rollout_rmse
+
+
+def jobs_of(quick, seed):
+    """The jobs; every other seed by the second engine where it has the effect."""
+    cases = ("linear drag", "magnetic") if quick else CASES
+    seeds = range(seed, seed + (2 if quick else N_SEEDS))
+    able = {}
+    for case in cases:
+        name, numbers, build, strength = CASES[case]
+        able[case] = engine_of("mujoco", preset(name, [build(strength)], **numbers)) is not None
+    return [(case, "mujoco" if s % 2 and able[case] else "pymunk", snr, s)
+            for snr in SNRS for s in seeds for case in cases]  # fmt: skip
+
+
+def summary(table):
+    """Rates of each effect."""
+    lines = [
+        "# Undeclared effects: detected, named, measured\n",
+        "Single name: adopted and the class is one. Wrong name: adopted, another form.\n",
+        "| effect | sets | SNR | rival SNR | detected | adopted | named | in class | wrong name "
+        "| covered (90 %) | ratio to oracle: median, 90 % |",
+        "|---" * 11 + "|",
+    ]
+    for name, part in [*table.groupby("effect", sort=False), ("all", table)]:
+        covered = part["covered"].dropna().astype(str)
+        covered = covered[covered != ""]
+        ratio = part["rollout_ratio_to_oracle"].dropna()
+        wrong = part["adopted"] & ~part["named"]
+        cells = [
+            name, len(part), f"{part['snr'].median():.1f}", f"{part['snr_rival'].median():.1f}",
+            *(f"{part[c].mean():.0%}" for c in ("detected", "adopted", "named", "in_class")),
+            f"{wrong.mean():.0%}",
+            f"{(covered == 'True').mean():.0%} of {len(covered)}" if len(covered) else "",
+            f"{ratio.median():.2f}, {ratio.quantile(0.9):.2f}" if len(ratio) else "",
+        ]  # fmt: skip
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    clear = table[table["snr_rival"] >= 5]
+    if len(clear):
+        lines.append(f"\nWhere the nearest rival is at SNR 5 or more ({len(clear)} sets): the "
+                     f"adopted law has the right form in {clear['named'].mean():.0%}.")  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def figure(table):
+    """Verdicts of each effect as stacked bars."""
+    import matplotlib.pyplot as plt
+
+    kinds = {"right form": "#009e73", "other form": "#d55e00", "cannot tell": "#e69f00",
+             "seen, not adopted": "#cccccc", "nothing missing": "#555555"}  # fmt: skip
+    verdict = table["verdict"].where(~table["adopted"], "other form")
+    verdict = verdict.where(~table["named"], "right form")
+    names = list(dict.fromkeys(table["effect"]))
+    fig, ax = plt.subplots(figsize=(7, 0.4 * len(names) + 1.3), layout="constrained")
+    left = np.zeros(len(names))
+    for kind, colour in kinds.items():
+        share = [(verdict[table["effect"] == n] == kind).mean() for n in names]
+        ax.barh(names, share, left=left, color=colour, label=kind)
+        left += share
+    ax.invert_yaxis()
+    ax.set(xlabel="share of data sets", xlim=(0, 1))
+    ax.spines[["top", "right"]].set_visible(False)
+    fig.legend(loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    return fig
+
+
+def main():
+    args = options(__doc__.splitlines()[0])
+    table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
+    text = summary(table)
+    print(text)
+    write_text(text, args.out / "summary.md")
+    save_figure(figure(table), args.out / "power.png")
+    print(f"table, figure and summary: {args.out}")
+
+
+if __name__ == "__main__":
+    main()
