@@ -206,7 +206,10 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
         )
     if _number_wins(model, chosen, attempts, p_value, alpha):
         return False, "cannot tell", FREED
-    if not share >= MIN_SHARE:
+    is_explained = not observation.is_exact and not (
+        examine_residual(observation, after.fit, alpha).is_missing
+    )
+    if not is_explained and not share >= MIN_SHARE:
         rivals = [
             a
             for a in attempts
@@ -220,7 +223,8 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             verdict,
             (
                 f"the best term removes only {max(share, 0):.0%} of the held-out error above the "
-                f"noise floor, less than {MIN_SHARE:.0%}: the cause is not among the laws tried"
+                f"noise floor, less than {MIN_SHARE:.0%}, and leaves more than noise: the cause is "
+                "not among the laws tried"
             ),
         )
     blurred = _blurred(model.fit, after.fit)
@@ -230,12 +234,14 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             "seen, not adopted",
             (f"beside it {blurred}: these data hardly tell the two terms apart"),
         )
-    if not observation.is_exact and not ratio.high < 1:
+    held_out = observation.held_out_gain(model.law, after.law)
+    if not observation.is_exact and (not held_out > 0 or ratio.low > 1):
         return (
             False,
             "seen, not adopted",
             (
-                f"the held-out error does not fall for sure: ratio {ratio.value:.2f} "
+                f"held-out tracks do not confirm it: their chi-squared falls by {held_out:.3g}, "
+                f"the error of predictions has the ratio {ratio.value:.2f} "
                 f"[{ratio.low:.2f}, {ratio.high:.2f}]"
             ),
         )
@@ -245,8 +251,19 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
         "effect adopted",
         (
             f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted, and "
-            f"{share:.0%} of the held-out error above the noise floor is gone{extra}"
+            + _on_held_out(observation, share, held_out, ratio)
+            + extra
         ),
+    )
+
+
+def _on_held_out(observation, share, gain, ratio):
+    """What held-out data say of an adopted term."""
+    if share >= MIN_SHARE and (observation.is_exact or ratio.high < 1):
+        return f"{share:.0%} of the held-out error above the noise floor is gone"
+    return (
+        f"held-out tracks confirm it (their chi-squared falls by {gain:.3g}), though noise hides "
+        "most of what it does to predictions"
     )
 
 

@@ -304,7 +304,8 @@ def merge_proportional(entries, weights, preferred=()):
     Parameters
     ----------
     preferred : collection of Entry
-        Kept before others of their class whatever the complexity.
+        Kept before others of their class whatever the complexity; the array of their values
+        stays the same object.
     """
     preferred = {id(entry) for entry in preferred}
     classes = {}
@@ -316,14 +317,11 @@ def merge_proportional(entries, weights, preferred=()):
     for members in classes.values():
         members.sort(key=lambda e: (id(e) not in preferred, e.complexity, e.levels))
         lead = members[0]
-        if len(members) == 1 or id(lead) in preferred:
-            # An object of the left bank stays the same object, with its ties from there.
-            out.append(lead)
-        else:
+        if len(members) > 1:
             lead = replace(lead, ties=list(lead.ties))
             for other in members[1:]:
                 _remember(lead, other)
-            out.append(lead)
+        out.append(lead)
     return out
 
 

@@ -272,6 +272,9 @@ class _Exhaustive:
         single = next((p for p in plans if p.right is None and p.left is not None), squares[0])
         cost = self._rule_cost(squares[0])
         one = Entry(self._one().formula, None, self._rule_cost(single) - cost, 0, self._one().value)
+        # Where a property is the same for all, a factor alone is a product with it.
+        with_one = merge_proportional([*left.entries, one], self.weights, left.entries)
+        left = Side([entry for entry in with_one if entry.value is not one.value])
         right_entries = [one]
         if "mul" in operators:
             right_entries += left.entries
@@ -281,13 +284,13 @@ class _Exhaustive:
                 right_entries += [entry for entry in inverses if entry is not None]
         # Members of the left bank are preferred, so that a*b and b*a can be told to be one law.
         right = Side(merge_proportional(right_entries, self.weights, preferred=left.entries))
-        index = {id(entry): k for k, entry in enumerate(left.entries)}
+        index = {id(entry.value): k for k, entry in enumerate(left.entries)}
         allowed = np.ones((len(left.entries), len(right.entries)), dtype=bool)
         for column, entry in enumerate(right.entries):
-            if id(entry) in index:  # a * b and b * a are one law
-                allowed[index[id(entry)] + 1 :, column] = False
+            if id(entry.value) in index:  # a * b and b * a are one law
+                allowed[index[id(entry.value)] + 1 :, column] = False
         self.parts.append(f"{len(left.entries)} x {len(right.entries)} coefficients")
-        return Block(left, right, allowed, cost, squares[0].constant)
+        return Block(left, right, allowed, cost, squares[0].constant, needs_factor=True)
 
     def _inverse(self, entry, operator):
         with np.errstate(all="ignore"):

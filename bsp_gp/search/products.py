@@ -18,7 +18,7 @@ class Side:
 
     def __init__(self, entries):
         self.entries = entries
-        self.complexity = np.array([entry.complexity for entry in entries])
+        self.complexity = np.array([min(e.complexity for e in x.family()) for x in entries])
 
     def values(self):
         """Values (n, P), each scaled to a greatest size of one: constants take up the scale."""
@@ -58,6 +58,8 @@ class Block:
         ):
             if self.needs_factor and choice[0].expression is choice[1].expression is None:
                 continue  # 1 * 1: not in the grammar, though equal to a law that is
+            if choice[0].expression is None and choice[1].operator != "mul":
+                continue  # neither is 1 / b
             complexity = self.cost + sum(part.complexity for part in choice)
             options.append((complexity, len(options), choice))
         best = heapq.nsmallest(most + 1, options)

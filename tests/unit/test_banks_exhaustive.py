@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 import bsp_gp.search.scoring as scoring
-from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import GrammarError, SettingsError
 from bsp_gp.language.expression import Expression, to_formula
 from bsp_gp.language.grammar import load_grammar, read_grammar
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.language.render import to_text
+from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.banks import Banks, Rows
@@ -496,3 +497,23 @@ def test_grammars_that_are_no_products_are_named(change, message):
 def test_unknown_kinds_are_named():
     with pytest.raises(SettingsError, match="no field laws, only"):
         search_exhaustive(regression_of(), grammar_of(MIXED), kind="field")
+
+
+def test_a_factor_alone_is_not_hidden_by_one_that_is_constant_here():
+    """Every source has the mass 1: a law with one factor is as good as its product with m_j."""
+    rng = np.random.default_rng(0)
+    scenes = []
+    for k in range(3):
+        start, velocity = rng.normal(size=2), rng.normal(size=2)
+        times = 0.1 * np.arange(12.0)
+        track = start + velocity * times[:, None] - 0.3 * np.outer(times**2, velocity)
+        ball = Entity("ball", properties={"mass": 1.0 + k, "friction": 0.0})
+        post = Entity("post", is_static=True, properties={"mass": 1.0, "friction": 2.0 + k})
+        positions = np.stack([track, np.full_like(track, 9.0)], axis=1)
+        scenes.append(Scene(str(k), times, positions, [ball, post]))
+    dataset = Dataset("posts", scenes)
+    grammar, _ = load_grammar("newtonian").masked(dataset_types(dataset), 2)
+    result = search_exhaustive(build_regression(scenes), grammar, kind="pair", top_k=400)
+    laws = {to_text(c.formula): c.complexity for c in result.candidates}
+    simplest = min((text for text in laws if "mu_j" in text), key=laws.get)
+    assert simplest == "c1 * (mu_j * normalize(p_i - p_j))"
