@@ -53,6 +53,10 @@ def _mass_unknown(observation, entity):
     )
 
 
+CLASS_BIC = 6.0
+"""Laws whose BIC is higher by less than this are not ruled out: a wrong name is worse than two."""
+
+
 def effect_of(observation, chosen, attempts, p_value):
     """The chosen attempt as an Effect: constants, bodies, what it cannot be told from."""
     names = {split_linear(t.formula)[0] for t in chosen.law.terms if not t.is_declared}
@@ -65,9 +69,9 @@ def effect_of(observation, chosen, attempts, p_value):
         for a in attempts
         if not a.reason
         and a.text != chosen.text
-        and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < TIE_BIC
+        and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < CLASS_BIC
     ]
-    equivalents = (*chosen.equivalents, *as_good, *chosen.ties)
+    equivalents = (*as_good, *chosen.equivalents, *chosen.ties)
     return Effect(
         name=chosen.name,
         kind=chosen.kind,
@@ -122,6 +126,8 @@ def rivals_of(observation, model, chosen, attempts):
             reason = "fits as well" + (
                 "; less simple" if attempt.complexity > chosen.complexity else ""
             )
+        elif not reason and delta < CLASS_BIC:
+            reason = f"fits nearly as well: BIC higher by {delta:.1f}, too little to tell"
         elif not reason:
             reason = f"fits worse: BIC higher by {delta:.1f}"
         out.append(
