@@ -1,6 +1,6 @@
 """What a law must explain: accelerations at instants, with the covariance of their errors.
 
-Three ways to read them off a track, one interface (`Regression`):
+Several ways to read them off a track, one interface (`Regression`):
 
 ``one_step``
     The paper's vectorised likelihood (section 3.3.1): velocity by backward difference, one
@@ -16,8 +16,13 @@ Three ways to read them off a track, one interface (`Regression`):
     time: equivalent to fitting positions with free initial states.
 ``derivative``
     For data with *measured* velocities: their derivative by a central difference of high order.
-
-A weak form against compact test functions has its place beside these.
+``weak``
+    The equation of motion integrated against compact test functions (`bsp_gp.physics.weak`):
+    both time derivatives fall upon the test function, whose width is chosen from the data.
+    Bridges short gaps, weighs every row by its quoted error, and takes measured velocities. For
+    motion in continuous time.
+``one_step_weak``
+    The same for data made by steps: forces act at rows, with backward velocities.
 """
 
 from __future__ import annotations
@@ -29,7 +34,9 @@ import numpy as np
 from bsp_gp.errors import DataError, EvaluationError, SettingsError
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.differences import difference_weights, gls_whitener
 from bsp_gp.physics.force import settle, term_gradient
+from bsp_gp.physics.weak import WeakForm, estimated_level
 
 __all__ = [
     "METHODS",
@@ -40,10 +47,10 @@ __all__ = [
     "stack_draws",
 ]
 
-METHODS = ("one_step", "one_step_gls", "central", "gls", "derivative")
+METHODS = (
+    "one_step", "one_step_gls", "central", "gls", "derivative", "weak", "one_step_weak"
+)  # fmt: skip
 DERIVATIVE_POINTS = 11
-DENSE_LIMIT = 1500
-"""Longest track (rows) whose whitening matrix is kept dense."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,13 @@ class RegressionBatch:
         1 / standard deviation of independent errors; 0 where not valid.
     scene_names : tuple of str, length S
     whitener : ndarray or None
-        ``(n, n)`` shared or ``(S, R, n, n)``: applied along time before `scale`; None = identity.
+        Applied along time before `scale`; None = identity. ``(k, n)`` shared, ``(S, R, k, n)`` or
+        ``(S, R, d, k, n)``; where k < n, the last n - k whitened rows are 0.
+    observed : ndarray, shape (n, S, R, d), or None
+        What the whitened law is to explain, before `scale`; None: the whitened `target`.
+    kept : ndarray of bool, shape (n, S, R, d)
+        Whitened rows that count; by default the valid ones. In the weak form these are test
+        functions, and no instants.
     """
 
     bodies: object
@@ -75,18 +88,44 @@ class RegressionBatch:
     scale: np.ndarray
     scene_names: tuple[str, ...] = ()
     whitener: np.ndarray | None = None
+    observed: np.ndarray | None = None
+    kept: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.kept is None:
+            object.__setattr__(self, "kept", self.valid)
 
     def whiten(self, values):
-        """Whiten accelerations, shape (n, S, R, ..., d); invalid rows become 0."""
+        """Whiten accelerations, shape (n, S, R, ..., d); rows that are not kept become 0."""
         extra = values.ndim - 4
         index = (slice(None),) * 3 + (None,) * extra
         values = np.where(self.valid[index], values, 0.0)
         if self.whitener is not None:
-            if self.whitener.ndim == 2:
-                values = np.tensordot(self.whitener, values, axes=(1, 0))
-            else:
-                values = np.einsum("srtu,usr...->tsr...", self.whitener, values, optimize=True)
+            values = _along_time(self.whitener, values)
         return values * self.scale[index]
+
+    def whitened_target(self):
+        """What the whitened law is to explain, shape (n, S, R, d)."""
+        return self.whiten(self.target) if self.observed is None else self.observed * self.scale
+
+    def whitened_residual(self, predicted):
+        """Whitened observed minus predicted accelerations, shape (n, S, R, d)."""
+        if self.observed is None:
+            return self.whiten(self.target - predicted)
+        return self.observed * self.scale - self.whiten(predicted)
+
+
+def _along_time(whitener, values):
+    """Apply a whitener to the first axis of values (n, S, R, ..., d); 0 beyond its rows."""
+    if whitener.ndim == 2:
+        out = np.tensordot(whitener, values, axes=(1, 0))
+    elif whitener.ndim == 4:
+        out = np.einsum("srtu,usr...->tsr...", whitener, values, optimize=True)
+    else:
+        out = np.einsum("srdtu,usr...d->tsr...d", whitener, values, optimize=True)
+    if len(out) == len(values):
+        return out
+    return np.concatenate([out, np.zeros((len(values) - len(out), *out.shape[1:]))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,20 +139,25 @@ class Regression:
     sigma : ndarray, shape (d,)
         Standard deviation used: of positions, metres, or of accelerations (``derivative``).
     scenes : tuple of Scene
+    widths : Widths or None
+        Of the test functions (``weak``).
+    n_rows : int
+        Rows that count: instants and axes, or independent test functions.
     """
 
     batches: tuple[RegressionBatch, ...]
     method: str
     sigma: np.ndarray
     scenes: tuple
+    widths: object = None
     n_rows: int = field(init=False)
 
     def __post_init__(self):
-        object.__setattr__(self, "n_rows", int(sum(batch.valid.sum() for batch in self.batches)))
+        object.__setattr__(self, "n_rows", int(sum(batch.kept.sum() for batch in self.batches)))
 
     def target(self):
         """Whitened observed accelerations, one vector."""
-        return self._flat(batch.whiten(batch.target) for batch in self.batches)
+        return self._flat(batch.whitened_target() for batch in self.batches)
 
     def residual(self, law):
         """Whitened observed minus predicted accelerations, one vector.
@@ -124,7 +168,7 @@ class Regression:
             If the law has no finite value at a valid instant.
         """
         return self._flat(
-            batch.whiten(batch.target - checked(self.predict(batch, law), batch))
+            batch.whitened_residual(checked(self.predict(batch, law), batch))
             for batch in self.batches
         )
 
@@ -236,7 +280,7 @@ def stack_draws(regressions, weights):
         for batch in regression.batches
     )
     first = regressions[0]
-    return Regression(batches, first.method, first.sigma, first.scenes)
+    return Regression(batches, first.method, first.sigma, first.scenes, first.widths)
 
 
 def checked(values, batch):
@@ -257,6 +301,7 @@ def build_regression(
     sources=True,
     states=None,
     unsure=None,
+    width=None,
 ):
     """Read accelerations off measured tracks.
 
@@ -266,12 +311,14 @@ def build_regression(
     method : str
         One of `METHODS`.
     sigma : array-like, shape (d,) or float, optional
-        Standard deviation of positions (``derivative``: of accelerations); 1 if None. A nan axis
-        (without variation) is left out.
+        Standard deviation of positions (``derivative``: of accelerations; ``weak`` with measured
+        velocities: of these); 1 if None. A nan axis (without variation) is left out. ``weak`` uses
+        it where the scene quotes none.
     up : str, optional
         Declared vertical axis.
     velocity : str
-        "measured" to use the velocity columns; needed by ``derivative``.
+        "measured" to use the velocity columns: ``weak`` then integrates by parts once;
+        ``derivative`` always uses them, other methods never.
     sources : bool
         Whether laws may name other bodies: then rows where any of them is lost are left out.
     states : mapping of str to (ndarray, ndarray), optional
@@ -281,6 +328,8 @@ def build_regression(
     unsure : float, optional
         Rows whose contact or region condition would flip if a body moved by less than this,
         metres, are left out: with position noise they are as likely wrong as right.
+    width : float, optional
+        Reach of the test functions of ``weak``, s; by default chosen from the data.
 
     Raises
     ------
@@ -295,13 +344,19 @@ def build_regression(
             remedy="record longer tracks or more scenes, or declare which are train and test",
         )
     n_dims = scenes[0].n_dims
+    level = sigma
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
-    measured = "measured" if method == "derivative" else "ignore"
-    batches = [
-        _regression_batch(batch, method, sigma, sources, states or {}, unsure)
-        for batch in stack(scenes, up, measured)
-    ]
-    regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
+    is_weak = method in ("weak", "one_step_weak")
+    measured = "measured" if method == "derivative" or (is_weak and velocity == "measured") else ""
+    batches = stack(scenes, up, measured or "ignore")
+    if is_weak:
+        found, widths = _weak_batches(
+            batches, method, sigma, level, sources, states or {}, unsure, bool(measured), width
+        )
+    else:
+        found = [_regression_batch(b, method, sigma, sources, states or {}, unsure) for b in batches]
+        widths = None
+    regression = Regression(tuple(found), method, np.array(sigma), tuple(scenes), widths)
     if not regression.n_rows:
         raise DataError(
             "no instant is usable: a force needs a body in three successive frames"
@@ -329,11 +384,48 @@ def _regression_batch(batch, method, sigma, sources, given, unsure):
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
     if method in ("gls", "one_step_gls"):
-        whitener = _gls_whitener(batch.times, valid)
+        whitener = gls_whitener(batch.times, valid)
     names = tuple(scene.name for scene in batch.scenes)
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
     )
+
+
+def _weak_batches(batches, method, sigma, level, sources, given, unsure, is_measured, width):
+    """Batches of the weak form, and the widths of their test functions."""
+    if level is None:
+        level = estimated_level(batches, is_measured)
+    form = WeakForm(
+        batches,
+        sigma,
+        level=np.broadcast_to(np.asarray(level, dtype=float), sigma.shape),
+        width=width,
+        sources=sources,
+        is_stepped=method == "one_step_weak",
+        is_measured=is_measured,
+        is_unsure=(lambda bodies, p: _is_unsure(bodies, p, unsure)) if unsure else None,
+    )
+    out = []
+    for batch, part in zip(batches, form.parts, strict=True):
+        state = (batch.times[part.rows], batch.positions[part.rows], part.velocities)
+        times, positions, velocities = state if is_measured else _replaced(state, batch, given)
+        names = tuple(scene.name for scene in batch.scenes)
+        out.append(
+            RegressionBatch(
+                batch.bodies,
+                times,
+                positions,
+                velocities,
+                part.target,
+                part.valid,
+                part.kept.astype(float),
+                names,
+                part.whitener,
+                part.observed,
+                part.kept,
+            )
+        )
+    return out, form.widths
 
 
 def _is_unsure(bodies, positions, distance):
@@ -407,86 +499,3 @@ def _from_velocities(batch):
     inner = slice(half, n - half)
     state = (batch.times[inner], batch.positions[inner], batch.velocities[inner])
     return state, target, None, 1.0
-
-
-def difference_weights(offsets, order):
-    """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
-
-    Parameters
-    ----------
-    offsets : ndarray, shape (k,)
-        Places of the samples relative to where the derivative is wanted.
-    order : int
-        Order of the derivative.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
-    # Scaled to unit spacing, so that the powers stay near one.
-    width = np.max(np.abs(offsets))
-    x = np.asarray(offsets, dtype=float) / width
-    n = len(x)
-    weights = np.zeros((n, order + 1))
-    weights[0, 0] = 1.0
-    c1, c4 = 1.0, x[0]
-    for i in range(1, n):
-        top = min(i, order)
-        c2, c5, c4 = 1.0, c4, x[i]
-        for j in range(i):
-            c3 = x[i] - x[j]
-            c2 *= c3
-            if j == i - 1:
-                for k in range(top, 0, -1):
-                    weights[i, k] = c1 * (k * weights[i - 1, k - 1] - c5 * weights[i - 1, k]) / c2
-                weights[i, 0] = -c1 * c5 * weights[i - 1, 0] / c2
-            for k in range(top, 0, -1):
-                weights[j, k] = (c4 * weights[j, k] - k * weights[j, k - 1]) / c3
-            weights[j, 0] = c4 * weights[j, 0] / c3
-        c1 = c2
-    return weights[:, order] / width**order
-
-
-def _difference_matrix(times):
-    """Rows of the second difference of positions, shape (T - 2, T), for one grid of times."""
-    before, after = np.diff(times)[:-1], np.diff(times)[1:]
-    n = len(times) - 2
-    matrix = np.zeros((n, n + 2))
-    rows = np.arange(n)
-    matrix[rows, rows] = 2 / (before * (before + after))
-    matrix[rows, rows + 2] = 2 / (after * (before + after))
-    matrix[rows, rows + 1] = -matrix[rows, rows] - matrix[rows, rows + 2]
-    return matrix
-
-
-def _gls_whitener(times, valid):
-    """Inverse Cholesky factors of the covariance of second differences, per unit sigma."""
-    from scipy.linalg import solve_triangular
-
-    n_times, n_scenes = times.shape
-    rows_valid = valid.any(axis=-1)  # (n, S, R)
-    same_grid = np.all(times == times[:, :1])
-    if same_grid and rows_valid.all():
-        return _whitening_block(times[:, 0], np.ones(n_times - 2, dtype=bool), solve_triangular)
-    if n_times > DENSE_LIMIT:
-        raise DataError(
-            f"tracks of {n_times} rows with gaps or differing times are too long for the exact "
-            "covariance; split them into scenes of at most 1500 rows"
-        )
-    blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))
-    for s in range(n_scenes):
-        for r in range(valid.shape[2]):
-            blocks[s, r] = _whitening_block(times[:, s], rows_valid[:, s, r], solve_triangular)
-    return blocks
-
-
-def _whitening_block(times, rows, solve_triangular):
-    n = len(times) - 2
-    block = np.zeros((n, n))
-    if not rows.any():
-        return block
-    matrix = np.nan_to_num(_difference_matrix(times))[rows]
-    factor = np.linalg.cholesky(matrix @ matrix.T)
-    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
-    block[np.ix_(rows, rows)] = inverse
-    return block

@@ -1,0 +1,244 @@
+"""The weak form on one track: runs of rows, test functions, quadrature, whitening.
+
+A test function is the piecewise linear interpolant, between the rows of a track, of a smooth
+compact bump (a cubic B-spline) that is 0 at both ends of a run. Both time derivatives fall upon
+it exactly: its second derivative is a comb at the rows, so that the integral of a track against
+it needs no interpolation of positions, whatever the times, and none at all across impulses. What
+is left to quadrature is the integral of the law: the product of the test function and a local
+cubic through the law's values is integrated exactly (product integration; on even times the rule
+of Numerov and its kin). Where velocities are measured one integration by parts is enough: the
+test functions are constant between rows, and the differences of velocities are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Run", "Track", "runs_of"]
+
+DEGREE = 3
+RANK_CUT = 1e-10
+"""Test functions (of unit size) whose part independent of the others is below this are left out."""
+_GAUSS = np.polynomial.legendre.leggauss(3)
+"""Exact for the product of a linear test function and a cubic."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Rows over which test functions may reach.
+
+    Attributes
+    ----------
+    nodes : ndarray of int
+        Rows of the track, in order.
+    inner : ndarray of int
+        Places in `nodes` where the law is evaluated.
+    """
+
+    nodes: np.ndarray
+    inner: np.ndarray
+
+
+def runs_of(times, seen, usable, limit, is_measured=False):
+    """Part a track into runs.
+
+    Parameters
+    ----------
+    times : ndarray, shape (T,)
+    seen : ndarray of bool, shape (T,)
+        Rows with a position (a velocity, if measured); others are bridged or part the track.
+    usable : ndarray of bool, shape (T,)
+        Rows at which the law can be evaluated. Test functions are 0 at seen rows that are not.
+    limit : float
+        Longest step between two rows that is bridged, s.
+    is_measured : bool
+        Whether velocities are measured; the law is then needed at the ends of a run as well.
+
+    Returns
+    -------
+    list of Run
+    """
+    out = []
+    rows = np.flatnonzero(seen)
+    if not len(rows):
+        return out
+    for part in np.split(rows, np.flatnonzero(np.diff(times[rows]) > limit) + 1):
+        live = usable[part].copy()
+        if not is_measured:
+            live[[0, -1]] = False
+        for places in np.split(np.arange(len(part)), np.flatnonzero(np.diff(live)) + 1):
+            if not live[places[0]]:
+                continue
+            if is_measured:
+                if len(places) > 1:
+                    out.append(Run(part[places], np.arange(len(places))))
+            else:
+                nodes = part[places[0] - 1 : places[-1] + 2]
+                out.append(Run(nodes, np.arange(1, len(nodes) - 1)))
+    return out
+
+
+def second_differences(times):
+    """Integrals of (the second derivative of positions) x (hat function of every inner row).
+
+    Returns
+    -------
+    ndarray, shape (n - 2, n)
+    """
+    before, after = np.diff(times)[:-1], np.diff(times)[1:]
+    n = len(times) - 2
+    matrix = np.zeros((n, n + 2))
+    rows = np.arange(n)
+    matrix[rows, rows] = 1 / before
+    matrix[rows, rows + 2] = 1 / after
+    matrix[rows, rows + 1] = -(1 / before + 1 / after)
+    return matrix
+
+
+def first_differences(n):
+    """Integrals of the derivative of velocities over every step, shape (n - 1, n)."""
+    return np.diff(np.eye(n), axis=0)
+
+
+def bump_values(times, spacing, is_measured):
+    """Values of the test functions of a run where they count.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    spacing : float
+        Between the knots of the splines, s; a spline reaches over four of them. 0: one function
+        for every place, the narrowest there are.
+
+    Returns
+    -------
+    ndarray, shape (places, K)
+        Places are the inner rows, or the steps where velocities are measured.
+    """
+    from scipy.interpolate import BSpline
+
+    places = (times[1:] + times[:-1]) / 2 if is_measured else times[1:-1]
+    if not spacing:
+        return np.eye(len(places))
+    span = times[-1] - times[0]
+    n_parts = max(int(round(span / spacing)), 1)
+    inner = np.linspace(times[0], times[-1], n_parts + 1)
+    knots = np.concatenate([[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE])
+    values = BSpline.design_matrix(places, knots, DEGREE).toarray()
+    # The first and the last do not vanish at the ends of the run.
+    return values if is_measured else values[:, 1:-1]
+
+
+def quadrature(times, is_measured, is_stepped):
+    """Weights that turn values of a law at inner rows into integrals against hats or steps.
+
+    Parameters
+    ----------
+    is_stepped : bool
+        The motion was made by steps: a force acts at the rows alone, for the mean of two steps.
+
+    Returns
+    -------
+    ndarray, shape (places, inner rows)
+    """
+    n = len(times)
+    if is_stepped:
+        return np.diag((times[2:] - times[:-2]) / 2)
+    inner = times if is_measured else times[1:-1]
+    weights = np.zeros((n - 1 if is_measured else n, len(inner)))
+    width = min(DEGREE + 1, len(inner))
+    shift = 0 if is_measured else 1
+    for k in range(n - 1):
+        first = min(max(k - shift - (width // 2 - 1), 0), len(inner) - width)
+        near = slice(first, first + width)
+        h = times[k + 1] - times[k]
+        fractions = (_GAUSS[0] + 1) / 2
+        basis = _lagrange(inner[near], times[k] + h * fractions) * (_GAUSS[1] * h / 2)[:, None]
+        if is_measured:
+            weights[k, near] += basis.sum(axis=0)
+        else:
+            weights[k, near] += (1 - fractions) @ basis
+            weights[k + 1, near] += fractions @ basis
+    return weights if is_measured else weights[1:-1]
+
+
+def _lagrange(nodes, at):
+    """Values at some places of the polynomials that are 1 at one node and 0 at the others."""
+    out = np.ones((len(at), len(nodes)))
+    for k, node in enumerate(nodes):
+        for other in np.delete(nodes, k):
+            out[:, k] *= (at - other) / (node - other)
+    return out
+
+
+@dataclass(frozen=True)
+class Track:
+    """Whitened test functions of one track.
+
+    Attributes
+    ----------
+    observe : ndarray, shape (K, T)
+        Applied to the positions (velocities, if measured) of all rows, nan as 0.
+    predict : ndarray, shape (K, T)
+        Applied to the accelerations of a law at all rows.
+    inner : ndarray of bool, shape (T,)
+        Rows at which the law is asked for.
+    """
+
+    observe: np.ndarray
+    predict: np.ndarray
+    inner: np.ndarray
+
+    @classmethod
+    def of(cls, times, runs, spacing, sigma, *, is_measured=False, is_stepped=False):
+        """Whiten the test functions of all runs of a track together.
+
+        Parameters
+        ----------
+        times : ndarray, shape (T,)
+        runs : list of Run
+        spacing : float
+            See `bump_values`.
+        sigma : ndarray, shape (T,)
+            Standard deviations of the positions (velocities).
+        """
+        n = len(times)
+        inner = np.zeros(n, dtype=bool)
+        data, law = [np.zeros((0, n))], [np.zeros((0, n))]
+        for run in runs:
+            t = times[run.nodes]
+            phi = bump_values(t, spacing, is_measured)
+            phi = phi / np.maximum(np.linalg.norm(phi, axis=0), 1e-300)
+            inner[run.nodes[run.inner]] = True
+            differences = first_differences(len(t)) if is_measured else second_differences(t)
+            data.append(np.zeros((phi.shape[1], n)))
+            data[-1][:, run.nodes] = phi.T @ differences
+            law.append(np.zeros((phi.shape[1], n)))
+            weights = quadrature(t, is_measured, is_stepped)
+            law[-1][:, run.nodes[run.inner]] = phi.T @ weights
+        data, law = np.concatenate(data), np.concatenate(law)
+        whitener, kept = _whitener(data * sigma)
+        return cls(whitener @ data[kept], whitener @ law[kept], inner)
+
+
+def _whitener(noise):
+    """Inverse Cholesky factor of noise @ noise.T on the rows that are independent, and these."""
+    from scipy.linalg import qr, solve_triangular
+
+    sizes = np.linalg.norm(noise, axis=1)
+    kept = np.flatnonzero(sizes > 0)
+    if not len(kept):
+        return np.zeros((0, 0)), kept
+    # By an orthogonal factor of the noise itself: its square would have the square condition.
+    unit = noise[kept] / sizes[kept, None]
+    triangle, pivots = qr(unit.T, mode="r", pivoting=True, check_finite=False)
+    size = np.abs(np.diag(triangle))
+    independent = np.sort(pivots[: int(np.sum(size > RANK_CUT * size[0]))])
+    (triangle,) = qr(unit[independent].T, mode="r", check_finite=False)
+    triangle = triangle[: len(independent)]
+    triangle = triangle * np.sign(np.diag(triangle))[:, None]
+    kept = kept[independent]
+    # In the order of time, lower triangular: every row is news beyond those before it.
+    return solve_triangular(triangle.T, np.diag(1 / sizes[kept]), lower=True), kept
