@@ -407,7 +407,7 @@ def _weak_batches(batches, method, sigma, level, sources, given, unsure, is_meas
     )
     out = []
     for batch, part in zip(batches, form.parts, strict=True):
-        state = (batch.times[part.rows], batch.positions[part.rows], part.velocities)
+        state = (batch.times[part.rows], part.positions, part.velocities)
         times, positions, velocities = state if is_measured else _replaced(state, batch, given)
         names = tuple(scene.name for scene in batch.scenes)
         out.append(

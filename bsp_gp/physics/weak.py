@@ -20,7 +20,7 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.physics.differences import DENSE_LIMIT
-from bsp_gp.physics.weak_states import local_velocities
+from bsp_gp.physics.weak_states import states_of
 from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of
 
 __all__ = ["WeakForm", "WeakPart", "Widths", "estimated_level"]
@@ -71,6 +71,7 @@ class WeakPart:
     """The weak form of one batch: see `RegressionBatch` for shapes."""
 
     rows: slice
+    positions: np.ndarray
     velocities: np.ndarray
     target: np.ndarray
     valid: np.ndarray
@@ -269,8 +270,8 @@ class WeakForm:
     # --- a batch ---------------------------------------------------------------------------------
 
     def _part(self, batch):
-        velocities = self._velocities(batch)
-        usable = self._usable(batch, velocities)
+        positions, velocities = self._states(batch)
+        usable = self._usable(batch, positions, velocities)
         values = batch.velocities if self.is_measured else batch.positions
         n, n_scenes, _, d = values.shape
         shape = (n, n_scenes, len(batch.bodies.receivers), d)
@@ -299,6 +300,7 @@ class WeakForm:
         whitener = _stacked(tracks, rows)
         return WeakPart(
             rows,
+            positions[rows],
             velocities[rows],
             np.where(valid, target, 0.0)[rows],
             valid[rows],
@@ -315,31 +317,40 @@ class WeakForm:
         slopes = np.diff(x, axis=0) / np.diff(t)[:, None]
         return np.diff(slopes, axis=0) / ((t[2:] - t[:-2]) / 2)[:, None]
 
-    def _velocities(self, batch):
+    def _states(self, batch):
+        """States at which laws are evaluated, (T, S, N, d) each."""
         if self.is_measured:
-            return batch.velocities
-        velocities = np.full(batch.positions.shape, np.nan)
+            return batch.positions, batch.velocities
+        positions = np.array(batch.positions)
+        velocities = np.full(positions.shape, np.nan)
         for s in range(batch.times.shape[1]):
-            velocities[:, s] = local_velocities(
-                batch.times[:, s],
+            times = batch.times[:, s]
+            bodies = range(positions.shape[2])
+            noise = np.stack([self._noise(batch, s, k, self.level) for k in bodies], axis=1)
+            positions[:, s], velocities[:, s] = states_of(
+                times,
                 batch.positions[:, s],
-                reach=self.spacing,
-                limit=self._limit(batch.times[:, s], self.spacing),
+                noise,
+                spacing=self.spacing,
+                limit=self._limit(times, self.spacing),
                 is_stepped=self.is_stepped,
             )
         p = batch.positions
         static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
-        still = static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
-        return np.where(still[:, None] & np.isfinite(p), 0.0, velocities)
+        still = (static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3)))[:, None]
+        return (
+            np.where(still, p, positions),
+            np.where(still & np.isfinite(p), 0.0, velocities),
+        )
 
-    def _usable(self, batch, velocities):
+    def _usable(self, batch, positions, velocities):
         """Rows at which a law can be evaluated, (T, S, R)."""
-        seen = (np.isfinite(batch.positions) & np.isfinite(velocities)).all(axis=-1)
+        seen = (np.isfinite(positions) & np.isfinite(velocities)).all(axis=-1)
         usable = seen[:, :, batch.bodies.receivers]
         if self.sources:
             usable = usable & seen.all(axis=-1)[..., None]
         if self.is_unsure is not None:
-            usable = usable & ~self.is_unsure(batch.bodies, batch.positions)
+            usable = usable & ~self.is_unsure(batch.bodies, positions)
         return usable
 
 

@@ -1,24 +1,25 @@
-"""Velocities at which laws are evaluated in the weak form: local polynomials, by no law.
+"""States at which laws are evaluated in the weak form: the spline that its test functions see.
 
-A finite difference of noisy positions over one step makes a velocity as noisy as can be; a law
-that is not linear in it then has a bias that no integral removes. The width of the test
-functions says on which time scale the acceleration varies above the noise, so that polynomials
-over that reach lose nothing that is seen. With the narrowest test functions these are the plain
-differences.
+The test functions of one width see of a track what its least squares spline has (see
+`weak_tracks`). Evaluating laws at this spline makes both sides of the equation of motion speak of
+one motion. Evaluated at finite differences of noisy positions, a law that depends on velocity
+would feel their noise, which integrals sum up to more than the noise of the positions itself.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["local_velocities"]
+from bsp_gp.physics.weak_tracks import DEGREE, design, knots_of
 
-CUBIC_FROM = 7
-"""Rows from which a cubic is fitted in the place of a parabola."""
+__all__ = ["states_of"]
+
+LEAST_ROWS_PER_SPLINE = 2.0
+"""With fewer rows a spline follows the noise, and its slope at the ends is worse than a step."""
 
 
-def local_velocities(times, positions, *, reach, limit, is_stepped=False):
-    """Slopes of local polynomials through the positions of every body.
+def states_of(times, positions, sigma, *, spacing, limit, is_stepped=False):
+    """Positions and velocities of every body of a scene.
 
     Parameters
     ----------
@@ -26,52 +27,62 @@ def local_velocities(times, positions, *, reach, limit, is_stepped=False):
         Padded with nan.
     positions : ndarray, shape (T, N, d), m
         nan = not seen.
-    reach : float
-        Half of the window, s; at least one row on either side is used.
+    sigma : ndarray, shape (T, N, d), m
+        nan or 0 counts as 1.
+    spacing : float
+        Between knots, s. Where that is less than two rows, states are the measured positions and
+        their differences.
     limit : float
-        Longest step over which a polynomial goes, s (rows, if stepped).
+        Longest step that a spline bridges, s (rows, if stepped).
     is_stepped : bool
-        Backward velocities: those in the middle of the last step.
+        Backward velocities, of the step before a row.
 
     Returns
     -------
-    ndarray, shape (T, N, d), m/s
-        nan where a body is not seen on both sides (stepped: in the row before).
+    positions, velocities : ndarray, shape (T, N, d)
+        Velocities are nan where a body is not seen on both sides (stepped: in the row before).
     """
-    out = np.full(positions.shape, np.nan)
+    places, velocities = np.array(positions), np.full(positions.shape, np.nan)
     seen = np.isfinite(positions).all(axis=-1) & np.isfinite(times)[:, None]
-    known = {}
+    weights = 1 / np.where(sigma > 0, sigma, 1.0)
     for body in range(positions.shape[1]):
-        key = seen[:, body].tobytes()
-        if key not in known:
-            known[key] = _slopes(times, seen[:, body], reach, limit, is_stepped)
-        rows, matrix = known[key]
-        out[rows, body] = matrix @ np.nan_to_num(positions[:, body])
-    return out
+        rows = np.flatnonzero(seen[:, body])
+        clock = rows if is_stepped else times[rows]
+        for part in np.split(rows, np.flatnonzero(np.diff(clock) > limit) + 1):
+            if len(part) < 2:
+                continue
+            x, v = _states(
+                times[part], positions[part, body], weights[part, body], spacing, is_stepped
+            )
+            places[part, body], velocities[part, body] = x, v
+    return places, velocities
 
 
-def _slopes(times, seen, reach, limit, is_stepped):
-    """Rows with a slope, and the weights of all positions in it."""
-    rows = np.flatnonzero(seen)
-    clock = rows if is_stepped else times[rows]
-    found, weights = [], []
-    for part in np.split(rows, np.flatnonzero(np.diff(clock) > limit) + 1):
-        t = times[part]
-        for k in range(1, len(part) if is_stepped else len(part) - 1):
-            at = (t[k] + t[k - 1]) / 2 if is_stepped else t[k]
-            first = min(np.searchsorted(t, at - reach * (1 + 1e-9)), k - 1)
-            least = k if is_stepped else k + 1
-            last = max(np.searchsorted(t, at + reach * (1 + 1e-9)) - 1, least)
-            row = np.zeros(len(times))
-            row[part[first : last + 1]] = _slope(t[first : last + 1] - at)
-            found.append(part[k])
-            weights.append(row)
-    return np.array(found, dtype=int), np.array(weights).reshape(len(found), len(times))
+def _states(times, x, weights, spacing, is_stepped):
+    """States of one body over rows in succession."""
+    from scipy.interpolate import BSpline
 
-
-def _slope(offsets):
-    """Weights of a slope at 0 by least squares."""
-    degree = 3 if len(offsets) >= CUBIC_FROM else min(2, len(offsets) - 1)
-    size = np.max(np.abs(offsets))
-    powers = (offsets / size)[:, None] ** np.arange(degree + 1)
-    return np.linalg.pinv(powers)[1] / size
+    slopes = np.full(x.shape, np.nan)
+    knots = knots_of(times, spacing) if spacing else np.zeros(0)
+    n_splines = len(knots) - DEGREE - 1
+    is_fitted = spacing and len(times) >= LEAST_ROWS_PER_SPLINE * n_splines
+    if is_fitted:
+        x = np.array(x)
+        splines = design(times, knots)
+        for axis in range(x.shape[1]):
+            w = weights[:, axis]
+            middle = x[:, axis].mean()
+            fit, *_ = np.linalg.lstsq(
+                splines * w[:, None], (x[:, axis] - middle) * w, rcond=1e-12
+            )
+            x[:, axis] = middle + splines @ fit
+            slopes[:, axis] = BSpline(knots, fit, DEGREE).derivative()(times)
+    steps = np.diff(times)[:, None]
+    backward = np.diff(x, axis=0) / steps
+    if is_stepped:
+        slopes[1:] = backward
+        slopes[0] = np.nan
+    elif not is_fitted and len(times) > 2:
+        before, after = steps[:-1], steps[1:]
+        slopes[1:-1] = (before * backward[1:] + after * backward[:-1]) / (before + after)
+    return x, slopes

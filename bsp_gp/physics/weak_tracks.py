@@ -1,13 +1,18 @@
 """The weak form on one track: runs of rows, test functions, quadrature, whitening.
 
-A test function is the piecewise linear interpolant, between the rows of a track, of a smooth
-compact bump (a cubic B-spline) that is 0 at both ends of a run. Both time derivatives fall upon
-it exactly: its second derivative is a comb at the rows, so that the integral of a track against
-it needs no interpolation of positions, whatever the times, and none at all across impulses. What
-is left to quadrature is the integral of the law: the product of the test function and a local
-cubic through the law's values is integrated exactly (product integration; on even times the rule
-of Numerov and its kin). Where velocities are measured one integration by parts is enough: the
-test functions are constant between rows, and the differences of velocities are exact.
+A test function is linear between the rows of a track, so that its second derivative is a comb at
+the rows and the integral of the track against it needs no interpolation of positions, whatever
+the times, and none across impulses either. The comb is what is chosen smooth and compact: a
+combination of three neighbouring cubic B-splines, weighed by the accuracy of the rows, that sees
+no straight motion; the test function, its second integral, is then compact as well, and smoother
+than a cubic spline. Together the test functions of one width see of the track just what a least
+squares spline sees of it beyond a straight line, so that no accuracy is lost to uneven times.
+
+What is left to quadrature is the integral of the law: the product of the test function and a
+local cubic through the law's values is integrated exactly (product integration; on even times the
+rule of Numerov and its kin). Where velocities are measured one integration by parts is enough:
+two neighbouring splines that see no constant velocity, and test functions that are constant
+between rows.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Run", "Track", "runs_of"]
+__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "runs_of"]
 
 DEGREE = 3
 RANK_CUT = 1e-10
@@ -80,13 +85,57 @@ def runs_of(times, seen, usable, limit, is_measured=False):
     return out
 
 
-def second_differences(times):
-    """Integrals of (the second derivative of positions) x (hat function of every inner row).
+def knots_of(times, spacing):
+    """Knots of cubic splines over a run, repeated at its ends."""
+    n_parts = max(int(round((times[-1] - times[0]) / spacing)), 1)
+    inner = np.linspace(times[0], times[-1], n_parts + 1)
+    return np.concatenate([[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE])
+
+
+def design(times, knots):
+    """Values of all B-splines at some times, shape (n, K)."""
+    from scipy.interpolate import BSpline
+
+    return BSpline.design_matrix(times, knots, DEGREE).toarray()
+
+
+def combs(times, spacing, sigma, is_measured=False):
+    """Weights of the rows of a run in the test functions.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    spacing : float
+        Between the knots of the splines, s. 0: the narrowest test functions, as many as there are.
+    sigma : ndarray, shape (n,)
 
     Returns
     -------
-    ndarray, shape (n - 2, n)
+    ndarray, shape (K, n)
+        Of positions, blind to straight motion; of measured velocities, blind to a constant.
     """
+    n = len(times)
+    n_blind = 1 if is_measured else 2
+    if not spacing:
+        return np.diff(np.eye(n), axis=0) if is_measured else second_differences(times)
+    splines = design(times, knots_of(times, spacing)).T * (np.min(sigma) / sigma) ** 2
+    splines = splines[splines.sum(axis=1) > RANK_CUT]  # knots without rows between them
+    out = []
+    for k in range(len(splines) - n_blind):
+        some = splines[k : k + n_blind + 1]
+        seen = np.flatnonzero(some.any(axis=0))
+        middle, size = times[seen].mean(), np.ptp(times[seen]) or 1.0
+        sums = some.sum(axis=1)
+        if is_measured:
+            mix = np.array([sums[1], -sums[0]])
+        else:
+            mix = np.cross(sums, some @ ((times - middle) / size))
+        out.append(mix @ some)
+    return np.array(out).reshape(len(out), n)
+
+
+def second_differences(times):
+    """Rows of second differences: the combs of hat functions, shape (n - 2, n)."""
     before, after = np.diff(times)[:-1], np.diff(times)[1:]
     n = len(times) - 2
     matrix = np.zeros((n, n + 2))
@@ -97,38 +146,18 @@ def second_differences(times):
     return matrix
 
 
-def first_differences(n):
-    """Integrals of the derivative of velocities over every step, shape (n - 1, n)."""
-    return np.diff(np.eye(n), axis=0)
-
-
-def bump_values(times, spacing, is_measured):
-    """Values of the test functions of a run where they count.
-
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-    spacing : float
-        Between the knots of the splines, s; a spline reaches over four of them. 0: one function
-        for every place, the narrowest there are.
+def values_of_combs(comb, times, is_measured=False):
+    """Test functions whose last derivative is the comb.
 
     Returns
     -------
-    ndarray, shape (places, K)
-        Places are the inner rows, or the steps where velocities are measured.
+    ndarray, shape (K, n - 2) or (K, n - 1)
+        At the inner rows; where velocities are measured, on every step.
     """
-    from scipy.interpolate import BSpline
-
-    places = (times[1:] + times[:-1]) / 2 if is_measured else times[1:-1]
-    if not spacing:
-        return np.eye(len(places))
-    span = times[-1] - times[0]
-    n_parts = max(int(round(span / spacing)), 1)
-    inner = np.linspace(times[0], times[-1], n_parts + 1)
-    knots = np.concatenate([[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE])
-    values = BSpline.design_matrix(places, knots, DEGREE).toarray()
-    # The first and the last do not vanish at the ends of the run.
-    return values if is_measured else values[:, 1:-1]
+    slopes = np.cumsum(comb, axis=1)[:, :-1]
+    if is_measured:
+        return -slopes
+    return np.cumsum(slopes * np.diff(times), axis=1)[:, :-1]
 
 
 def quadrature(times, is_measured, is_stepped):
@@ -200,7 +229,7 @@ class Track:
         times : ndarray, shape (T,)
         runs : list of Run
         spacing : float
-            See `bump_values`.
+            See `combs`.
         sigma : ndarray, shape (T,)
             Standard deviations of the positions (velocities).
         """
@@ -209,15 +238,15 @@ class Track:
         data, law = [np.zeros((0, n))], [np.zeros((0, n))]
         for run in runs:
             t = times[run.nodes]
-            phi = bump_values(t, spacing, is_measured)
-            phi = phi / np.maximum(np.linalg.norm(phi, axis=0), 1e-300)
+            comb = combs(t, spacing, sigma[run.nodes], is_measured)
+            size = np.maximum(np.linalg.norm(comb, axis=1, keepdims=True), 1e-300)
+            values = values_of_combs(comb, t, is_measured)
             inner[run.nodes[run.inner]] = True
-            differences = first_differences(len(t)) if is_measured else second_differences(t)
-            data.append(np.zeros((phi.shape[1], n)))
-            data[-1][:, run.nodes] = phi.T @ differences
-            law.append(np.zeros((phi.shape[1], n)))
+            data.append(np.zeros((len(comb), n)))
+            data[-1][:, run.nodes] = comb / size
+            law.append(np.zeros((len(comb), n)))
             weights = quadrature(t, is_measured, is_stepped)
-            law[-1][:, run.nodes[run.inner]] = phi.T @ weights
+            law[-1][:, run.nodes[run.inner]] = values / size @ weights
         data, law = np.concatenate(data), np.concatenate(law)
         whitener, kept = _whitener(data * sigma)
         return cls(whitener @ data[kept], whitener @ law[kept], inner)
