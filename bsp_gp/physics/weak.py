@@ -21,7 +21,7 @@ from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.physics.differences import DENSE_LIMIT
 from bsp_gp.physics.weak_states import states_of
-from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of
+from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of, seen_through
 
 __all__ = ["WeakForm", "WeakPart", "Widths", "estimated_level"]
 
@@ -195,17 +195,28 @@ class WeakForm:
     def _cost(self, spacing):
         """Twice the number of test functions, less the energy that they see."""
         total = 0.0
-        for batch in self.batches:
-            values = batch.velocities if self.is_measured else batch.positions
-            for s in range(batch.times.shape[1]):
-                all_runs = self._runs_of_scene(batch, s, 0.0)
-                for runs, index in zip(all_runs, batch.bodies.receivers, strict=True):
-                    sigma = self._noise(batch, s, index, self.level)
-                    for axis in np.flatnonzero(np.isfinite(sigma).all(axis=0)):
-                        track = self._track(batch.times[:, s], runs, spacing, sigma[:, axis])
-                        y = track.observe @ np.nan_to_num(values[:, s, index, axis])
-                        total += 2.0 * len(y) - float(y @ y)
+        for times, runs, sigma, values in self._series():
+            y = seen_through(times, runs, spacing, sigma, values, self.is_measured)
+            total += 2.0 * y.size - float(np.square(y).sum())
         return total
+
+    def _series(self):
+        """Tracks to choose a width for: times, runs, sigma (T,), values (T, k); kept."""
+        if not hasattr(self, "_gathered"):
+            found = {}
+            for batch in self.batches:
+                values = batch.velocities if self.is_measured else batch.positions
+                for s in range(batch.times.shape[1]):
+                    times = batch.times[:, s]
+                    all_runs = self._runs_of_scene(batch, s, 0.0)
+                    for runs, index in zip(all_runs, batch.bodies.receivers, strict=True):
+                        sigma = self._noise(batch, s, index, self.level)
+                        for axis in np.flatnonzero(np.isfinite(sigma).all(axis=0)):
+                            key = _key(times, runs, sigma[:, axis])
+                            found.setdefault(key, (times, runs, sigma[:, axis], []))
+                            found[key][3].append(values[:, s, index, axis])
+            self._gathered = [(t, r, n, np.stack(v, axis=1)) for t, r, n, v in found.values()]
+        return self._gathered
 
     # --- tracks ----------------------------------------------------------------------------------
 
@@ -250,12 +261,7 @@ class WeakForm:
 
     def _track(self, times, runs, spacing, sigma):
         """Whitened test functions, kept: many tracks have the same times."""
-        key = (
-            np.nan_to_num(times).tobytes(),
-            tuple((run.nodes.tobytes(), run.inner.tobytes()) for run in runs),
-            spacing,
-            sigma.tobytes(),
-        )
+        key = (*_key(times, runs, sigma), spacing)
         if key not in self._tracks:
             self._tracks[key] = Track.of(
                 times,
@@ -382,6 +388,12 @@ def _stacked(tracks, rows):
         predict = wanted[place].predict[:, rows]
         out[place][: len(predict)] = predict
     return out
+
+
+def _key(times, runs, sigma):
+    """What tells tracks with test functions of their own apart."""
+    nodes = tuple(run.nodes.tobytes() for run in runs)
+    return np.nan_to_num(times).tobytes(), nodes, sigma.tobytes()
 
 
 def _steps(times):

@@ -72,9 +72,7 @@ def _states(times, x, weights, spacing, is_stepped):
         for axis in range(x.shape[1]):
             w = weights[:, axis]
             middle = x[:, axis].mean()
-            fit, *_ = np.linalg.lstsq(
-                splines * w[:, None], (x[:, axis] - middle) * w, rcond=1e-12
-            )
+            fit, *_ = np.linalg.lstsq(splines * w[:, None], (x[:, axis] - middle) * w, rcond=1e-12)
             x[:, axis] = middle + splines @ fit
             slopes[:, axis] = BSpline(knots, fit, DEGREE).derivative()(times)
     steps = np.diff(times)[:, None]

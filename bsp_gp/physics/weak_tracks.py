@@ -17,11 +17,12 @@ between rows.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "runs_of"]
+__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "runs_of", "seen_through"]
 
 DEGREE = 3
 RANK_CUT = 1e-10
@@ -123,14 +124,14 @@ def combs(times, spacing, sigma, is_measured=False):
     out = []
     for k in range(len(splines) - n_blind):
         some = splines[k : k + n_blind + 1]
-        seen = np.flatnonzero(some.any(axis=0))
-        middle, size = times[seen].mean(), np.ptp(times[seen]) or 1.0
-        sums = some.sum(axis=1)
+        a = some.sum(axis=1)
         if is_measured:
-            mix = np.array([sums[1], -sums[0]])
+            mix = [a[1], -a[0]]
         else:
-            mix = np.cross(sums, some @ ((times - middle) / size))
-        out.append(mix @ some)
+            # Times from the middle of the three, so that nothing cancels that need not.
+            b = some @ (times - (some @ times).sum() / a.sum())
+            mix = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        out.append(np.asarray(mix) @ some)
     return np.array(out).reshape(len(out), n)
 
 
@@ -176,29 +177,31 @@ def quadrature(times, is_measured, is_stepped):
     if is_stepped:
         return np.diag((times[2:] - times[:-2]) / 2)
     inner = times if is_measured else times[1:-1]
-    weights = np.zeros((n - 1 if is_measured else n, len(inner)))
     width = min(DEGREE + 1, len(inner))
-    shift = 0 if is_measured else 1
-    for k in range(n - 1):
-        first = min(max(k - shift - (width // 2 - 1), 0), len(inner) - width)
-        near = slice(first, first + width)
-        h = times[k + 1] - times[k]
-        fractions = (_GAUSS[0] + 1) / 2
-        basis = _lagrange(inner[near], times[k] + h * fractions) * (_GAUSS[1] * h / 2)[:, None]
-        if is_measured:
-            weights[k, near] += basis.sum(axis=0)
-        else:
-            weights[k, near] += (1 - fractions) @ basis
-            weights[k + 1, near] += fractions @ basis
-    return weights if is_measured else weights[1:-1]
+    steps = np.arange(n - 1)
+    h = np.diff(times)[:, None]
+    # The nearest values of the law on either side of every step.
+    first = np.clip(steps - (0 if is_measured else 1) - (width // 2 - 1), 0, len(inner) - width)
+    near = first[:, None] + np.arange(width)
+    fractions = (_GAUSS[0] + 1) / 2
+    basis = _lagrange(inner[near], times[:-1, None] + h * fractions)
+    basis = basis * (_GAUSS[1] / 2 * h)[..., None]  # (steps, places, width)
+    if is_measured:
+        weights = np.zeros((n - 1, n))
+        weights[steps[:, None], near] = basis.sum(axis=1)
+        return weights
+    weights = np.zeros((n, n - 2))
+    weights[steps[:, None], near] += np.einsum("q,kqw->kw", 1 - fractions, basis)
+    weights[steps[:, None] + 1, near] += np.einsum("q,kqw->kw", fractions, basis)
+    return weights[1:-1]
 
 
 def _lagrange(nodes, at):
-    """Values at some places of the polynomials that are 1 at one node and 0 at the others."""
-    out = np.ones((len(at), len(nodes)))
-    for k, node in enumerate(nodes):
-        for other in np.delete(nodes, k):
-            out[:, k] *= (at - other) / (node - other)
+    """Values (k, q, w) at places (k, q) of the polynomials that are 1 at one node of (k, w)."""
+    out = np.ones((*at.shape, nodes.shape[1]))
+    for one, other in itertools.permutations(range(nodes.shape[1]), 2):
+        gap = nodes[:, one] - nodes[:, other]
+        out[..., one] *= (at - nodes[:, other, None]) / gap[:, None]
     return out
 
 
@@ -233,23 +236,37 @@ class Track:
         sigma : ndarray, shape (T,)
             Standard deviations of the positions (velocities).
         """
-        n = len(times)
-        inner = np.zeros(n, dtype=bool)
-        data, law = [np.zeros((0, n))], [np.zeros((0, n))]
-        for run in runs:
-            t = times[run.nodes]
-            comb = combs(t, spacing, sigma[run.nodes], is_measured)
-            size = np.maximum(np.linalg.norm(comb, axis=1, keepdims=True), 1e-300)
-            values = values_of_combs(comb, t, is_measured)
-            inner[run.nodes[run.inner]] = True
-            data.append(np.zeros((len(comb), n)))
-            data[-1][:, run.nodes] = comb / size
-            law.append(np.zeros((len(comb), n)))
-            weights = quadrature(t, is_measured, is_stepped)
-            law[-1][:, run.nodes[run.inner]] = values / size @ weights
-        data, law = np.concatenate(data), np.concatenate(law)
+        blocks = _blocks(times, runs, spacing, sigma, is_measured)
+        data = np.concatenate([np.zeros((0, len(times))), *blocks])
         whitener, kept = _whitener(data * sigma)
-        return cls(whitener @ data[kept], whitener @ law[kept], inner)
+        inner = np.zeros(len(times), dtype=bool)
+        law = [np.zeros((0, len(times)))]
+        for run, block in zip(runs, blocks, strict=True):
+            t = times[run.nodes]
+            inner[run.nodes[run.inner]] = True
+            values = values_of_combs(block[:, run.nodes], t, is_measured)
+            law.append(np.zeros(block.shape))
+            law[-1][:, run.nodes[run.inner]] = values @ quadrature(t, is_measured, is_stepped)
+        return cls(whitener @ data[kept], whitener @ np.concatenate(law)[kept], inner)
+
+
+def seen_through(times, runs, spacing, sigma, values, is_measured=False):
+    """What whitened test functions see of some values (T, k): shape (K, k), see `Track.of`."""
+    blocks = _blocks(times, runs, spacing, sigma, is_measured)
+    data = np.concatenate([np.zeros((0, len(times))), *blocks])
+    whitener, kept = _whitener(data * sigma)
+    return whitener @ (data[kept] @ np.nan_to_num(values))
+
+
+def _blocks(times, runs, spacing, sigma, is_measured):
+    """Combs of every run, of unit size, over all rows of the track."""
+    out = []
+    for run in runs:
+        comb = combs(times[run.nodes], spacing, sigma[run.nodes], is_measured)
+        out.append(np.zeros((len(comb), len(times))))
+        sizes = np.linalg.norm(comb, axis=1, keepdims=True)
+        out[-1][:, run.nodes] = comb / np.where(sizes > 0, sizes, 1.0)
+    return out
 
 
 def _whitener(noise):

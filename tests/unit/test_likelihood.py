@@ -309,7 +309,8 @@ def test_derivative_needs_velocities_and_rows():
 
 
 def test_settings_are_checked():
-    assert METHODS == ("one_step", "one_step_gls", "central", "gls", "derivative")
+    classic = ("one_step", "one_step_gls", "central", "gls", "derivative")
+    assert METHODS == (*classic, "weak", "one_step_weak")
     with pytest.raises(SettingsError, match="one_step, one_step_gls, .*, got 'weak'"):
         build_regression([scene_of(1)], method="weak")
     gone = np.full((4, 2), np.nan)
