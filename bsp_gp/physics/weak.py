@@ -214,7 +214,7 @@ class WeakForm:
                         for axis in np.flatnonzero(np.isfinite(sigma).all(axis=0)):
                             key = _key(times, runs, sigma[:, axis])
                             found.setdefault(key, (times, runs, sigma[:, axis], []))
-                            found[key][3].append(values[:, s, index, axis])
+                            found[key][3].append(_centred(values[:, s, index, axis]))
             self._gathered = [(t, r, n, np.stack(v, axis=1)) for t, r, n, v in found.values()]
         return self._gathered
 
@@ -298,7 +298,7 @@ class WeakForm:
                     track = self._track(times, runs, self.spacing, noise)
                     tracks[s, r, axis] = track
                     k = len(track.observe)
-                    observed[:k, s, r, axis] = track.observe @ np.nan_to_num(own[:, axis])
+                    observed[:k, s, r, axis] = track.observe @ _centred(own[:, axis])
                     kept[:k, s, r, axis] = is_in
                     valid[:, s, r, axis] = track.inner & is_in
         # Positions at both ends serve differences alone; a law is asked for between them.
@@ -388,6 +388,12 @@ def _stacked(tracks, rows):
         predict = wanted[place].predict[:, rows]
         out[place][: len(predict)] = predict
     return out
+
+
+def _centred(values):
+    """Values less their mean, 0 where not seen: far from 0 digits would be lost."""
+    seen = np.isfinite(values)
+    return np.where(seen, values - (values[seen].mean() if seen.any() else 0.0), 0.0)
 
 
 def _key(times, runs, sigma):

@@ -27,6 +27,8 @@ __all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "runs_of", "seen_thro
 DEGREE = 3
 RANK_CUT = 1e-10
 """Test functions (of unit size) whose part independent of the others is below this are left out."""
+COMB_CUT = 1e-7
+"""Combinations of splines that cancel to this part are rounding, and not blind to a shift."""
 _GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the product of a linear test function and a cubic."""
 
@@ -131,7 +133,10 @@ def combs(times, spacing, sigma, is_measured=False):
             # Times from the middle of the three, so that nothing cancels that need not.
             b = some @ (times - (some @ times).sum() / a.sum())
             mix = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        out.append(np.asarray(mix) @ some)
+        comb = np.asarray(mix) @ some
+        # Splines that share too few rows leave rounding.
+        if np.linalg.norm(comb) > COMB_CUT * np.abs(mix) @ np.linalg.norm(some, axis=1):
+            out.append(comb)
     return np.array(out).reshape(len(out), n)
 
 
@@ -255,7 +260,7 @@ def seen_through(times, runs, spacing, sigma, values, is_measured=False):
     blocks = _blocks(times, runs, spacing, sigma, is_measured)
     data = np.concatenate([np.zeros((0, len(times))), *blocks])
     whitener, kept = _whitener(data * sigma)
-    return whitener @ (data[kept] @ np.nan_to_num(values))
+    return whitener @ (data[kept] @ values)
 
 
 def _blocks(times, runs, spacing, sigma, is_measured):

@@ -12,6 +12,7 @@ from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression, stack_draws
+from bsp_gp.physics.weak_tracks import combs
 from bsp_gp.search.constants import fit_constants
 
 TYPES = input_types(PROPERTY_UNITS, up="y")
@@ -82,6 +83,24 @@ def test_parabolas_are_exact_on_uneven_times_with_gaps(seed, n, push, width):
     found = fit_constants(regression, PUSH)
     scale = 1 + max(abs(x) for x in push)
     np.testing.assert_allclose(found.values, push, atol=1e-7 * scale)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(3, 40),
+    spacing=st.floats(0.05, 5.0),
+    is_measured=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_combs_are_blind_to_straight_motion_whatever_the_times(seed, n, spacing, is_measured):
+    """Of measured velocities, to constant ones; few or many rows between knots."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.exponential(0.2, n) + 0.01)
+    comb = combs(t, spacing, rng.uniform(0.1, 10.0, n), is_measured)
+    size = np.linalg.norm(comb, axis=1, keepdims=True)
+    assert np.all(size > 0)
+    straight = np.ones((n, 1)) if is_measured else np.stack([np.ones(n), t / t[-1]], axis=1)
+    np.testing.assert_allclose(comb / size @ straight, 0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("width", [0.0, 0.8])
