@@ -10,10 +10,17 @@ from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression, stack_draws
 from bsp_gp.physics.weak_tracks import combs
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.cross_entropy import CrossEntropy
+from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.genetic import Genetic
+from bsp_gp.search.objective import Objective
+from bsp_gp.search.run import Budget, run_search
+from tests.unit.test_banks_exhaustive import SPLIT, grammar_of
 
 TYPES = input_types(PROPERTY_UNITS, up="y")
 BALL = (Entity("ball", properties={"mass": 1.0}),)
@@ -351,6 +358,25 @@ def test_columns_gradients_and_residuals_agree():
     doubled = stack_draws([regression, regression], [1.0, 3.0])
     residual = regression.residual(law)
     assert np.square(doubled.residual(law)).sum() == pytest.approx(residual @ residual)
+
+
+def test_all_searches_run_on_it():
+    """Each finds the planted law among the little grammar's, and all agree on its loss."""
+    grammar = grammar_of(SPLIT)
+    rng = np.random.default_rng(12)
+    t = uneven(60)
+    drop = np.stack([8 * (1 - np.exp(-K * t)), 5 * (1 - np.exp(-K * t))], axis=1) / K
+    crew = (Entity("ball", properties={"mass": 2.0}), ANCHORED[1])
+    scene = noisy(t, drop, 0.01, rng, crew)
+    regression = weak(scene, sigma=0.01)
+    best = search_exhaustive(regression, grammar, kind="field", max_levels=6).best
+    assert to_text(best.formula) == "c1 * (norm(v_i) * normalize(v_i))"
+    assert best.constants["c1"] == pytest.approx(-2.0 * K, rel=0.01)
+    assert best.loss < 0.5 * stats.chi2(regression.n_rows).isf(1e-4)
+    objective = Objective(regression, grammar, "field", beta=1.0)
+    for strategy in (CrossEntropy(population=100, elite=10), Genetic(population=25, offspring=60)):
+        result = run_search(strategy, objective.fresh(), Budget(n_steps=6), rng=rng)
+        assert result.best.loss == pytest.approx(best.loss, rel=1e-9)
 
 
 def test_lost_rows_and_rows_that_are_missing_are_the_same():
