@@ -33,7 +33,8 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.differences import difference_weights, gls_whitener
 from bsp_gp.physics.regression import Regression, RegressionBatch, stack_draws
-from bsp_gp.physics.weak import WeakForm, estimated_level
+from bsp_gp.physics.weak import WeakForm
+from bsp_gp.physics.weak_width import estimated_level
 
 __all__ = [
     "METHODS",

@@ -7,7 +7,7 @@ they are whitened by its Cholesky factor. With the narrowest test functions this
 generalised least squares of ``gls`` with a better quadrature; wider ones leave out what is noise
 alone.
 
-The width is chosen from the tracks, never from a law: `choose_spacing`.
+The width is chosen from the tracks, never from a law: see `weak_width`.
 """
 
 from __future__ import annotations
@@ -16,54 +16,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.physics.differences import DENSE_LIMIT
 from bsp_gp.physics.weak_states import states_of
-from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of, seen_through
+from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of
+from bsp_gp.physics.weak_width import Widths, choose_spacing
 
-__all__ = ["WeakForm", "WeakPart", "Widths", "estimated_level"]
+__all__ = ["WeakForm", "WeakPart"]
 
 BRIDGED = 1.8
 """Steps longer than this many usual ones part a track, where test functions are narrow."""
 LEAST_ROWS = 5
-RATIO = 2**0.5
-"""Between the widths that are tried."""
 FLOOR = 1e-12
 """Quoted errors are at least this part of the range of the positions."""
-
-
-@dataclass(frozen=True)
-class Widths:
-    """Reach of the test functions of a regression, and how it was chosen.
-
-    Attributes
-    ----------
-    seconds : float
-    rows : float
-        The same in usual (median) time steps.
-    spacing : float
-        Between knots, s; 0: one test function for every row.
-    n_functions : int
-        Independent test functions of all tracks and axes: the rows that count.
-    tried : tuple of (float, float)
-        Spacing and criterion of every width tried; empty where the width was given.
-    """
-
-    seconds: float
-    rows: float
-    spacing: float
-    n_functions: int
-    tried: tuple = ()
-
-    def text(self):
-        """One line for a report."""
-        how = "chosen by the energy above the noise" if self.tried else "as given"
-        return (
-            f"test functions of {self.seconds:.3g} s ({self.rows:.3g} rows), {how}: "
-            f"{self.n_functions} independent ones"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +97,7 @@ class WeakForm:
         self.step = float(np.nanmedian(np.concatenate([_steps(b.times).ravel() for b in batches])))
         tried = ()
         if width is None:
-            self.spacing, tried = self.choose_spacing()
+            self.spacing, tried = choose_spacing(self._series(), self.step, is_measured)
         else:
             self.spacing = 0.0 if width <= 2 * self.step else width / (DEGREE + 1)
         self.parts = [self._part(batch) for batch in batches]
@@ -165,58 +130,21 @@ class WeakForm:
                 remedy="record longer tracks, mend their gaps, or use the likelihood one_step",
             )
 
-    # --- the width -------------------------------------------------------------------------------
-
-    def choose_spacing(self):
-        """Choose the width from the tracks alone.
-
-        What a space of test functions sees of the tracks is their whitened energy in it: about
-        one for every function that sees noise alone, more where there is a force. Of widths in a
-        geometric series the one with the greatest energy less 2 for every function is taken
-        (Mallows' Cp of the force estimated in that space, up to a constant): the corner between
-        signal and noise. Impulses, which have energy at all frequencies, make it narrow by
-        themselves.
-
-        Returns
-        -------
-        spacing : float
-            Between knots, s; 0: one function for every row.
-        tried : tuple of (float, float)
-            Spacing and criterion, less that of the narrowest.
-        """
-        longest = max(float(np.nanmax(np.ptp(_filled(b.times), axis=0))) for b in self.batches)
-        n_ratios = int(np.log(max(longest / 2 / self.step, 1.0)) / np.log(RATIO))
-        candidates = [0.0, *(self.step * RATIO ** np.arange(1, n_ratios + 1)).tolist()]
-        costs = np.array([self._cost(spacing) for spacing in candidates])
-        costs = costs - costs[0]
-        best = int(np.flatnonzero(costs <= costs.min())[-1])
-        return candidates[best], tuple(zip(candidates, costs.tolist(), strict=True))
-
-    def _cost(self, spacing):
-        """Twice the number of test functions, less the energy that they see."""
-        total = 0.0
-        for times, runs, sigma, values in self._series():
-            y = seen_through(times, runs, spacing, sigma, values, self.is_measured)
-            total += 2.0 * y.size - float(np.square(y).sum())
-        return total
-
     def _series(self):
-        """Tracks to choose a width for: times, runs, sigma (T,), values (T, k); kept."""
-        if not hasattr(self, "_gathered"):
-            found = {}
-            for batch in self.batches:
-                values = batch.velocities if self.is_measured else batch.positions
-                for s in range(batch.times.shape[1]):
-                    times = batch.times[:, s]
-                    all_runs = self._runs_of_scene(batch, s, 0.0)
-                    for runs, index in zip(all_runs, batch.bodies.receivers, strict=True):
-                        sigma = self._noise(batch, s, index, self.level)
-                        for axis in np.flatnonzero(np.isfinite(sigma).all(axis=0)):
-                            key = _key(times, runs, sigma[:, axis])
-                            found.setdefault(key, (times, runs, sigma[:, axis], []))
-                            found[key][3].append(_centred(values[:, s, index, axis]))
-            self._gathered = [(t, r, n, np.stack(v, axis=1)) for t, r, n, v in found.values()]
-        return self._gathered
+        """Tracks to choose a width for: times, runs, sigma (T,), values (T, k)."""
+        found = {}
+        for batch in self.batches:
+            values = batch.velocities if self.is_measured else batch.positions
+            for s in range(batch.times.shape[1]):
+                times = batch.times[:, s]
+                all_runs = self._runs_of_scene(batch, s, 0.0)
+                for runs, index in zip(all_runs, batch.bodies.receivers, strict=True):
+                    sigma = self._noise(batch, s, index, self.level)
+                    for axis in np.flatnonzero(np.isfinite(sigma).all(axis=0)):
+                        key = _key(times, runs, sigma[:, axis])
+                        found.setdefault(key, (times, runs, sigma[:, axis], []))
+                        found[key][3].append(_centred(values[:, s, index, axis]))
+        return [(t, r, n, np.stack(v, axis=1)) for t, r, n, v in found.values()]
 
     # --- tracks ----------------------------------------------------------------------------------
 
@@ -358,20 +286,6 @@ class WeakForm:
         if self.is_unsure is not None:
             usable = usable & ~self.is_unsure(batch.bodies, positions)
         return usable
-
-
-def estimated_level(batches, is_measured=False):
-    """Noise of the positions (or of the measured velocities) per axis, from the tracks."""
-    scenes = []
-    for batch in batches:
-        values = batch.velocities if is_measured else batch.positions
-        for s, index in np.ndindex(values.shape[1], values.shape[2]):
-            rows = np.isfinite(values[:, s, index]).all(axis=-1) & np.isfinite(batch.times[:, s])
-            if index in batch.bodies.receivers and rows.sum() >= 3:
-                track = values[rows, s, index][:, None]
-                body = (Entity("body"),)
-                scenes.append(Scene(f"{len(scenes)}", batch.times[rows, s], track, body))
-    return np.array(estimate_noise(scenes).sigma)
 
 
 def _stacked(tracks, rows):
