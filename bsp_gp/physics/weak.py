@@ -19,7 +19,7 @@ import numpy as np
 from bsp_gp.errors import DataError
 from bsp_gp.physics.differences import DENSE_LIMIT
 from bsp_gp.physics.weak_states import states_of
-from bsp_gp.physics.weak_tracks import DEGREE, Track, runs_of
+from bsp_gp.physics.weak_tracks import Track, reach_of, runs_of
 from bsp_gp.physics.weak_width import Widths, choose_spacing
 
 __all__ = ["WeakForm", "WeakPart"]
@@ -99,9 +99,10 @@ class WeakForm:
         if width is None:
             self.spacing, tried = choose_spacing(self._series(), self.step, is_measured)
         else:
-            self.spacing = 0.0 if width <= 2 * self.step else width / (DEGREE + 1)
+            self.spacing = 0.0 if width <= 2 * self.step else width / reach_of(is_measured)
         self.parts = [self._part(batch) for batch in batches]
-        reach = (DEGREE + 1) * self.spacing if self.spacing else 2 * self.step
+        longest = max(float(np.nanmax(np.ptp(_filled(b.times), axis=0))) for b in batches)
+        reach = min(reach_of(is_measured) * self.spacing or 2 * self.step, longest)
         n_functions = int(sum(part.kept.sum() for part in self.parts))
         self.widths = Widths(reach, reach / self.step, self.spacing, n_functions, tried)
 

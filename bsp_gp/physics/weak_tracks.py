@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "runs_of", "seen_through"]
+__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "reach_of", "runs_of", "seen_through"]
 
 DEGREE = 3
 RANK_CUT = 1e-10
@@ -93,6 +93,11 @@ def knots_of(times, spacing):
     n_parts = max(int(round((times[-1] - times[0]) / spacing)), 1)
     inner = np.linspace(times[0], times[-1], n_parts + 1)
     return np.concatenate([[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE])
+
+
+def reach_of(is_measured=False):
+    """Knot intervals over which a test function reaches: three splines, or two, side by side."""
+    return DEGREE + (2 if is_measured else 3)
 
 
 def design(times, knots):
