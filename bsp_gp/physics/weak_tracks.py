@@ -28,7 +28,7 @@ DEGREE = 3
 RANK_CUT = 1e-10
 """Test functions (of unit size) whose part independent of the others is below this are left out."""
 COMB_CUT = 1e-7
-"""Combinations of splines that cancel to this part are rounding, and not blind to a shift."""
+"""Combinations of splines that cancel to this part are rounding."""
 _GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the product of a linear test function and a cubic."""
 
@@ -132,17 +132,28 @@ def combs(times, spacing, sigma, is_measured=False):
     for k in range(len(splines) - n_blind):
         some = splines[k : k + n_blind + 1]
         a = some.sum(axis=1)
+        # Times from the middle of the three, so that nothing cancels that need not.
+        places = times - (some @ times).sum() / a.sum()
         if is_measured:
             mix = [a[1], -a[0]]
         else:
-            # Times from the middle of the three, so that nothing cancels that need not.
-            b = some @ (times - (some @ times).sum() / a.sum())
+            b = some @ places
             mix = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
         comb = np.asarray(mix) @ some
         # Splines that share too few rows leave rounding.
         if np.linalg.norm(comb) > COMB_CUT * np.abs(mix) @ np.linalg.norm(some, axis=1):
-            out.append(comb)
+            out.append(_blinded(comb, places, n_blind))
     return np.array(out).reshape(len(out), n)
+
+
+def _blinded(comb, places, n_blind):
+    """A comb less the rounding by which it is not blind, so that this is no function of its own."""
+    rows = np.flatnonzero(comb)
+    basis = np.stack([np.ones(len(rows)), places[rows]], axis=1)[:, :n_blind]
+    basis, _ = np.linalg.qr(basis)
+    out = np.zeros(len(comb))
+    out[rows] = comb[rows] - basis @ (basis.T @ comb[rows])
+    return out
 
 
 def second_differences(times):

@@ -98,4 +98,5 @@ def estimated_level(batches, is_measured=False):
                 track = values[rows, s, index][:, None]
                 body = (Entity("body"),)
                 scenes.append(Scene(f"{len(scenes)}", batch.times[rows, s], track, body))
-    return np.array(estimate_noise(scenes).sigma)
+    # Without any track there is nothing to choose by, as the weak form will say.
+    return np.array(estimate_noise(scenes).sigma) if scenes else np.array(1.0)
