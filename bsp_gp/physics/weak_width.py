@@ -30,6 +30,7 @@ class Widths:
     Attributes
     ----------
     seconds : float
+        At most the length of the longest track.
     rows : float
         The same in usual (median) time steps.
     spacing : float
