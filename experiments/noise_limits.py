@@ -161,7 +161,7 @@ def jobs_of(quick, seed):
         jobs += [("nbody", noise, s, "list") for noise in noises]
         if not quick or s == seed:
             jobs += [("bounce", noise, s, "list") for noise in (noises[1:2] if quick else noises)]
-    # A friction that begins a row late is a small error: whether leaving that row out helps is seen.
+    # A friction that begins a row late is a small error: does leaving that row out help?
     jobs += [("mat", noise, s, "kept") for s in seeds for noise in noises]
     if not quick:
         jobs += [("nbody", noise, s, "search") for s in seeds[:3] for noise in (0.1, 1.0)]
