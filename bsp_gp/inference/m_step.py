@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.physics.likelihood import stack_draws
+from bsp_gp.physics.regression import stack_draws
 from bsp_gp.search.constants import linear_columns
 from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.objective import Objective

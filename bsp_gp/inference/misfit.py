@@ -17,7 +17,7 @@ from bsp_gp.inference.latents import PropertyTable
 from bsp_gp.inference.separation import coefficient, separate
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import Bodies, law_inputs
-from bsp_gp.physics.likelihood import checked
+from bsp_gp.physics.regression import checked
 
 __all__ = ["DirectMisfit", "MotionBank", "ReducedMisfit", "misfit_of", "repeated"]
 

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.inference.misfit import DirectMisfit, MotionBank, averaged
-from bsp_gp.physics.likelihood import Regression, build_regression
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.regression import Regression
 
 __all__ = ["PropagatedBank"]
 

@@ -78,7 +78,7 @@ def ljung_box(regression, residual, lags=LAGS):
     for batch in regression.batches:
         parts.append(residual[start : start + batch.target.size].reshape(batch.target.shape))
         start += batch.target.size
-        n += int(batch.valid.sum())
+        n += int(batch.kept.sum())
     return _pooled_ljung_box(parts, n, lags)
 
 

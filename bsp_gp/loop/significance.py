@@ -18,7 +18,7 @@ N_NULL = 299
 
 def null_targets(regression, rng, n_draws=N_NULL):
     """Simulated whitened residuals, shape (n, n_draws): white noise on the valid rows."""
-    valid = np.concatenate([batch.valid.ravel() for batch in regression.batches])
+    valid = np.concatenate([batch.kept.ravel() for batch in regression.batches])
     draws = rng.standard_normal((n_draws, len(valid))).T
     return draws * valid[:, None]
 

@@ -1,6 +1,6 @@
 """What a law must explain: accelerations at instants, with the covariance of their errors.
 
-Three ways to read them off a track, one interface (`Regression`):
+Several ways to read them off a track, one interface (`Regression`):
 
 ``one_step``
     The paper's vectorised likelihood (section 3.3.1): velocity by backward difference, one
@@ -16,22 +16,26 @@ Three ways to read them off a track, one interface (`Regression`):
     time: equivalent to fitting positions with free initial states.
 ``derivative``
     For data with *measured* velocities: their derivative by a central difference of high order.
-
-A weak form against compact test functions has its place beside these.
+``weak``
+    The equation of motion integrated against compact test functions (`bsp_gp.physics.weak`):
+    both time derivatives fall upon the test function, whose width is chosen from the data.
+    Bridges short gaps, weighs every row by its quoted error, and takes measured velocities. For
+    motion in continuous time.
+``one_step_weak``
+    The same for data made by steps: forces act at rows, with backward velocities.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 
-from bsp_gp.errors import DataError, EvaluationError, SettingsError
-from bsp_gp.language.formula import evaluate
-from bsp_gp.physics.bodies import law_inputs, stack
-from bsp_gp.physics.evaluation import Settling
-from bsp_gp.physics.force import term_gradient
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.differences import difference_weights, gls_whitener
 from bsp_gp.physics.noise import relative_sizes
+from bsp_gp.physics.regression import Regression, RegressionBatch, stack_draws
+from bsp_gp.physics.weak import WeakForm
+from bsp_gp.physics.weak_width import estimated_level
 
 __all__ = [
     "METHODS",
@@ -42,221 +46,10 @@ __all__ = [
     "stack_draws",
 ]
 
-METHODS = ("one_step", "one_step_gls", "central", "gls", "derivative")
+METHODS = (
+    "one_step", "one_step_gls", "central", "gls", "derivative", "weak", "one_step_weak"
+)  # fmt: skip
 DERIVATIVE_POINTS = 11
-DENSE_LIMIT = 1500
-"""Longest track (rows) whose whitening matrix is kept dense."""
-
-
-@dataclass(frozen=True, eq=False)
-class RegressionBatch:
-    """Instants of like-built scenes.
-
-    Attributes
-    ----------
-    bodies : Bodies
-    times : ndarray, shape (n, S), s
-    positions, velocities : ndarray, shape (n, S, N, d)
-        The state at which a law is evaluated.
-    target : ndarray, shape (n, S, R, d), m/s^2
-        Observed accelerations; 0 where not valid.
-    valid : ndarray of bool, shape (n, S, R, d)
-    scale : ndarray, shape (n, S, R, d)
-        1 / standard deviation of independent errors; 0 where not valid.
-    scene_names : tuple of str, length S
-    whitener : ndarray or None
-        ``(n, n)`` shared or ``(S, R, n, n)``: applied along time before `scale`; None = identity.
-    """
-
-    bodies: object
-    times: np.ndarray
-    positions: np.ndarray
-    velocities: np.ndarray
-    target: np.ndarray
-    valid: np.ndarray
-    scale: np.ndarray
-    scene_names: tuple[str, ...] = ()
-    whitener: np.ndarray | None = None
-
-    def whiten(self, values):
-        """Whiten accelerations, shape (n, S, R, ..., d); invalid rows become 0."""
-        extra = values.ndim - 4
-        index = (slice(None),) * 3 + (None,) * extra
-        values = np.where(self.valid[index], values, 0.0)
-        if self.whitener is not None:
-            if self.whitener.ndim == 2:
-                values = np.tensordot(self.whitener, values, axes=(1, 0))
-            else:
-                values = np.einsum("srtu,usr...->tsr...", self.whitener, values, optimize=True)
-        return values * self.scale[index]
-
-
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """All instants of some scenes, ready for laws.
-
-    Attributes
-    ----------
-    batches : tuple of RegressionBatch
-    method : str
-    sigma : ndarray, shape (d,)
-        Standard deviation used: of positions, metres, or of accelerations (``derivative``).
-    scenes : tuple of Scene
-    """
-
-    batches: tuple[RegressionBatch, ...]
-    method: str
-    sigma: np.ndarray
-    scenes: tuple
-    n_rows: int = field(init=False)
-
-    def __post_init__(self):
-        object.__setattr__(self, "n_rows", int(sum(batch.valid.sum() for batch in self.batches)))
-
-    def target(self):
-        """Whitened observed accelerations, one vector."""
-        return self._flat(batch.whiten(batch.target) for batch in self.batches)
-
-    def residual(self, law):
-        """Whitened observed minus predicted accelerations, one vector.
-
-        Raises
-        ------
-        EvaluationError
-            If the law has no finite value at a valid instant.
-        """
-        return self._flat(
-            batch.whiten(batch.target - checked(self.predict(batch, law), batch))
-            for batch in self.batches
-        )
-
-    def predict(self, batch, law):
-        """Accelerations of a law at the instants of a batch, shape (n, S, R, d)."""
-        return law.acceleration(batch.bodies, batch.positions, batch.velocities, batch.times)
-
-    def column(self, term, per_entity=False, cache=None):
-        """Whitened acceleration of a constant-free term: one vector, or a column per receiver.
-
-        Parameters
-        ----------
-        term : Term
-        per_entity : bool
-        cache : list of dict, one per batch, optional
-            Values of sub-formulas, kept between calls for terms of one kind.
-
-        Returns
-        -------
-        columns : ndarray, shape (n_flat, k)
-        names : tuple of str
-            Receiver names for ``per_entity``, else ``("",)``.
-        """
-        parts = []
-        for index, batch in enumerate(self.batches):
-            lookup = law_inputs(
-                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
-            known = None if cache is None else cache[index]
-            force = evaluate(term.acceleration_formula, lookup, cache=known)
-            value = Settling(term, batch.bodies, per_entity)(force, batch.target.shape)
-            parts.append(batch.whiten(checked(value, batch)))
-        if not per_entity:
-            return self._flat(parts)[:, None], ("",)
-        names = self.receiver_names()
-        columns = []
-        for name in names:
-            pieces = []
-            for batch, part in zip(self.batches, parts, strict=True):
-                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
-                pieces.append(part * mine[..., None])
-            columns.append(self._flat(pieces))
-        return np.stack(columns, axis=1), names
-
-    def gradient(self, law, term):
-        """Whitened derivatives of one term by its constants, dict of vectors."""
-        out = {}
-        for batch in self.batches:
-            _, slopes = term_gradient(
-                law, term, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
-            for name, slope in slopes.items():
-                out.setdefault(name, []).append(batch.whiten(checked(slope, batch)))
-        return {name: self._flat(parts) for name, parts in out.items()}
-
-    def receiver_names(self):
-        """Names of all receivers, in order of first appearance."""
-        return tuple(
-            dict.fromkeys(
-                name
-                for batch in self.batches
-                for row in batch.bodies.receiver_names
-                for name in row
-            )
-        )
-
-    def log_scale(self):
-        """Logarithm of the determinant of the whitening, for likelihoods of the noise itself."""
-        total = 0.0
-        for batch in self.batches:
-            total += float(np.log(batch.scale[batch.valid]).sum())
-            if batch.whitener is not None:
-                diagonal = np.einsum("...tt->...t", batch.whitener)
-                if diagonal.ndim == 3:
-                    diagonal = np.moveaxis(diagonal, -1, 0)
-                else:
-                    diagonal = diagonal[:, None, None]
-                used = np.broadcast_to(diagonal[..., None], batch.valid.shape)[batch.valid]
-                total += float(np.log(used).sum())
-        return total
-
-    def raw_residuals(self, law):
-        """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""
-        return [
-            np.where(batch.valid, batch.target - self.predict(batch, law), np.nan)
-            for batch in self.batches
-        ]
-
-    def _flat(self, parts):
-        return np.concatenate([np.ravel(part) for part in parts]) if self.batches else np.zeros(0)
-
-
-def stack_draws(regressions, weights):
-    """One regression for an expectation over draws of latent properties.
-
-    Least squares on it minimises the weighted mean of the draws' losses, constants shared.
-
-    Parameters
-    ----------
-    regressions : sequence of Regression
-        The same scenes, each with the properties of one draw.
-    weights : sequence of float
-        Not negative; normalised to sum to one.
-
-    Raises
-    ------
-    SettingsError
-        If weights and draws do not match.
-    """
-    weights = np.asarray(weights, dtype=float)
-    if weights.shape != (len(regressions),) or not weights.sum() > 0 or np.any(weights < 0):
-        raise SettingsError(
-            f"weights must be {len(regressions)} numbers that are not negative and not all 0, "
-            f"got {weights!r:.80}"
-        )
-    batches = tuple(
-        replace(batch, scale=batch.scale * np.sqrt(weight))
-        for regression, weight in zip(regressions, weights / weights.sum(), strict=True)
-        for batch in regression.batches
-    )
-    first = regressions[0]
-    return Regression(batches, first.method, first.sigma, first.scenes)
-
-
-def checked(values, batch):
-    """Return values (n, S, R, d), or raise EvaluationError where a valid row is not finite."""
-    bad = ~np.isfinite(values) & batch.valid
-    if bad.any():
-        raise EvaluationError(f"the law has no finite value at {int(bad.sum())} instants")
-    return np.where(batch.valid, values, 0.0)
 
 
 def build_regression(
@@ -269,6 +62,7 @@ def build_regression(
     sources=True,
     states=None,
     unsure=None,
+    width=None,
     memory=0.0,
 ):
     """Read accelerations off measured tracks.
@@ -279,12 +73,14 @@ def build_regression(
     method : str
         One of `METHODS`.
     sigma : array-like, shape (d,) or float, optional
-        Standard deviation of positions (``derivative``: of accelerations); 1 if None. A nan axis
-        (without variation) is left out.
+        Standard deviation of positions (``derivative``: of accelerations; ``weak`` with measured
+        velocities: of these); 1 if None. A nan axis (without variation) is left out. ``weak`` uses
+        it where the scene quotes none.
     up : str, optional
         Declared vertical axis.
     velocity : str
-        "measured" to use the velocity columns; needed by ``derivative``.
+        "measured" to use the velocity columns: ``weak`` then integrates by parts once;
+        ``derivative`` always uses them, other methods never.
     sources : bool
         Whether laws may name other bodies: then rows where any of them is lost are left out.
     states : mapping of str to (ndarray, ndarray), optional
@@ -294,9 +90,11 @@ def build_regression(
     unsure : float, optional
         Rows whose contact or region condition would flip if a body moved by less than this,
         metres, are left out: with position noise they are as likely wrong as right.
+    width : float, optional
+        Reach of the test functions of ``weak``, s; by default chosen from the data.
     memory : float
-        Correlation time of the position noise, s, for the methods with an exact covariance;
-        these also heed the errors that single points quote.
+        Correlation time of the position noise, s, for ``gls`` and ``one_step_gls``; these also
+        heed the errors that single points quote.
 
     Raises
     ------
@@ -311,13 +109,22 @@ def build_regression(
             remedy="record longer tracks or more scenes, or declare which are train and test",
         )
     n_dims = scenes[0].n_dims
+    level = sigma
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
-    measured = "measured" if method == "derivative" else "ignore"
-    batches = [
-        _regression_batch(batch, method, sigma, sources, states or {}, unsure, memory)
-        for batch in stack(scenes, up, measured)
-    ]
-    regression = Regression(tuple(batches), method, np.array(sigma), tuple(scenes))
+    is_weak = method in ("weak", "one_step_weak")
+    measured = "measured" if method == "derivative" or (is_weak and velocity == "measured") else ""
+    batches = stack(scenes, up, measured or "ignore")
+    if is_weak:
+        found, widths = _weak_batches(
+            batches, method, sigma, level, sources, states or {}, unsure, bool(measured), width
+        )
+    else:
+        found = [
+            _regression_batch(batch, method, sigma, sources, states or {}, unsure, memory)
+            for batch in batches
+        ]
+        widths = None
+    regression = Regression(tuple(found), method, np.array(sigma), tuple(scenes), widths)
     if not regression.n_rows:
         raise DataError(
             "no instant is usable: a force needs a body in three successive frames"
@@ -347,11 +154,48 @@ def _regression_batch(batch, method, sigma, sources, given, unsure, memory):
     if method in ("gls", "one_step_gls"):
         sizes = relative_sizes(batch, sigma)
         sizes = None if sizes is None else sizes[:, :, bodies.receivers]
-        whitener = _gls_whitener(batch.times, valid, sizes, memory)
+        whitener = gls_whitener(batch.times, valid, sizes, memory)
     names = tuple(scene.name for scene in batch.scenes)
     return RegressionBatch(
         bodies, times, positions, velocities, target, valid, scale, names, whitener
     )
+
+
+def _weak_batches(batches, method, sigma, level, sources, given, unsure, is_measured, width):
+    """Batches of the weak form, and the widths of their test functions."""
+    if level is None:
+        level = estimated_level(batches, is_measured)
+    form = WeakForm(
+        batches,
+        sigma,
+        level=np.broadcast_to(np.asarray(level, dtype=float), sigma.shape),
+        width=width,
+        sources=sources,
+        is_stepped=method == "one_step_weak",
+        is_measured=is_measured,
+        is_unsure=(lambda bodies, p: _is_unsure(bodies, p, unsure)) if unsure else None,
+    )
+    out = []
+    for batch, part in zip(batches, form.parts, strict=True):
+        state = (batch.times[part.rows], part.positions, part.velocities)
+        times, positions, velocities = state if is_measured else _replaced(state, batch, given)
+        names = tuple(scene.name for scene in batch.scenes)
+        out.append(
+            RegressionBatch(
+                batch.bodies,
+                times,
+                positions,
+                velocities,
+                part.target,
+                part.valid,
+                part.kept.astype(float),
+                names,
+                part.whitener,
+                part.observed,
+                part.kept,
+            )
+        )
+    return out, form.widths
 
 
 def _is_unsure(bodies, positions, distance):
@@ -425,96 +269,3 @@ def _from_velocities(batch):
     inner = slice(half, n - half)
     state = (batch.times[inner], batch.positions[inner], batch.velocities[inner])
     return state, target, None, 1.0
-
-
-def difference_weights(offsets, order):
-    """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
-
-    Parameters
-    ----------
-    offsets : ndarray, shape (k,)
-        Places of the samples relative to where the derivative is wanted.
-    order : int
-        Order of the derivative.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
-    # Scaled to unit spacing, so that the powers stay near one.
-    width = np.max(np.abs(offsets))
-    x = np.asarray(offsets, dtype=float) / width
-    n = len(x)
-    weights = np.zeros((n, order + 1))
-    weights[0, 0] = 1.0
-    c1, c4 = 1.0, x[0]
-    for i in range(1, n):
-        top = min(i, order)
-        c2, c5, c4 = 1.0, c4, x[i]
-        for j in range(i):
-            c3 = x[i] - x[j]
-            c2 *= c3
-            if j == i - 1:
-                for k in range(top, 0, -1):
-                    weights[i, k] = c1 * (k * weights[i - 1, k - 1] - c5 * weights[i - 1, k]) / c2
-                weights[i, 0] = -c1 * c5 * weights[i - 1, 0] / c2
-            for k in range(top, 0, -1):
-                weights[j, k] = (c4 * weights[j, k] - k * weights[j, k - 1]) / c3
-            weights[j, 0] = c4 * weights[j, 0] / c3
-        c1 = c2
-    return weights[:, order] / width**order
-
-
-def _difference_matrix(times):
-    """Rows of the second difference of positions, shape (T - 2, T), for one grid of times."""
-    before, after = np.diff(times)[:-1], np.diff(times)[1:]
-    n = len(times) - 2
-    matrix = np.zeros((n, n + 2))
-    rows = np.arange(n)
-    matrix[rows, rows] = 2 / (before * (before + after))
-    matrix[rows, rows + 2] = 2 / (after * (before + after))
-    matrix[rows, rows + 1] = -matrix[rows, rows] - matrix[rows, rows + 2]
-    return matrix
-
-
-def _gls_whitener(times, valid, sizes=None, memory=0.0):
-    """Inverse Cholesky factors of the covariance of second differences, per unit sigma.
-
-    `sizes` (T, S, R) are the errors of the points as parts of sigma.
-    """
-    n_times, n_scenes = times.shape
-    rows_valid = valid.any(axis=-1)  # (n, S, R)
-    same_grid = np.all(times == times[:, :1])
-    if same_grid and sizes is None and rows_valid.all():
-        return _whitening_block(times[:, 0], rows_valid[:, 0, 0], None, memory)
-    if n_times > DENSE_LIMIT:
-        raise DataError(
-            f"tracks of {n_times} rows with gaps, differing times or errors of single points are "
-            "too long for the exact covariance; split them into scenes of at most 1500 rows"
-        )
-    blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))
-    for s in range(n_scenes):
-        for r in range(valid.shape[2]):
-            size = None if sizes is None else sizes[:, s, r]
-            blocks[s, r] = _whitening_block(times[:, s], rows_valid[:, s, r], size, memory)
-    return blocks
-
-
-def _whitening_block(times, rows, size, memory):
-    from scipy.linalg import solve_triangular
-
-    n = len(times) - 2
-    block = np.zeros((n, n))
-    if not rows.any():
-        return block
-    matrix = np.nan_to_num(_difference_matrix(times))[rows]
-    if size is not None:
-        matrix = matrix * size
-    covariance = matrix @ matrix.T
-    if memory > 0:
-        gaps = np.nan_to_num(np.abs(times[:, None] - times))
-        covariance = matrix @ np.exp(-gaps / memory) @ matrix.T
-    factor = np.linalg.cholesky(covariance)
-    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
-    block[np.ix_(rows, rows)] = inverse
-    return block

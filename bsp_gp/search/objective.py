@@ -56,7 +56,7 @@ class Objective:
     ----------
     regression : Regression
         For an expectation over draws of latent properties: the draws' regressions stacked, the
-        scale of each times the root of its weight (`bsp_gp.physics.likelihood.stack_draws`).
+        scale of each times the root of its weight (`bsp_gp.physics.regression.stack_draws`).
     grammar : Grammar
         Masked to the data.
     kind : str

@@ -152,7 +152,8 @@ CASES = [(MIXED, "pair", "one_step", 4), (MIXED, "pair", "one_step", 5),
          (MIXED, "pair", "one_step", 6), (SPLIT, "pair", "one_step", 5),
          (SPLIT, "pair", "gls", 5), (MIXED, "pair", "gls", 4), (MIXED, "pair", "gls", 5),
          (SPLIT, "field", "one_step", 4),
-         (SPLIT, "field", "gls", 4)]  # fmt: skip
+         (SPLIT, "field", "gls", 4), (SPLIT, "pair", "weak", 5), (MIXED, "pair", "weak", 4),
+         (SPLIT, "field", "one_step_weak", 4)]  # fmt: skip
 IDS = [f"{'mixed' if c[0] is MIXED else 'split'}-{c[1]}-{c[2]}-{c[3]}" for c in CASES]
 
 
@@ -228,7 +229,8 @@ def test_complexity_is_that_of_a_derivation():
 
 
 @pytest.mark.parametrize(
-    ("text", "method"), [(MIXED, "one_step"), (SPLIT, "one_step"), (SPLIT, "gls")]
+    ("text", "method"),
+    [(MIXED, "one_step"), (SPLIT, "one_step"), (SPLIT, "gls"), (SPLIT, "weak")],
 )
 def test_joint_refit_is_least_squares_with_all_columns(text, method):
     grammar = grammar_of(text)

@@ -39,7 +39,7 @@ WEIGHT = "c2 * m_i * down"
 DRAG = "c3 * v_i"
 
 
-@pytest.mark.parametrize("method", ["one_step", "gls"])
+@pytest.mark.parametrize("method", ["one_step", "gls", "weak"])
 def test_linear_constants_are_the_least_squares_solution(method):
     true = law_of(GRAVITY, WEIGHT, DRAG, c1=2.0, c2=9.81, c3=-0.4)
     regression = planted(true, noise=0.5, method=method)

@@ -309,9 +309,10 @@ def test_derivative_needs_velocities_and_rows():
 
 
 def test_settings_are_checked():
-    assert METHODS == ("one_step", "one_step_gls", "central", "gls", "derivative")
-    with pytest.raises(SettingsError, match="one_step, one_step_gls, .*, got 'weak'"):
-        build_regression([scene_of(1)], method="weak")
+    classic = ("one_step", "one_step_gls", "central", "gls", "derivative")
+    assert METHODS == (*classic, "weak", "one_step_weak")
+    with pytest.raises(SettingsError, match="one_step, one_step_gls, .*, got 'weakest'"):
+        build_regression([scene_of(1)], method="weakest")
     gone = np.full((4, 2), np.nan)
     scene = Scene("s", np.arange(4.0), gone[:, None], (ball("a", 1.0),))
     with pytest.raises(DataError, match="three successive frames"):
