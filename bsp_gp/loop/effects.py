@@ -8,12 +8,10 @@ import numpy as np
 
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.denoise import states_of, tracks_of
+from bsp_gp.loop.leftover import Leftover
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
-from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
 __all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
@@ -121,8 +119,7 @@ class EffectSearch:
         grammar = self.grammar.for_properties(columns, vectors)
         available = set(types) - set(self.exclude) - self._unknown_inputs(dataset)
         self.masked, self.missing = grammar.masked(available, dataset.n_dims)
-        self._states = {}
-        self._tracks = {}
+        self._leftover = Leftover(self.observation)
         self.pooled_scenes = [s for s in map(_without_unknown_masses, self.observation.train) if s]
         self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
         if self.per_entity == "auto":
@@ -172,14 +169,11 @@ class EffectSearch:
         Proposals
         """
         self._n_null = self.n_null if n_null is None else n_null
-        track = along or fit
-        self._track_law = track.law
-        self._states = states_of(track.whole, self.observation.train) if track.whole else {}
-        self._tracks = tracks_of(track.whole, self.observation.train) if track.whole else {}
+        self._leftover = Leftover(self.observation, along or fit)
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
-        residual, jacobian = self._left(regression, fit.law)
+        residual, jacobian = self._leftover.residual(regression, fit.law)
         null = null_targets(regression, null_rng, self._n_null)
         for kind in self.kinds:
             result = search_exhaustive(
@@ -218,7 +212,7 @@ class EffectSearch:
         )
         scenes = [_with_unit_masses(s) for s in self.observation.train]
         regression = self._regression(scenes)
-        residual, jacobian = self._left(regression, fit.law)
+        residual, jacobian = self._leftover.residual(regression, fit.law)
         groups = [column != 0 for column in self._groups(regression)]
         result = search_exhaustive(
             regression,
@@ -245,68 +239,7 @@ class EffectSearch:
         return columns
 
     def _regression(self, scenes):
-        observation = self.observation
-        return build_regression(
-            scenes,
-            method=observation.method,
-            sigma=observation.regression_sigma,
-            up=observation.dataset.up,
-            sources=observation.sources,
-            states=self._states_for(scenes),
-        )
-
-    def _states_for(self, scenes):
-        """Denoised states, with bodies left out that are no receivers in these scenes."""
-        out = {}
-        for scene in scenes:
-            if scene.name in self._states:
-                p, v = self._states[scene.name]
-                kept = self._kept(scene)
-                out[scene.name] = (p[:, kept], v[:, kept])
-        return out
-
-    def _kept(self, scene):
-        """Which receivers of the training scene are receivers in this version of it."""
-        whole = next(s for s in self.observation.train if s.name == scene.name)
-        return np.isin(whole.dynamic, scene.dynamic)
-
-    def _left(self, regression, law):
-        """Residual of the fitted law, and the columns of its free constants.
-
-        On noisy data the second differences of the fitted track itself, which obeys the law
-        exactly, show what the finite step alone leaves; that is taken off.
-        """
-        fitted = fit_constants(regression, law)
-        if self.observation.is_exact:
-            return fitted.residual, fitted.jacobian
-        residual = regression.residual(law)
-        if self._tracks:
-            residual = residual - self._step_error(regression)
-        return residual, fitted.jacobian
-
-    def _step_error(self, regression):
-        """Whitened residual of the fitted tracks under the law that made them."""
-        scenes, states = [], {}
-        for scene in regression.scenes:
-            if scene.name not in self._tracks:
-                return 0.0
-            p, v = self._tracks[scene.name]
-            kept = self._kept(scene)
-            positions = np.array(scene.positions)
-            seen = np.isfinite(positions[:, scene.dynamic])
-            positions[:, scene.dynamic] = np.where(seen, p[:, kept], np.nan)
-            scenes.append(replace(scene, positions=positions))
-            states[scene.name] = (p[:, kept], v[:, kept])
-        observation = self.observation
-        own = build_regression(
-            scenes,
-            method=observation.method,
-            sigma=observation.regression_sigma,
-            up=observation.dataset.up,
-            sources=observation.sources,
-            states=states,
-        )
-        return own.residual(self._track_law)
+        return self._leftover.regression(scenes)
 
     def _collect(self, outcomes, law):
         observed, null, proposals = [], [], []
