@@ -36,6 +36,8 @@ class Direction:
         Whether one amplitude for all legs makes a law; normals in three dimensions do not.
     in_stays : bool
         Whether the push is a constant for each stay (in contact, over a region).
+    place : tuple of float or None
+        Of the unseen point.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Direction:
     sources: object = None
     is_summed: bool = True
     in_stays: bool = False
+    place: tuple | None = None
 
     def columns(self, group):
         """Coordinates of a free push in this direction, shape (S, R, D, C)."""
@@ -289,4 +292,5 @@ def to_point(place):
         (),
         partial(_point, place=tuple(place)),
         partial(_point_lengths, place=tuple(place)),
+        place=tuple(map(float, place)),
     )

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.loop.smooth_view import spanned
+
 __all__ = ["Explained", "Resampling", "carriers", "explain"]
 
 N_RESAMPLED = 1000
 MIN_UNITS = 5
 """Scenes or objects below which intervals come from simulated copies."""
 LEVELS = (0.05, 0.95)
-_RANK = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +59,9 @@ def explain(view, columns):
     """
     bases, ranks, parts = [], [], []
     for target, block in zip(view.target, columns, strict=True):
-        if block.shape[3]:
-            sizes = np.linalg.norm(block, axis=2, keepdims=True)
-            block = block / np.where(sizes > 0, sizes, 1.0)
-            u, singular, _ = np.linalg.svd(block, full_matrices=False)
-            keep = singular > _RANK * np.maximum(singular[..., :1], 1e-300)
-            u = u * (keep & (singular > 0))[..., None, :]
-        else:
-            u, keep = block, np.zeros(block.shape[:2] + (0,), bool)
+        u, rank = spanned(block)
         bases.append(u)
-        ranks.append((keep.sum(axis=-1) * u.any(axis=(2, 3))).ravel())
+        ranks.append(rank.ravel())
         parts.append(_onto(u, target[..., None])[..., 0])
     freedom = np.concatenate(ranks).astype(float)
     target = view.flat(view.target)

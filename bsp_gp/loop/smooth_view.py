@@ -16,10 +16,12 @@ import numpy as np
 from bsp_gp.loop.leftover import Leftover
 from bsp_gp.physics.geometry import DISC, WALL
 
-__all__ = ["SmoothView", "TrackGroup", "runs_of", "smooth_view", "spline_basis"]
+__all__ = ["SmoothView", "TrackGroup", "runs_of", "smooth_view", "spanned", "spline_basis"]
 
 ROWS_PER_FUNCTION = 5
 MIN_FUNCTIONS, MAX_FUNCTIONS = 5, 64
+CHANNEL_PART = 0.6
+"""Functions of a push in one direction, as a part of those of the basis."""
 MAX_RUNS = 12
 """Stays in contact or over a region, per track, that get a step function of their own."""
 MAX_TRACKS = 64
@@ -29,6 +31,7 @@ MAX_NUMBERS = 6_000_000
 MIN_ROUGH = 10
 """Rows beyond the smooth ones that are needed to estimate the level of the noise."""
 _RANK = 1e-9
+_SPAN = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +44,11 @@ class TrackGroup:
     maps : ndarray, shape (S, R, d, K, n)
         Accelerations at the instants -> coordinates in the orthonormal basis of that track.
     splines : ndarray, shape (S, n, K_c)
-        Smooth profiles in time for channels: half as many functions as the basis has.
+        Smooth profiles in time for channels: fewer functions than the basis has.
     touching, inside : ndarray of bool, shape (n, S, R, N - 1)
         Where a receiver touches another entity, or is over it.
+    taken : ndarray, shape (S, R, d K, B), or None
+        Orthonormal columns that are projected out of everything.
     """
 
     batch: object
@@ -51,6 +56,7 @@ class TrackGroup:
     splines: np.ndarray
     touching: np.ndarray
     inside: np.ndarray
+    taken: np.ndarray | None = None
 
     @property
     def shape(self):
@@ -63,7 +69,14 @@ class TrackGroup:
         s, r, size = self.shape
         vectors = np.nan_to_num(vectors, posinf=0.0, neginf=0.0)
         moved = np.ascontiguousarray(vectors.transpose(1, 2, 4, 0, 3))  # (S, R, d, n, C)
-        return np.matmul(self.maps, moved).reshape(s, r, size, vectors.shape[3])
+        return self.freed(np.matmul(self.maps, moved).reshape(s, r, size, vectors.shape[3]))
+
+    def freed(self, coordinates):
+        """Coordinates (S, R, d K, C) without what is taken."""
+        if self.taken is None:
+            return coordinates
+        inner = np.swapaxes(self.taken, -1, -2) @ coordinates
+        return coordinates - self.taken @ inner
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +116,35 @@ class SmoothView:
         """Coordinates of all tracks in one vector (or in the rows of a matrix)."""
         return np.concatenate([p.reshape(-1, *p.shape[3:]) for p in parts])
 
+    def beside(self, columns):
+        """The view of what is left when pushes with a free amplitude each are taken out.
+
+        Parameters
+        ----------
+        columns : list of ndarray, shape (S, R, D, C)
+            Per group, as `TrackGroup.project` gives them.
+        """
+        groups, dimensions = [], []
+        for group, block, n in zip(self.groups, columns, self.dimensions, strict=True):
+            basis, rank = spanned(block)
+            groups.append(replace(group, taken=basis))
+            dimensions.append(n - rank)
+        parts = [self.split(column) for column in self.constants.T]
+        freed = [
+            self.flat([g.freed(p[..., None])[..., 0] for g, p in zip(groups, part, strict=True)])
+            for part in parts
+        ]
+        constants = np.stack(freed, axis=1) if freed else self.constants
+        constants = _orthonormal(constants, 1e-6)
+        target = self.flat(
+            [g.freed(t[..., None])[..., 0] for g, t in zip(groups, self.target, strict=True)]
+        )
+        target = target - constants @ (constants.T @ target)
+        return replace(
+            self, groups=tuple(groups), constants=constants, dimensions=dimensions,
+            target=self.split(target),
+        )  # fmt: skip
+
     def split(self, flat):
         """The reverse of `flat`."""
         out, start = [], 0
@@ -140,7 +182,8 @@ def smooth_view(observation, fit):
             tracks += [(scene, receiver) for receiver in receivers]
     dimensions = [ranks for _, _, ranks in pieces]
     flat = np.concatenate([c.reshape(-1, c.shape[-1]) for _, c, _ in pieces])
-    constants = _orthonormal(flat[:, 1:])
+    constants = flat[:, 1:] / np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-300)
+    constants = _orthonormal(constants)
     n_rough = regression.n_rows - sum(int(d.sum()) for d in dimensions)
     rough = float(residual @ residual - flat[:, 0] @ flat[:, 0])
     level = rough / n_rough if n_rough >= MIN_ROUGH and rough > 0 else 1.0
@@ -189,7 +232,7 @@ def _group(batch, columns, most):
         maps[s, r, axis, :rank] = image
         coordinates[s, r, axis, :rank] = u.T @ columns[:, s, r, axis]
         ranks[s, r] += rank
-    coarse = max(n_functions // 2, 2)
+    coarse = max(round(CHANNEL_PART * n_functions), 2)
     splines = np.stack([spline_basis(t, coarse) for t in batch.times.T])
     group = TrackGroup(batch, maps, splines, touching, inside)
     return group, coordinates.reshape(*group.shape, -1), ranks
@@ -277,10 +320,28 @@ def _live(columns):
     return columns[:, np.any(columns, axis=0)]
 
 
-def _orthonormal(columns):
-    """Orthonormal basis of some columns, shape (n, rank)."""
-    if not columns.shape[1]:
-        return columns
-    columns = columns / np.linalg.norm(columns, axis=0)
+def spanned(columns):
+    """Orthonormal columns that span those of every track, and how many they are.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (S, R, D, C)
+
+    Returns
+    -------
+    basis : ndarray, shape (S, R, D, min(D, C))
+        Padded with zeros.
+    rank : ndarray of int, shape (S, R)
+    """
+    if not columns.shape[3]:
+        return columns, np.zeros(columns.shape[:2], dtype=int)
+    sizes = np.linalg.norm(columns, axis=2, keepdims=True)
+    u, singular, _ = np.linalg.svd(columns / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
+    keep = (singular > _SPAN * singular[..., :1]) & (singular > 0)
+    return u * keep[..., None, :], keep.sum(axis=-1)
+
+
+def _orthonormal(columns, least=_RANK):
+    """Orthonormal basis of unit columns, shape (n, rank)."""
     u, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, sizes > _RANK * sizes[0]]
+    return u[:, sizes > least]

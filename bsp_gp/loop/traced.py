@@ -109,7 +109,7 @@ class Exponent:
         nan where it is not determined.
     is_determined : bool
     reason : str
-        Why it is not determined; "".
+        Why it is not determined, or what to bear in mind; "".
     beside : tuple of str
         Quantities whose exponents were free as well.
     of_force : bool
