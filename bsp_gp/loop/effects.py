@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -94,6 +95,9 @@ class EffectSearch:
         moving body and the same bodies occur in several scenes.
     exclude : collection of str
         Inputs that laws may not use.
+    whole : EffectSearch, optional
+        Of a search that was narrowed after a look at the same data: the search of the whole
+        grammar, whose best on noise alone the p-value is about.
     """
 
     observation: object
@@ -103,6 +107,7 @@ class EffectSearch:
     per_entity: object = "auto"
     exclude: tuple = ("t",)
     notes: list = field(default_factory=list)
+    whole: object = None
     _pools: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -124,6 +129,15 @@ class EffectSearch:
         self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
         if self.per_entity == "auto":
             self.per_entity = self._entities_recur()
+
+    def without_inputs(self, names):
+        """The same search over the laws that name none of these inputs."""
+        narrow = copy(self)
+        narrow.masked = self.masked.without_inputs(names)
+        least = narrow.masked.min_levels
+        narrow.kinds = [k for k in self.kinds if least[narrow.masked.start[k]] < float("inf")]
+        narrow.whole, narrow._pools = self, {}
+        return narrow
 
     def _unknown_inputs(self, dataset):
         """Properties that some source lacks: a law for all bodies cannot name them as ``_j``."""
@@ -168,13 +182,24 @@ class EffectSearch:
         -------
         Proposals
         """
-        self._n_null = self.n_null if n_null is None else n_null
+        n_null = self.n_null if n_null is None else n_null
         self._leftover = Leftover(self.observation, along or fit)
+        if self.whole is None or not n_null:
+            outcomes = reference = self._outcomes(fit, rng, n_null, progress)
+        else:
+            # The choice of channels has looked at the data: noise may choose among all laws.
+            self.whole._leftover = self._leftover
+            reference = self.whole._outcomes(fit, rng, n_null, progress)
+            outcomes = self._outcomes(fit, rng, 0, progress)
+        return self._collect(outcomes, reference, fit.law)
+
+    def _outcomes(self, fit, rng, n_null, progress):
+        """Results of all searches: (result, whether constants are per entity, number, rows)."""
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
         residual, jacobian = self._leftover.residual(regression, fit.law)
-        null = null_targets(regression, null_rng, self._n_null)
+        null = null_targets(regression, null_rng, n_null)
         for kind in self.kinds:
             result = search_exhaustive(
                 regression,
@@ -188,9 +213,9 @@ class EffectSearch:
                 progress=progress,
             )
             outcomes.append((result, False, 1, regression))
-        if self.per_entity:
-            outcomes.append(self._own_constants(fit, own_rng, progress))
-        return self._collect(outcomes, fit.law)
+        if self.per_entity and "field" in self.kinds:
+            outcomes.append(self._own_constants(fit, own_rng, n_null, progress))
+        return outcomes
 
     def pool(self, kind, wanted):
         """All laws of a kind with one of the wanted property factors, as columns (kept)."""
@@ -205,7 +230,7 @@ class EffectSearch:
             )
         return self._pools[key]
 
-    def _own_constants(self, fit, rng, progress):
+    def _own_constants(self, fit, rng, n_null, progress):
         """The field search with a constant per receiver; properties cannot matter there."""
         grammar = self.masked.without_inputs(
             {n for n in self.masked.inputs if property_of(n)} - {"m_i"}
@@ -223,7 +248,7 @@ class EffectSearch:
             max_levels=self.max_levels,
             missing_inputs=self.missing,
             groups=groups,
-            null_targets=null_targets(regression, rng, self._n_null),
+            null_targets=null_targets(regression, rng, n_null),
             progress=progress,
         )
         return result, True, len(groups), regression
@@ -241,20 +266,23 @@ class EffectSearch:
     def _regression(self, scenes):
         return self._leftover.regression(scenes)
 
-    def _collect(self, outcomes, law):
-        observed, null, proposals = [], [], []
+    def _collect(self, outcomes, reference, law):
+        observed, proposals = [], []
         for result, own, n_constants, regression in outcomes:
             n = regression.n_rows
             for candidate in result.candidates:
                 proposals.append(self._proposal(candidate, own, n_constants, n))
             best = result.best.share if result.best else 0.0
             observed.append(log_evidence(best, n, n_constants))
-            null.append(log_evidence(np.array(result.null_gains), n, n_constants))
+        null = [
+            log_evidence(np.array(result.null_gains), regression.n_rows, n_constants)
+            for result, _, n_constants, regression in reference
+        ]
         proposals = self._flag_declared(proposals, law, outcomes[0][3])
         proposals.sort(key=lambda p: (-p.evidence, p.complexity))
         return Proposals(
             tuple(_shortlist(proposals, self.observation.is_exact)),
-            p_value(observed, null) if self._n_null else float("nan"),
+            p_value(observed, null) if len(null[0]) else float("nan"),
             tuple(r.certificate.text() for r, *_ in outcomes),
             sum(r.n_evaluated for r, *_ in outcomes),
             sum(r.seconds for r, *_ in outcomes),

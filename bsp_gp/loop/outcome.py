@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from bsp_gp.loop.traced import Guidance, Trace
+
 __all__ = [
     "SCHEMA",
     "VERDICTS",
@@ -176,7 +178,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of the loop."""
+    """One turn of the loop; `trace` says where its residual is, `guidance` what came of that."""
 
     number: int
     missing: Missing
@@ -192,6 +194,8 @@ class Round:
     certificate: str
     seconds: float = 0.0
     verdict: str = ""
+    trace: Trace | None = None
+    guidance: Guidance | None = None
 
 
 @dataclass(frozen=True, eq=False)

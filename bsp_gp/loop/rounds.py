@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
+from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
@@ -15,6 +17,7 @@ from bsp_gp.loop.telling import (
     held_out_rows,
     rivals_of,
 )
+from bsp_gp.loop.trace import trace_residual
 
 __all__ = ["run_round"]
 
@@ -36,7 +39,9 @@ MIN_SHARE = 0.75
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 
-def run_round(number, observation, model, search, alpha, rng, progress, workers=None):
+def run_round(
+    number, observation, model, search, alpha, rng, progress, workers=None, guide="order"
+):
     """Run one round on a fitted model.
 
     Returns
@@ -46,12 +51,15 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
         The one to go on with: the new one if a term was adopted.
     """
     started = time.perf_counter()
-    search_rng, floor_rng, ratio_rng = rng.spawn(3)
+    search_rng, floor_rng, ratio_rng, trace_rng = rng.spawn(4)
     progress(f"round {number}: testing the residual against noise")
     missing = examine_residual(observation, model.fit, alpha)
     if not missing.is_missing:
         floor, _ = observation.floor(model.law, floor_rng)
         return _quiet_round(number, missing, model, floor, started), model
+    progress(f"round {number}: tracing the residual")
+    trace = trace_residual(observation, model.fit, trace_rng)
+    search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
     proposals = search.propose(model.fit, search_rng)
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
@@ -65,9 +73,8 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
         rivals = freed_numbers(observation, model)
-        return _empty_round(number, missing, model, floor, proposals, attempts, rivals, started), (
-            model
-        )
+        empty = _empty_round(number, missing, model, floor, proposals, attempts, rivals, started)
+        return replace(empty, trace=trace, guidance=guidance), model
     is_freed = shown is not chosen
     progress(f"round {number}: weighing {shown.name} on held-out data")
     after = evaluate(observation, shown.law, shown.fit)
@@ -81,8 +88,8 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
             observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
         )
         effect = effect_of(observation, chosen, attempts, proposals.p_value)
-    rivals = rivals_of(observation, model, shown, attempts)
-    rivals += freed_numbers(observation, model, chosen, is_freed)
+    effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
+    rivals = [*rivals, *freed_numbers(observation, model, chosen, is_freed)]
     done = Round(
         number=number,
         missing=missing,
@@ -101,6 +108,8 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
         ),
         seconds=time.perf_counter() - started,
         verdict=verdict,
+        trace=trace,
+        guidance=guidance,
     )
     return done, (after if adopted else model)
 

@@ -9,8 +9,6 @@ properties (`exponents`).
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
@@ -51,7 +49,6 @@ def trace_residual(observation, fit, rng):
     Trace or None
         None where the law has no finite value at the denoised states.
     """
-    started = time.perf_counter()
     try:
         view = smooth_view(observation, fit)
     except EvaluationError:
@@ -81,7 +78,6 @@ def trace_residual(observation, fit, rng):
         resampling.method,
         total / max(view.size, 1),
         view.notes,
-        time.perf_counter() - started,
     )
 
 

@@ -154,7 +154,6 @@ class Trace:
     snr : float
         Sum of squares of the smooth residual over its expectation under noise.
     notes : tuple of str
-    seconds : float
     """
 
     channels: tuple[Channel, ...]
@@ -165,7 +164,6 @@ class Trace:
     method: str
     snr: float
     notes: tuple[str, ...] = ()
-    seconds: float = 0.0
 
     @property
     def leading(self):
