@@ -36,7 +36,7 @@ MOST_HALF = 3.0
 MAX_PROPERTIES = 4
 ROUGH = "a rough guide: more than noise is left beside the power law"
 UNBOUND = "its interval is too wide: it varies too little, or together with other quantities"
-N_NODES = 7
+N_NODES = 5
 
 
 def exponents_of(view, direction, explained, dataset):

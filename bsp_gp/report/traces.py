@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from bsp_gp.report.drawing import AFTER, BEFORE, FLOOR, axis_label, new_figure, plain, scaled, tidy
@@ -24,11 +26,16 @@ def exponent_text(exponent):
     """An exponent with its interval, ``1.8 ± 0.2`` where that is as wide on either side."""
     if not exponent.is_determined:
         return "not determined"
-    low, high = exponent.low - exponent.value, exponent.high - exponent.value
-    value, below, above, power = rounded(exponent.value, exponent.low, exponent.high)
-    if abs(low + high) <= 0.2 * (high - low):
-        return f"{value}{power} ± {format_number((high - low) / 2, 1)}"
-    return f"{value} [{below}, {above}]{power}"
+    half = (exponent.high - exponent.low) / 2
+    middle = (exponent.high + exponent.low) / 2
+    if not half > 0 or abs(exponent.value - middle) > 0.2 * half:
+        value, below, above, power = rounded(exponent.value, exponent.low, exponent.high)
+        return f"{value} [{below}, {above}]{power}"
+    place = -math.floor(math.log10(half))
+    decimals = max(place if half * 10.0**place >= 2.95 else place + 1, 0)
+    text = f"{exponent.value:.{decimals}f}"
+    text = text.replace("-", "−") if float(text) else text.replace("-", "")
+    return f"{text} ± {half:.{decimals}f}"
 
 
 def share_text(part):
@@ -125,7 +132,9 @@ def trace_figure(round_):
     trace = round_.trace
     if trace is None or not any(is_number(c.share) for c in trace.channels):
         return None
-    profiles = [e for e in trace.exponents if e.profile is not None][:_MAX_PANELS]
+    profiles = [e for e in trace.exponents if e.profile is not None]
+    clear = [e for e in profiles if not e.reason]
+    profiles = (clear or profiles)[:_MAX_PANELS]
     channels = trace.channels[:MAX_CHANNELS]
     height = max(0.75 + 0.2 * len(channels), 2.5 if profiles else 1.4)
     figure = new_figure(lambda f: _draw(f, channels, profiles), height)
