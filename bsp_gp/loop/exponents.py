@@ -14,8 +14,10 @@ from functools import partial
 
 import numpy as np
 
+from bsp_gp.loop.felt_noise import slopes_of, with_felt_noise
 from bsp_gp.loop.quantities import MIN_RANGE, masses_of, quantities_of
 from bsp_gp.loop.scaling import MOST, AboutPoint, Scaling, shifts_of
+from bsp_gp.loop.shares import explain
 from bsp_gp.loop.traced import Exponent, Profile
 from bsp_gp.units import ACCELERATION
 
@@ -39,65 +41,138 @@ UNBOUND = "its interval is too wide: it varies too little, or together with othe
 N_NODES = 5
 
 
-def exponents_of(view, direction, explained, dataset):
+def exponents_of(view, direction, dataset, companions=()):
     """Exponents of every quantity in one channel.
 
     Parameters
     ----------
     view : SmoothView
     direction : Direction
-    explained : Explained
-        Of the free push in this direction.
     dataset : Dataset
+    companions : sequence of Direction
+        Free smooth pushes in these are fitted as well.
 
     Returns
     -------
     list of Exponent
         The quantity that explains most first; it has a profile.
     """
+    channel = _Channel(view, direction, dataset, companions)
+    if channel.motions:
+        # The force that was found is felt at states with noise in them, too.
+        whole = _with_own_noise(view, direction, dataset, channel)
+        if whole is not view:
+            channel = _Channel(whole, direction, dataset, companions)
+    return channel.told()
+
+
+class _Channel:
+    """The power laws of one channel in one view."""
+
+    def __init__(self, view, direction, dataset, companions):
+        self.direction, self.dataset = direction, dataset
+        self.view = view = _beside(view, companions)
+        masses = masses_of(view)
+        legs = [direction.legs(group) for group in view.groups]
+        if masses is not None:
+            legs = [leg / mass[..., None] for leg, mass in zip(legs, masses, strict=True)]
+        self.has_masses = masses is not None
+        self.known = quantities_of(view, direction, dataset)
+        known = self.known
+        self.motions = [q for q in known if not q.is_property and q.spread >= MIN_RANGE]
+        inner = tuple(q for q in known if q.is_property and q.varies_in_track)[:MAX_PROPERTIES]
+        outer = tuple(q for q in known if q.is_property and not q.varies_in_track)
+        outer = outer[:MAX_PROPERTIES]
+        make, self.shifts = partial(Scaling, view, legs), ()
+        if direction.place is not None:
+            place = np.asarray(direction.place)
+            step = SHIFT * max(q.typical for q in known if q.name == "distance")
+            make = partial(AboutPoint, view, legs, place=place, step=step)
+            self.shifts = shifts_of(view, len(place))
+        self.make = make
+        if self.motions:
+            self._fit(inner, outer)
+
+    def _fit(self, inner, outer):
+        view, make, shifts = self.view, self.make, self.shifts
+        fits = {q.name: make((q, *inner, *shifts), False).fit() for q in self.motions}
+        self.first = first = _first(view, self.direction, self.motions, fits)
+        self.outer = _with_best_signs(make, (first, *inner), outer, shifts, fits[first.name])
+        pooled = make((first, *inner, *self.outer, *shifts), True)
+        self.best, self.scaling = pooled.fit(), pooled
+        alone = make((first, *inner, *shifts), False)
+        self.is_pooled = _is_one(view, pooled, self.best[1], alone, fits[first.name][1])
+        if not self.is_pooled:
+            self.best, self.scaling = fits[first.name], alone
+
+    def told(self):
+        """All exponents, the first quantity's first."""
+        view, make = self.view, self.make
+        told = partial(_told, self.direction, self.dataset, self.has_masses)
+        out = [
+            told(q, reason=_hardly(q))
+            for q in self.known
+            if not q.is_property and q not in self.motions
+        ]
+        if not self.motions:
+            return out
+        first, best, scaling = self.first, self.best, self.scaling
+        columns = [self.direction.columns(group) for group in view.groups]
+        explained = explain(view, columns)
+        gain = max(float(explained.gain.sum() - explained.freedom.sum()), 1e-12)
+        power = partial(_power, told, gain, view)
+        rows = [power(scaling, best, 0, profile=_profile(scaling, best[0]))]
+        for quantity in self.motions:
+            if quantity is not first:
+                both = make((quantity, *scaling.quantities), self.is_pooled)
+                start = np.concatenate([[0.0], best[0]])
+                rows.append(power(both, both.fit(start=start), 0, beside=(first.name,)))
+        for k in range(1, len(scaling.quantities) - len(self.shifts)):
+            rows.append(power(scaling, best, k, beside=(first.name,)))
+        if not self.is_pooled:
+            share = _share(gain, view, scaling, best[1])
+            rows += _between(told, scaling, self.outer, best, first, share)
+        return rows + out
+
+
+def _beside(view, companions):
+    """The view beside free pushes in some directions."""
+    if not companions:
+        return view
+    blocks = [
+        np.concatenate([d.columns(group) for d in companions], axis=3) for group in view.groups
+    ]
+    return view.beside(blocks)
+
+
+def _with_own_noise(view, direction, dataset, channel):
+    """The view in which noise is felt through the force of this channel as well."""
+    if any(group.slopes is None for group in view.groups):
+        return view
+    scaling, (exponents, _) = channel.scaling, channel.best
+    amplitudes = scaling.amplitudes(exponents)
     masses = masses_of(view)
-    legs = [direction.legs(group) for group in view.groups]
-    if masses is not None:
-        legs = [leg / mass[..., None] for leg, mass in zip(legs, masses, strict=True)]
-    known = quantities_of(view, direction, dataset)
-    motions = [q for q in known if not q.is_property and q.spread >= MIN_RANGE]
-    inner = tuple(q for q in known if q.is_property and q.varies_in_track)[:MAX_PROPERTIES]
-    outer = tuple(q for q in known if q.is_property and not q.varies_in_track)[:MAX_PROPERTIES]
-    make, shifts = partial(Scaling, view, legs), ()
-    if direction.place is not None:
-        place = np.asarray(direction.place)
-        step = SHIFT * max(q.typical for q in known if q.name == "distance")
-        make = partial(AboutPoint, view, legs, place=place, step=step)
-        shifts = shifts_of(view, len(place))
-    told = partial(_told, direction, dataset, masses is not None)
-    out = [told(q, reason=_hardly(q)) for q in known if not q.is_property and q not in motions]
-    if not motions:
-        return out
-    fits = {q.name: make((q, *inner, *shifts), False).fit() for q in motions}
-    first = _first(view, direction, motions, fits)
-    outer = _with_best_signs(make, (first, *inner), outer, shifts, fits[first.name])
-    pooled = make((first, *inner, *outer, *shifts), True)
-    best = pooled.fit()
-    alone = make((first, *inner, *shifts), False)
-    is_pooled = _is_one(view, pooled, best[1], alone, fits[first.name][1])
-    scaling = pooled if is_pooled else alone
-    if not is_pooled:
-        best = fits[first.name]
-    gain = max(float(explained.gain.sum() - explained.freedom.sum()), 1e-12)
-    power = partial(_power, told, gain, view)
-    primary = power(scaling, best, 0, profile=_profile(scaling, best[0]))
-    rows = [primary]
-    for quantity in motions:
-        if quantity is not first:
-            both = make((quantity, *scaling.quantities), is_pooled)
-            start = np.concatenate([[0.0], best[0]])
-            rows.append(power(both, both.fit(start=start), 0, beside=(first.name,)))
-    for k in range(1, len(scaling.quantities) - len(shifts)):
-        rows.append(power(scaling, best, k, beside=(first.name,)))
-    if not is_pooled:
-        share = _share(gain, view, scaling, best[1])
-        rows += _between(told, scaling, outer, best, first, share)
-    return rows + out
+    slopes = []
+    for g, group in enumerate(view.groups):
+
+        def field(batch, g=g, group=group):
+            moved = replace(view, groups=(replace(group, batch=batch),))
+            size, legs = amplitudes[g][None, :, :, None], direction.legs(moved.groups[0])
+            fresh = {q.name: q for q in quantities_of(moved, direction, dataset)}
+            for exponent, quantity in zip(exponents, scaling.quantities, strict=True):
+                if quantity.is_property or quantity.name not in fresh:
+                    log, sign = quantity.logs[g], quantity.signs and quantity.signs[g]
+                else:
+                    new = fresh[quantity.name]
+                    log = new.logs[0] + np.log(new.typical / quantity.typical)
+                    sign = new.signs and new.signs[0]
+                size = size * np.exp(np.clip(exponent * log, -50.0, 50.0))
+                size = size if sign is None else size * sign
+            mass = 1.0 if masses is None else masses[g]
+            return (legs * (size / mass)[..., None]).sum(axis=3)
+
+        slopes.append(group.slopes + slopes_of(group.batch, field))
+    return with_felt_noise(view, slopes, view.sigma)
 
 
 def _first(view, direction, motions, fits):

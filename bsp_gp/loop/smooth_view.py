@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.loop.felt_noise import slopes_of, with_felt_noise
 from bsp_gp.loop.leftover import Leftover
 from bsp_gp.physics.geometry import DISC, WALL
 
@@ -47,6 +48,12 @@ class TrackGroup:
         Smooth profiles in time for channels: fewer functions than the basis has.
     touching, inside : ndarray of bool, shape (n, S, R, N - 1)
         Where a receiver touches another entity, or is over it.
+    times : ndarray, shape (n + 2, S)
+        Of the rows of the scenes, those at the ends included.
+    mixing : ndarray, shape (S, R, d K, d K), or None
+        What makes coordinates white where the noise of states is felt (`felt_noise`).
+    slopes : ndarray, shape (2, n, S, R, d, d), or None
+        Of the law's accelerations by place and velocity.
     taken : ndarray, shape (S, R, d K, B), or None
         Orthonormal columns that are projected out of everything.
     """
@@ -56,6 +63,9 @@ class TrackGroup:
     splines: np.ndarray
     touching: np.ndarray
     inside: np.ndarray
+    times: np.ndarray | None = None
+    mixing: np.ndarray | None = None
+    slopes: np.ndarray | None = None
     taken: np.ndarray | None = None
 
     @property
@@ -69,7 +79,13 @@ class TrackGroup:
         s, r, size = self.shape
         vectors = np.nan_to_num(vectors, posinf=0.0, neginf=0.0)
         moved = np.ascontiguousarray(vectors.transpose(1, 2, 4, 0, 3))  # (S, R, d, n, C)
-        return self.freed(np.matmul(self.maps, moved).reshape(s, r, size, vectors.shape[3]))
+        raw = np.matmul(self.maps, moved).reshape(s, r, size, vectors.shape[3])
+        return self.freed(raw if self.mixing is None else self.mixing @ raw)
+
+    def coordinates_of(self, vectors, s, r):
+        """Coordinates of accelerations (n, C, d) of one track, shape (d K, C)."""
+        raw = np.matmul(self.maps[s, r], vectors.transpose(2, 0, 1)).reshape(self.shape[2], -1)
+        return raw if self.mixing is None else self.mixing[s, r] @ raw
 
     def freed(self, coordinates):
         """Coordinates (S, R, d K, C) without what is taken."""
@@ -94,6 +110,8 @@ class SmoothView:
         Coordinates that carry anything, per track.
     level : float
         Variance of the whitened noise, from what is not smooth.
+    sigma : ndarray, shape (d,)
+        Of the regression.
     tracks : tuple of (scene, entity)
         In the order of the coordinates.
     notes : tuple of str
@@ -104,6 +122,7 @@ class SmoothView:
     constants: np.ndarray
     dimensions: list
     level: float
+    sigma: np.ndarray
     tracks: tuple
     notes: tuple = ()
 
@@ -144,6 +163,26 @@ class SmoothView:
             self, groups=tuple(groups), constants=constants, dimensions=dimensions,
             target=self.split(target),
         )  # fmt: skip
+
+    def mixed(self, mixings):
+        """The view with the coordinates of every track multiplied by a matrix, (S, R, D, D)."""
+
+        def moved(parts):
+            pairs = zip(mixings, parts, strict=True)
+            return self.flat([(m @ part[..., None])[..., 0] for m, part in pairs])
+
+        groups = [
+            replace(g, mixing=m if g.mixing is None else m @ g.mixing)
+            for g, m in zip(self.groups, mixings, strict=True)
+        ]
+        columns = [moved(self.split(column)) for column in self.constants.T]
+        constants = np.stack(columns, axis=1) if columns else self.constants
+        constants = np.linalg.qr(constants)[0] if columns else constants
+        target = moved(self.target)
+        target = target - constants @ (constants.T @ target)
+        return replace(
+            self, groups=tuple(groups), constants=constants, target=self.split(target)
+        )
 
     def split(self, flat):
         """The reverse of `flat`."""
@@ -188,10 +227,31 @@ def smooth_view(observation, fit):
     rough = float(residual @ residual - flat[:, 0] @ flat[:, 0])
     level = rough / n_rough if n_rough >= MIN_ROUGH and rough > 0 else 1.0
     groups = tuple(replace(g, maps=g.maps / np.sqrt(level)) for g, _, _ in pieces)
-    view = SmoothView(groups, [], constants, dimensions, level, tuple(tracks), notes)
+    view = SmoothView(
+        groups, [], constants, dimensions, level, regression.sigma, tuple(tracks), notes
+    )
     target = flat[:, 0] - constants @ (constants.T @ flat[:, 0])
     view.target.extend(view.split(target / np.sqrt(level)))
-    return view
+    if observation.method != "gls":
+        return view
+    law = fit.law
+    slopes = [
+        slopes_of(g.batch, lambda batch: regression.predict(batch, law)) for g in view.groups
+    ]
+    groups = []
+    for group, own in zip(view.groups, slopes, strict=True):
+        groups.append(replace(group, slopes=own, times=_whole_times(group.batch, scenes)))
+    view = replace(view, groups=tuple(groups))
+    return with_felt_noise(view, slopes, regression.sigma)
+
+
+def _whole_times(batch, scenes):
+    """Times of the scenes of a batch with those of their first and last rows, (n + 2, S)."""
+    by_name = {scene.name: scene.times for scene in scenes}
+    out = np.full((len(batch.times) + 2, len(batch.scene_names)), np.nan)
+    for s, name in enumerate(batch.scene_names):
+        out[: len(by_name[name]), s] = by_name[name]
+    return out
 
 
 def _some(scenes):

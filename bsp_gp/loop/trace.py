@@ -138,18 +138,12 @@ def _leading(view, resampling, found):
 
 def _exponents(view, found, leading, companions, dataset):
     """Exponents in the leading channels, each beside free pushes in those that complement it."""
-    columns_of = {direction: columns for direction, columns, _ in found}
     out = []
-    for direction, _, explained in found:
-        if direction not in leading or not direction.is_summed:
-            continue
-        others = [d for d in companions if d is not direction and direction in companions]
-        sight = view
-        if others:
-            blocks = zip(*(columns_of[d] for d in others), strict=True)
-            sight = view.beside([np.concatenate(block, axis=3) for block in blocks])
-            explained = _explained(sight, direction)[1]
-        out += exponents_of(sight, direction, explained, dataset)
+    for direction, *_ in found:
+        if direction in leading and direction.is_summed:
+            others = companions if direction in companions else []
+            others = [d for d in others if d is not direction]
+            out += exponents_of(view, direction, dataset, others)
     return out
 
 
