@@ -38,6 +38,8 @@ class Direction:
         Whether the push is a constant for each stay (in contact, over a region).
     place : tuple of float or None
         Of the unseen point.
+    vector : str
+        The unit vector as a law writes it; "" where it has no words for it.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Direction:
     is_summed: bool = True
     in_stays: bool = False
     place: tuple | None = None
+    vector: str = ""
 
     def columns(self, group):
         """Coordinates of a free push in this direction, shape (S, R, D, C)."""
@@ -204,10 +207,11 @@ def _turned(legs, group):
     return across(legs(group))
 
 
-def _pair(names, kind, inputs, legs, **settings):
+def _pair(names, kind, inputs, legs, vector="", **settings):
     """A direction and the one across it."""
-    yield Direction(names[0], kind, inputs, legs, **settings)
-    yield Direction(names[1], kind, inputs, partial(_turned, legs), **settings)
+    turned = f"perp({vector})" if vector else ""
+    yield Direction(names[0], kind, inputs, legs, vector=vector, **settings)
+    yield Direction(names[1], kind, inputs, partial(_turned, legs), vector=turned, **settings)
 
 
 def directions_of(view, up=None):
@@ -232,19 +236,20 @@ def directions_of(view, up=None):
         vertical = ("up", "down") if up and up[-1] == letter else ()
         name = f"along {letter}" + (" (vertical)" if vertical else "")
         inputs = (f"e_{letter}", *vertical)
-        out.append(Direction(name, "axis", inputs, partial(_axis, axis=axis)))
+        out.append(Direction(name, "axis", inputs, partial(_axis, axis=axis), vector=f"e_{letter}"))
     if n_dims > 1:
         out += _pair(
-            ("along the velocity", "across the velocity"), "velocity", ("v_i", "v_j"), _velocity
+            ("along the velocity", "across the velocity"), "velocity", ("v_i", "v_j"), _velocity,
+            "normalize(v_i)",
         )
         out[-1] = _as_normals(out[-1], flat)
     if not any(group.touching.shape[3] for group in view.groups):
         return out
     names = _names_of_others(view)
     for name in names if len(names) <= MAX_BODIES else ():
-        out += _lines(f"the line to {name}", name, flat)
+        out += _lines(f"the line to {name}", name, flat, len(names) == 1)
     if len(names) > 1:
-        out += _lines("the lines to all other bodies", None, flat)
+        out += _lines("the lines to all other bodies", None, flat, True)
     if any(group.touching.any() for group in view.groups):
         inputs = ("s_i", "s_j", "p_i", "p_j", "p_c")
         pair = ("along the line to the contact point", "across the line to the contact point")
@@ -258,18 +263,19 @@ def directions_of(view, up=None):
     return out
 
 
-def _lines(words, name, flat):
+def _lines(words, name, flat, is_all):
     """Along and across the line to a body, or to all of them."""
     settings = {"distances": partial(_lengths, name=name), "sources": partial(_sources, name=name)}
     legs = partial(_line, name=name)
     pair = (f"along {words}", f"across {words}")
-    along, turned = _pair(pair, "line", ("p_i", "p_j", "v_j"), legs, **settings)
+    vector = "normalize(p_i - p_j)" if is_all else ""
+    along, turned = _pair(pair, "line", ("p_i", "p_j", "v_j"), legs, vector, **settings)
     return along, _as_normals(turned, flat)
 
 
 def _as_normals(direction, flat):
     """In space a direction has two normals, and no single amplitude for both."""
-    return direction if flat else replace(direction, is_summed=False)
+    return direction if flat else replace(direction, is_summed=False, vector="")
 
 
 def _names_of_others(view):

@@ -41,7 +41,7 @@ UNBOUND = "its interval is too wide: it varies too little, or together with othe
 N_NODES = 5
 
 
-def exponents_of(view, direction, dataset, companions=()):
+def exponents_of(view, direction, dataset, companions=(), nearer=None):
     """Exponents of every quantity in one channel.
 
     Parameters
@@ -51,6 +51,9 @@ def exponents_of(view, direction, dataset, companions=()):
     dataset : Dataset
     companions : sequence of Direction
         Free smooth pushes in these are fitted as well.
+    nearer : callable, optional
+        ``nearer(direction, scaling, exponents) -> SmoothView or None``: the view along tracks that
+        this power law leads.
 
     Returns
     -------
@@ -58,6 +61,10 @@ def exponents_of(view, direction, dataset, companions=()):
         The quantity that explains most first; it has a profile.
     """
     channel = _Channel(view, direction, dataset, companions)
+    if channel.motions and nearer is not None:
+        closer = nearer(direction, channel.pooled, channel.together)
+        if closer is not None:
+            view, channel = closer, _Channel(closer, direction, dataset, companions)
     if channel.motions:
         # The force that was found is felt at states with noise in them, too.
         whole = _with_own_noise(view, direction, dataset, channel)
@@ -100,6 +107,7 @@ class _Channel:
         self.outer = _with_best_signs(make, (first, *inner), outer, shifts, fits[first.name])
         pooled = make((first, *inner, *self.outer, *shifts), True)
         self.best, self.scaling = pooled.fit(), pooled
+        self.pooled, self.together = pooled, self.best[0]
         alone = make((first, *inner, *shifts), False)
         self.is_pooled = _is_one(view, pooled, self.best[1], alone, fits[first.name][1])
         if not self.is_pooled:

@@ -92,9 +92,13 @@ def _mixing(view, group, slopes, sigma):
         second, place, speed = _stencils(group.times[:, s])
         for r in range(n_receivers):
             a, c = slopes[:, :, s, r]  # (n, d, d) each
+            felt = place[:, None, :, None] * a[:, :, None, :]
+            felt = felt + speed[:, None, :, None] * c[:, :, None, :]
+            if group.bend is not None:
+                change = felt[2:] - 2 * felt[1:-1] + felt[:-2]
+                felt[1:-1] += group.bend[1:-1, s, r, None, None, None] * change
             noise = second[:, None, :, None] * identity[None, :, None, :]
-            noise = noise - place[:, None, :, None] * a[:, :, None, :]
-            noise = (noise - speed[:, None, :, None] * c[:, :, None, :]) * scale
+            noise = (noise - felt) * scale
             vectors = noise.reshape(n, n_dims, -1).transpose(0, 2, 1)  # (n, T d, d)
             felt = group.coordinates_of(vectors, s, r)
             covariance = felt @ felt.T

@@ -31,6 +31,8 @@ MAX_NUMBERS = 6_000_000
 """Bound on the size of all projections, in floats."""
 MIN_ROUGH = 10
 """Rows beyond the smooth ones that are needed to estimate the level of the noise."""
+UNEVEN = 0.01
+"""Relative change of the time step up to which steps count as even."""
 _RANK = 1e-9
 _SPAN = 1e-8
 
@@ -48,6 +50,9 @@ class TrackGroup:
         Smooth profiles in time for channels: fewer functions than the basis has.
     touching, inside : ndarray of bool, shape (n, S, R, N - 1)
         Where a receiver touches another entity, or is over it.
+    bend : ndarray, shape (n, S, R)
+        Weight of the second difference that makes of accelerations at instants what second
+        differences of positions show, their mean over a time step on either side.
     times : ndarray, shape (n + 2, S)
         Of the rows of the scenes, those at the ends included.
     mixing : ndarray, shape (S, R, d K, d K), or None
@@ -63,6 +68,7 @@ class TrackGroup:
     splines: np.ndarray
     touching: np.ndarray
     inside: np.ndarray
+    bend: np.ndarray | None = None
     times: np.ndarray | None = None
     mixing: np.ndarray | None = None
     slopes: np.ndarray | None = None
@@ -77,10 +83,19 @@ class TrackGroup:
     def project(self, vectors):
         """Coordinates of accelerations (n, S, R, C, d), shape (S, R, d K, C)."""
         s, r, size = self.shape
-        vectors = np.nan_to_num(vectors, posinf=0.0, neginf=0.0)
+        vectors = self.averaged(np.nan_to_num(vectors, posinf=0.0, neginf=0.0))
         moved = np.ascontiguousarray(vectors.transpose(1, 2, 4, 0, 3))  # (S, R, d, n, C)
         raw = np.matmul(self.maps, moved).reshape(s, r, size, vectors.shape[3])
         return self.freed(raw if self.mixing is None else self.mixing @ raw)
+
+    def averaged(self, vectors):
+        """Accelerations (n, S, R, C, d) as second differences of positions show them."""
+        if self.bend is None:
+            return vectors
+        out = vectors.copy()
+        change = vectors[2:] - 2 * vectors[1:-1] + vectors[:-2]
+        out[1:-1] += self.bend[1:-1, ..., None, None] * change
+        return out
 
     def coordinates_of(self, vectors, s, r):
         """Coordinates of accelerations (n, C, d) of one track, shape (d K, C)."""
@@ -194,20 +209,22 @@ class SmoothView:
         return out
 
 
-def smooth_view(observation, fit):
+def smooth_view(observation, fit, along=None):
     """Project what a fitted law leaves on what is smooth, or bound to contacts and regions.
 
     Parameters
     ----------
     observation : Observation
     fit : Fit
+    along : Fit, optional
+        Of a law nearer to the truth, at whose states and along whose tracks to look.
 
     Returns
     -------
     SmoothView
     """
     scenes, notes = _some(observation.train)
-    leftover = Leftover(observation, fit)
+    leftover = Leftover(observation, along or fit)
     regression = leftover.regression(scenes)
     residual, jacobian = leftover.residual(regression, fit.law)
     columns = np.concatenate([residual[:, None], _live(jacobian)], axis=1)
@@ -240,9 +257,23 @@ def smooth_view(observation, fit):
     ]
     groups = []
     for group, own in zip(view.groups, slopes, strict=True):
-        groups.append(replace(group, slopes=own, times=_whole_times(group.batch, scenes)))
+        times = _whole_times(group.batch, scenes)
+        # What the finite step leaves of a nearer law is taken off already.
+        bend = _bend(group.batch) if along is None else None
+        groups.append(replace(group, slopes=own, times=times, bend=bend))
     view = replace(view, groups=tuple(groups))
     return with_felt_noise(view, slopes, regression.sigma)
+
+
+def _bend(batch):
+    """Numerov's weight, 1/12 inside of even steps whose neighbours are seen, else 0."""
+    seen = batch.valid.any(axis=-1)
+    step = np.diff(batch.times, axis=0)
+    with np.errstate(invalid="ignore"):
+        even = np.abs(np.diff(step, axis=0)) < UNEVEN * step[1:]
+    out = np.zeros(seen.shape)
+    out[1:-1] = even[..., None] & seen[2:] & seen[:-2]
+    return out / 12
 
 
 def _whole_times(batch, scenes):

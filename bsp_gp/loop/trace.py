@@ -16,6 +16,7 @@ from bsp_gp.loop.channels import directions_of, nearest_distance, to_point
 from bsp_gp.loop.exponents import exponents_of
 from bsp_gp.loop.shares import Resampling, carriers, explain
 from bsp_gp.loop.smooth_view import smooth_view
+from bsp_gp.loop.stand_in import fit_with_stand_in
 from bsp_gp.loop.traced import Carrier, Channel, Segment, Trace
 
 __all__ = ["trace_residual"]
@@ -65,7 +66,15 @@ def trace_residual(observation, fit, rng):
         _channel(view, resampling, direction, explained, direction in leading)
         for direction, _, explained in found
     )
-    exponents = _exponents(view, found, leading[:MOST_LEADING], companions, dataset)
+
+    def nearer(direction, scaling, powers):
+        along = fit_with_stand_in(observation, fit, direction, scaling, powers)
+        try:
+            return smooth_view(observation, fit, along) if along is not None else None
+        except EvaluationError:
+            return None
+
+    exponents = _exponents(view, found, leading[:MOST_LEADING], companions, dataset, nearer)
     total = float(sum(np.square(target).sum() for target in view.target))
     return Trace(
         channels,
@@ -136,14 +145,14 @@ def _leading(view, resampling, found):
     return points + leading, companions
 
 
-def _exponents(view, found, leading, companions, dataset):
+def _exponents(view, found, leading, companions, dataset, nearer):
     """Exponents in the leading channels, each beside free pushes in those that complement it."""
     out = []
     for direction, *_ in found:
         if direction in leading and direction.is_summed:
             others = companions if direction in companions else []
             others = [d for d in others if d is not direction]
-            out += exponents_of(view, direction, dataset, others)
+            out += exponents_of(view, direction, dataset, others, None if others else nearer)
     return out
 
 
