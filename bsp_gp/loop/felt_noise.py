@@ -13,7 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-__all__ = ["slopes_of", "with_felt_noise"]
+from bsp_gp.errors import EvaluationError
+from bsp_gp.loop.denoise import tracks_of
+from bsp_gp.loop.leftover import Leftover
+from bsp_gp.search.constants import fit_constants
+
+__all__ = ["linear_residual", "slopes_of", "whole_times", "with_felt_noise"]
 
 STEP = 1e-4
 """Shift for slopes, in typical ranges of places and of velocities."""
@@ -77,6 +82,73 @@ def with_felt_noise(view, slopes, sigma):
         for g, m in zip(view.groups, mixings, strict=True)
     ]
     return view.mixed(filled)
+
+
+def linear_residual(observation, fit, along, scenes):
+    """What a model leaves, to first order about tracks of a law nearer to the truth.
+
+    With e the measured positions less the track, ``(D - A P - C V) e`` has the noise that
+    `with_felt_noise` counts and nothing else where the nearer law is right; what that law has more
+    than the model is added.
+
+    Parameters
+    ----------
+    observation : Observation
+    fit, along : Fit
+        Of the model, and of the nearer law.
+    scenes : sequence of Scene
+
+    Returns
+    -------
+    regression : Regression
+        With the tracks as states.
+    residual : ndarray, shape (n,)
+        Whitened.
+    jacobian : ndarray, shape (n, k)
+        Whitened columns of the model's constants.
+    slopes : list of ndarray
+        Of the nearer law along the tracks.
+
+    Raises
+    ------
+    EvaluationError
+        If a track ran away, or a law has no finite value along the tracks.
+    """
+    tracks = tracks_of(along.whole, observation.train)
+    if any(scene.name not in tracks for scene in scenes):
+        raise EvaluationError("a track ran away")
+    leftover = Leftover(observation, along, use_tracks=True)
+    regression = leftover.regression(scenes)
+    residual, _ = leftover.residual(regression, along.law)
+    jacobian = fit_constants(regression, fit.law).jacobian
+    by_name = {scene.name: scene for scene in scenes}
+    slopes, felt = [], []
+    for batch in regression.batches:
+        own = slopes_of(batch, lambda moved: regression.predict(moved, along.law))
+        more = regression.predict(batch, along.law) - regression.predict(batch, fit.law)
+        times = whole_times(batch, scenes)
+        for s, name in enumerate(batch.scene_names):
+            scene = by_name[name]
+            error = np.zeros((len(times), *batch.target.shape[2:]))
+            error[: len(scene.times)] = np.nan_to_num(
+                scene.positions[:, scene.dynamic] - tracks[name][0]
+            )
+            _, place, speed = _stencils(times[:, s])
+            for stencil, slope in zip((place, speed), own[:, :, s], strict=True):
+                moved = np.einsum("nt,trd->nrd", stencil, error)
+                more[:, s] -= np.einsum("nrde,nre->nrd", slope, moved)
+        slopes.append(own)
+        felt.append(batch.whiten(np.nan_to_num(more)).ravel())
+    return regression, residual + np.concatenate(felt), jacobian, slopes
+
+
+def whole_times(batch, scenes):
+    """Times of the scenes of a batch with those of their first and last rows, (n + 2, S)."""
+    by_name = {scene.name: scene.times for scene in scenes}
+    out = np.full((len(batch.times) + 2, len(batch.scene_names)), np.nan)
+    for s, name in enumerate(batch.scene_names):
+        out[: len(by_name[name]), s] = by_name[name]
+    return out
 
 
 def _mixing(view, group, slopes, sigma):

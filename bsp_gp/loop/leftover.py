@@ -26,18 +26,23 @@ class Leftover:
     observation : Observation
     along : Fit or None
         The fit at whose states laws are evaluated; None for the measured states.
+    use_tracks : bool
+        Whether these are the states of the fitted track itself, not the denoised ones.
     """
 
     observation: object
     along: object = None
+    use_tracks: bool = False
     _states: dict = field(init=False, repr=False)
     _tracks: dict = field(init=False, repr=False)
 
     def __post_init__(self):
         whole = getattr(self.along, "whole", None)
         train = self.observation.train
-        object.__setattr__(self, "_states", states_of(whole, train) if whole else {})
-        object.__setattr__(self, "_tracks", tracks_of(whole, train) if whole else {})
+        tracks = tracks_of(whole, train) if whole else {}
+        states = states_of(whole, train) if whole and not self.use_tracks else tracks
+        object.__setattr__(self, "_states", states)
+        object.__setattr__(self, "_tracks", tracks)
 
     def regression(self, scenes):
         """The regression of training scenes, or of versions of them, at the denoised states."""

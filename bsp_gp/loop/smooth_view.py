@@ -13,7 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.loop.felt_noise import slopes_of, with_felt_noise
+from bsp_gp.loop.felt_noise import (
+    linear_residual,
+    slopes_of,
+    whole_times,
+    with_felt_noise,
+)
 from bsp_gp.loop.leftover import Leftover
 from bsp_gp.physics.geometry import DISC, WALL
 
@@ -58,7 +63,7 @@ class TrackGroup:
     mixing : ndarray, shape (S, R, d K, d K), or None
         What makes coordinates white where the noise of states is felt (`felt_noise`).
     slopes : ndarray, shape (2, n, S, R, d, d), or None
-        Of the law's accelerations by place and velocity.
+        Of the law's accelerations by place and velocity; None where all forces are counted.
     taken : ndarray, shape (S, R, d K, B), or None
         Orthonormal columns that are projected out of everything.
     """
@@ -217,16 +222,19 @@ def smooth_view(observation, fit, along=None):
     observation : Observation
     fit : Fit
     along : Fit, optional
-        Of a law nearer to the truth, at whose states and along whose tracks to look.
+        Of a law nearer to the truth, along whose tracks to look.
 
     Returns
     -------
     SmoothView
     """
     scenes, notes = _some(observation.train)
-    leftover = Leftover(observation, along or fit)
-    regression = leftover.regression(scenes)
-    residual, jacobian = leftover.residual(regression, fit.law)
+    if along is None:
+        leftover = Leftover(observation, fit)
+        regression = leftover.regression(scenes)
+        residual, jacobian = leftover.residual(regression, fit.law)
+    else:
+        regression, residual, jacobian, slopes = linear_residual(observation, fit, along, scenes)
     columns = np.concatenate([residual[:, None], _live(jacobian)], axis=1)
     most = _functions_allowed(regression)
     pieces, tracks, start = [], [], 0
@@ -251,18 +259,18 @@ def smooth_view(observation, fit, along=None):
     view.target.extend(view.split(target / np.sqrt(level)))
     if observation.method != "gls":
         return view
-    law = fit.law
-    slopes = [
-        slopes_of(g.batch, lambda batch: regression.predict(batch, law)) for g in view.groups
-    ]
     groups = []
+    if along is None:
+        slopes = [
+            slopes_of(group.batch, lambda batch: regression.predict(batch, fit.law))
+            for group in view.groups
+        ]
     for group, own in zip(view.groups, slopes, strict=True):
-        times = _whole_times(group.batch, scenes)
-        # What the finite step leaves of a nearer law is taken off already.
-        bend = _bend(group.batch) if along is None else None
-        groups.append(replace(group, slopes=own, times=times, bend=bend))
-    view = replace(view, groups=tuple(groups))
-    return with_felt_noise(view, slopes, regression.sigma)
+        group = replace(group, times=whole_times(group.batch, scenes))
+        # Along a nearer law, what the finite step leaves is taken off already.
+        extra = {"slopes": own, "bend": _bend(group.batch)} if along is None else {}
+        groups.append(replace(group, **extra))
+    return with_felt_noise(replace(view, groups=tuple(groups)), slopes, regression.sigma)
 
 
 def _bend(batch):
@@ -274,15 +282,6 @@ def _bend(batch):
     out = np.zeros(seen.shape)
     out[1:-1] = even[..., None] & seen[2:] & seen[:-2]
     return out / 12
-
-
-def _whole_times(batch, scenes):
-    """Times of the scenes of a batch with those of their first and last rows, (n + 2, S)."""
-    by_name = {scene.name: scene.times for scene in scenes}
-    out = np.full((len(batch.times) + 2, len(batch.scene_names)), np.nan)
-    for s, name in enumerate(batch.scene_names):
-        out[: len(by_name[name]), s] = by_name[name]
-    return out
 
 
 def _some(scenes):
