@@ -37,6 +37,7 @@ MOST_HALF = 3.0
 """Half-width from the curvature alone at which the interval is not looked for."""
 MAX_PROPERTIES = 4
 ROUGH = "a rough guide: more than noise is left beside the power law"
+FAR = "a rough guide: no track could be fitted with this power law"
 UNBOUND = "its interval is too wide: it varies too little, or together with other quantities"
 N_NODES = 5
 
@@ -61,8 +62,10 @@ def exponents_of(view, direction, dataset, companions=(), nearer=None):
         The quantity that explains most first; it has a profile.
     """
     channel = _Channel(view, direction, dataset, companions)
+    is_far = False
     if channel.motions and nearer is not None:
         closer = nearer(direction, channel.pooled, channel.together)
+        is_far = closer is None and bool(direction.vector)
         if closer is not None:
             view, channel = closer, _Channel(closer, direction, dataset, companions)
     if channel.motions:
@@ -70,7 +73,10 @@ def exponents_of(view, direction, dataset, companions=(), nearer=None):
         whole = _with_own_noise(view, direction, dataset, channel)
         if whole is not view:
             channel = _Channel(whole, direction, dataset, companions)
-    return channel.told()
+    rows = channel.told()
+    if is_far and all(group.slopes is not None for group in view.groups):
+        rows = [replace(e, reason=FAR) if e.is_determined and not e.reason else e for e in rows]
+    return rows
 
 
 class _Channel:

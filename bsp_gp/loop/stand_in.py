@@ -7,6 +7,8 @@ again, and the residual of the model alone is looked at along them.
 
 from __future__ import annotations
 
+import numpy as np
+
 from bsp_gp.errors import BspError
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.naming import fresh_name
@@ -15,6 +17,9 @@ from bsp_gp.physics.force import Term
 
 __all__ = ["fit_with_stand_in", "law_text"]
 
+MAX_MISFIT, MAX_PART = 3.0, 0.02
+"""Mean square of whitened positions, or part of the model's own sum of squares, up to which a track
+counts as led near to the truth."""
 _SIZES = {"speed": "norm(v_i)", "distance": "norm(p_i - p_j)", "stretch": "(norm(p_i - p_j) - l_j)"}
 
 
@@ -75,7 +80,9 @@ def fit_with_stand_in(observation, fit, direction, scaling, exponents):
     try:
         formula = parse_formula(text, dataset_types(dataset), units=dataset.units)
         law = fit.law.plus(Term(formula), {name: 0.0})
-        found = observation.fit_beyond(law, fit)
+        with np.errstate(over="ignore", invalid="ignore"):  # trial tracks may run away
+            found = observation.fit_beyond(law, fit)
     except BspError:
         return None  # a power that is not finite somewhere: the states stay as they were
-    return found if found.chisqr < fit.chisqr else None
+    is_near = found.chisqr <= max(MAX_MISFIT * found.n_rows, MAX_PART * fit.chisqr)
+    return found if is_near and found.chisqr < fit.chisqr else None
