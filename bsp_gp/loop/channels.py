@@ -239,7 +239,10 @@ def directions_of(view, up=None):
         out.append(Direction(name, "axis", inputs, partial(_axis, axis=axis), vector=f"e_{letter}"))
     if n_dims > 1:
         out += _pair(
-            ("along the velocity", "across the velocity"), "velocity", ("v_i", "v_j"), _velocity,
+            ("along the velocity", "across the velocity"),
+            "velocity",
+            ("v_i", "v_j"),
+            _velocity,
             "normalize(v_i)",
         )
         out[-1] = _as_normals(out[-1], flat)

@@ -200,9 +200,7 @@ class SmoothView:
         constants = np.linalg.qr(constants)[0] if columns else constants
         target = moved(self.target)
         target = target - constants @ (constants.T @ target)
-        return replace(
-            self, groups=tuple(groups), constants=constants, target=self.split(target)
-        )
+        return replace(self, groups=tuple(groups), constants=constants, target=self.split(target))
 
     def split(self, flat):
         """The reverse of `flat`."""

@@ -49,6 +49,7 @@ def law_text(direction, scaling, exponents, name):
             # A power of a negative number is none; a plain factor is near enough.
             parts.append(size)
         else:
+            size = f"abs({size})" if quantity.is_property else size
             parts.append(f"{size}^{exponent:.3f}" if exponent > 0 else f"{size}^({exponent:.3f})")
     return " * ".join([*parts, direction.vector])
 
