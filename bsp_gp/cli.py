@@ -154,7 +154,8 @@ def _run_loop(args, progress):
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "n_null": max(299, round(1 / args.alpha)), "n_bootstrap": args.bootstrap,
         "per_entity": {"auto": "auto", "yes": True, "no": False}[args.per_entity],
-        "exclude": excluded_inputs(args, grammar, dataset), "seed": args.seed,
+        "exclude": excluded_inputs(args, grammar, dataset), "guide": args.guide,
+        "seed": args.seed,
     }  # fmt: skip
     import numpy as np
 

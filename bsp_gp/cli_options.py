@@ -510,6 +510,13 @@ def _loop(parser):
         default="auto",
         help="whether an effect may have a constant for every body (default auto)",
     )
+    group.add_argument(
+        "--guide",
+        choices=("off", "order", "restrict"),
+        default="order",
+        help="what the trace of the residual does for the search: nothing, order laws that fit "
+        "alike, or restrict it to the leading channels (default order)",
+    )
     _workers(parser)
     _seed(parser)
 

@@ -14,6 +14,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.effects import EffectSearch
+from bsp_gp.loop.guide import check_guide
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.rounds import run_round
@@ -70,6 +71,7 @@ def close_loop(
     n_bootstrap=None,
     per_entity="auto",
     exclude=("t",),
+    guide="order",
     seed=None,
     workers=None,
     progress=None,
@@ -101,6 +103,9 @@ def close_loop(
         Whether an effect may have a constant of its own for every body.
     exclude : sequence of str
         Inputs that the search may not use (by default time).
+    guide : str
+        What the trace of the residual does for the search: "order" (laws of the leading channels
+        stand first among equals), "restrict" (only they are searched), or "off".
     seed : int, optional
         Recorded in the report.
     workers : concurrent.futures.Executor, optional
@@ -122,6 +127,7 @@ def close_loop(
     if n_bootstrap is None:
         n_bootstrap = max(99, round(1 / alpha)) if alpha else 0
     _check(alpha, max_rounds, n_null, n_bootstrap, max_levels)
+    check_guide(guide)
     declared = (declared,) if isinstance(declared, str) else declared
     if dataset.latents:
         from bsp_gp.loop.unknowns import close_with_unknowns
@@ -130,7 +136,7 @@ def close_loop(
             dataset, declared, close_loop, declared_law, rng=rng, progress=progress,
             grammar=grammar, alpha=alpha, max_rounds=max_rounds, max_levels=max_levels,
             n_null=n_null, n_bootstrap=n_bootstrap, per_entity=per_entity, exclude=exclude,
-            seed=seed, workers=workers,
+            guide=guide, seed=seed, workers=workers,
         )  # fmt: skip
     law = declared if isinstance(declared, ForceLaw) else declared_law(dataset, declared)
     grammar = (
@@ -161,7 +167,7 @@ def close_loop(
     rounds = []
     for number, round_rng in enumerate(round_rngs, 1):
         done, model, search = run_round(
-            number, model, search, alpha, round_rng, progress, workers, n_bootstrap
+            number, model, search, alpha, round_rng, progress, workers, n_bootstrap, guide
         )
         rounds.append(done)
         if not done.adopted:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.denoise import states_of, tracks_of
+from bsp_gp.loop.leftover import Leftover
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
-from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
 __all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
@@ -110,6 +110,9 @@ class EffectSearch:
         moving body and the same bodies occur in several scenes.
     exclude : collection of str
         Inputs that laws may not use.
+    whole : EffectSearch, optional
+        Of a search that was narrowed after a look at the same data: the search of the whole
+        grammar, whose best on noise alone the p-value is about.
     """
 
     observation: object
@@ -119,6 +122,7 @@ class EffectSearch:
     per_entity: object = "auto"
     exclude: tuple = ("t",)
     notes: list = field(default_factory=list)
+    whole: object = None
     _pools: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -135,12 +139,20 @@ class EffectSearch:
         grammar = self.grammar.for_properties(columns, vectors)
         available = set(types) - set(self.exclude) - self._unknown_inputs(dataset)
         self.masked, self.missing = grammar.masked(available, dataset.n_dims)
-        self._states = {}
-        self._tracks = {}
-        self.pooled_scenes = [s for s in map(_without_unknown_masses, self.observation.train) if s]
+        self._leftover = Leftover(self.observation)
+        self.pooled_scenes = _pooled(self.observation)
         self.kinds = [k for k in grammar.start if k == "field" or self.observation.sources]
         if self.per_entity == "auto":
             self.per_entity = self._entities_recur()
+
+    def without_inputs(self, names):
+        """The same search over the laws that name none of these inputs."""
+        narrow = copy(self)
+        narrow.masked = self.masked.without_inputs(names)
+        least = narrow.masked.min_levels
+        narrow.kinds = [k for k in self.kinds if least[narrow.masked.start[k]] < float("inf")]
+        narrow.whole, narrow._pools = self, {}
+        return narrow
 
     def _unknown_inputs(self, dataset):
         """Properties that some source lacks: a law for all bodies cannot name them as ``_j``."""
@@ -169,7 +181,13 @@ class EffectSearch:
 
     def on(self, observation):
         """The same search on another observation of the data set."""
-        return replace(self, observation=observation, notes=[], _pools={})
+        moved = copy(self)
+        moved.observation = observation
+        moved.pooled_scenes = _pooled(observation)
+        moved._leftover = Leftover(observation)
+        moved._pools = {}
+        moved.whole = self.whole and self.whole.on(observation)
+        return moved
 
     def propose(self, fit, rng, progress=None, *, along=None, n_null=None, top_k=TOP_K):
         """Search what the fitted model leaves.
@@ -191,14 +209,24 @@ class EffectSearch:
         -------
         Proposals
         """
-        self._n_null = self.n_null if n_null is None else n_null
-        self._top_k = top_k
-        self._follow(along or fit)
+        n_null = self.n_null if n_null is None else n_null
+        self._leftover = Leftover(self.observation, along or fit)
+        if self.whole is None or not n_null:
+            outcomes = reference = self._outcomes(fit, rng, n_null, top_k, progress)
+        else:
+            # The choice of channels has looked at the data: noise may choose among all laws.
+            self.whole._leftover = self._leftover
+            reference = self.whole._outcomes(fit, rng, n_null, 1, progress)
+            outcomes = self._outcomes(fit, rng, 0, top_k, progress)
+        return self._collect(outcomes, reference, fit.law)
+
+    def _outcomes(self, fit, rng, n_null, top_k, progress):
+        """Results of all searches: (result, whether constants are per entity, number, rows)."""
         regression = self._regression(self.pooled_scenes)
         outcomes = []
         null_rng, own_rng = rng.spawn(2)
-        residual, jacobian = self._left(regression, fit.law)
-        null = null_targets(regression, null_rng, self._n_null)
+        residual, jacobian = self._leftover.residual(regression, fit.law)
+        null = null_targets(regression, null_rng, n_null)
         for kind in self.kinds:
             result = search_exhaustive(
                 regression,
@@ -213,9 +241,9 @@ class EffectSearch:
                 progress=progress,
             )
             outcomes.append((result, False, 1, regression))
-        if self.per_entity:
-            outcomes.append(self._own_constants(fit, own_rng, progress))
-        return self._collect(outcomes, fit.law)
+        if self.per_entity and "field" in self.kinds:
+            outcomes.append(self._own_constants(fit, own_rng, n_null, top_k, progress))
+        return outcomes
 
     def left(self, fit, proposal=None):
         """What a fitted law leaves, to be explained by its own constants and a proposal's.
@@ -233,23 +261,16 @@ class EffectSearch:
         columns : ndarray, shape (n, k)
             Of the law's constants, then of the proposal's.
         """
-        self._follow(fit)
+        leftover = Leftover(self.observation, fit)
         own = proposal is not None and proposal.per_entity
         scenes = [_with_unit_masses(s) for s in self.observation.train] if own else None
-        regression = self._regression(scenes or self.pooled_scenes)
-        residual, columns = self._left(regression, fit.law)
+        regression = leftover.regression(scenes or self.pooled_scenes)
+        residual, columns = leftover.residual(regression, fit.law)
         if proposal is not None:
             rest = split_linear(proposal.formula)[1]
             more = regression.column(Term(rest, proposal.kind), per_entity=own)[0]
             columns = np.column_stack([columns, more])
         return regression, residual, columns
-
-    def _follow(self, fit):
-        """Evaluate laws at the states of this fit from now on."""
-        train = self.observation.train
-        self._track_law = fit.law
-        self._states = states_of(fit.whole, train) if fit.whole else {}
-        self._tracks = tracks_of(fit.whole, train) if fit.whole else {}
 
     def pool(self, kind, wanted):
         """All laws of a kind with one of the wanted property factors, as columns (kept)."""
@@ -264,14 +285,14 @@ class EffectSearch:
             )
         return self._pools[key]
 
-    def _own_constants(self, fit, rng, progress):
+    def _own_constants(self, fit, rng, n_null, top_k, progress):
         """The field search with a constant per receiver; properties cannot matter there."""
         grammar = self.masked.without_inputs(
             {n for n in self.masked.inputs if property_of(n)} - {"m_i"}
         )
         scenes = [_with_unit_masses(s) for s in self.observation.train]
         regression = self._regression(scenes)
-        residual, jacobian = self._left(regression, fit.law)
+        residual, jacobian = self._leftover.residual(regression, fit.law)
         groups = [column != 0 for column in self._groups(regression)]
         result = search_exhaustive(
             regression,
@@ -282,8 +303,8 @@ class EffectSearch:
             max_levels=self.max_levels,
             missing_inputs=self.missing,
             groups=groups,
-            null_targets=null_targets(regression, rng, self._n_null),
-            top_k=self._top_k,
+            null_targets=null_targets(regression, rng, n_null),
+            top_k=top_k,
             progress=progress,
         )
         return result, True, len(groups), regression
@@ -299,71 +320,29 @@ class EffectSearch:
         return columns
 
     def _regression(self, scenes):
-        return self.observation.regression(scenes, self._states_for(scenes))
+        return self._leftover.regression(scenes)
 
-    def _states_for(self, scenes):
-        """Denoised states, with bodies left out that are no receivers in these scenes."""
-        out = {}
-        for scene in scenes:
-            if scene.name in self._states:
-                p, v = self._states[scene.name]
-                kept = self._kept(scene)
-                out[scene.name] = (p[:, kept], v[:, kept])
-        return out
-
-    def _kept(self, scene):
-        """Which receivers of the training scene are receivers in this version of it."""
-        whole = next(s for s in self.observation.train if s.name == scene.name)
-        return np.isin(whole.dynamic, scene.dynamic)
-
-    def _left(self, regression, law):
-        """Residual of the fitted law, and the columns of its free constants.
-
-        On noisy data the second differences of the fitted track itself, which obeys the law
-        exactly, show what the finite step alone leaves; that is taken off.
-        """
-        fitted = fit_constants(regression, law)
-        if self.observation.is_exact:
-            return fitted.residual, fitted.jacobian
-        residual = regression.residual(law)
-        if self._tracks:
-            residual = residual - self._step_error(regression)
-        return residual, fitted.jacobian
-
-    def _step_error(self, regression):
-        """Whitened residual of the fitted tracks under the law that made them."""
-        scenes, states = [], {}
-        for scene in regression.scenes:
-            if scene.name not in self._tracks:
-                return 0.0
-            p, v = self._tracks[scene.name]
-            kept = self._kept(scene)
-            positions = np.array(scene.positions)
-            seen = np.isfinite(positions[:, scene.dynamic])
-            positions[:, scene.dynamic] = np.where(seen, p[:, kept], np.nan)
-            scenes.append(replace(scene, positions=positions))
-            states[scene.name] = (p[:, kept], v[:, kept])
-        own = self.observation.regression(scenes, states)
-        return own.residual(self._track_law)
-
-    def _collect(self, outcomes, law):
-        observed, null, proposals = [], [], []
+    def _collect(self, outcomes, reference, law):
+        observed, proposals = [], []
         for result, own, n_constants, regression in outcomes:
             n = regression.n_rows
             for candidate in result.candidates:
                 proposals.append(self._proposal(candidate, own, n_constants, n))
             best = result.best.share if result.best else 0.0
             observed.append(log_evidence(best, n, n_constants))
-            null.append(log_evidence(np.array(result.null_gains), n, n_constants))
+        null = [
+            log_evidence(np.array(result.null_gains), regression.n_rows, n_constants)
+            for result, _, n_constants, regression in reference
+        ]
         proposals = self._flag_declared(proposals, law, outcomes[0][3])
         proposals.sort(key=lambda p: (-p.evidence, p.complexity))
         return Proposals(
             tuple(_shortlist(proposals, self.observation.is_exact)),
-            p_value(observed, null) if self._n_null else float("nan"),
+            p_value(observed, null) if len(null[0]) else float("nan"),
             tuple(r.certificate.text() for r, *_ in outcomes),
             sum(r.n_evaluated for r, *_ in outcomes),
             sum(r.seconds for r, *_ in outcomes),
-            float(np.max(null)) if self._n_null else float("nan"),
+            float(np.max(null)) if len(null[0]) else float("nan"),
         )
 
     def _proposal(self, candidate, own, n_constants, n_rows):
@@ -437,6 +416,11 @@ def _is_known(entity, column):
     if column == "radius":
         return np.isfinite(entity.radius)
     return bool(np.all(np.isfinite(entity.properties.get(column, np.nan))))
+
+
+def _pooled(observation):
+    """The training scenes for laws of all bodies."""
+    return [s for s in map(_without_unknown_masses, observation.train) if s]
 
 
 def _without_unknown_masses(scene):

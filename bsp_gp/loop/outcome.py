@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from bsp_gp.loop.traced import Guidance, Trace
+
 __all__ = [
     "SCHEMA",
     "VERDICTS",
@@ -184,6 +186,10 @@ class Round:
         How the p-value came about, where data sets were simulated and searched.
     noise_memory : float
         Correlation time of the position noise, s; 0 = white.
+    trace : Trace or None
+        Where the residual is, and what it depends on.
+    guidance : Guidance or None
+        What of that guided the search.
     """
 
     number: int
@@ -202,6 +208,8 @@ class Round:
     verdict: str = ""
     significance: str = ""
     noise_memory: float = 0.0
+    trace: Trace | None = None
+    guidance: Guidance | None = None
 
 
 @dataclass(frozen=True, eq=False)

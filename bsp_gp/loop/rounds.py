@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
@@ -17,6 +19,7 @@ from bsp_gp.loop.telling import (
     held_out_rows,
     rivals_of,
 )
+from bsp_gp.loop.trace import trace_residual
 from bsp_gp.units import Unit
 
 __all__ = ["run_round"]
@@ -44,7 +47,9 @@ MIN_SHARE = 0.75
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 
-def run_round(number, model, search, alpha, rng, progress, workers=None, n_bootstrap=99):
+def run_round(
+    number, model, search, alpha, rng, progress, workers=None, n_bootstrap=99, guide="order"
+):
     """Run one round on a fitted model.
 
     Parameters
@@ -59,6 +64,8 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
     workers : concurrent.futures.Executor, optional
     n_bootstrap : int
         Data sets simulated at most to test a finding; 0 = simulated residuals alone.
+    guide : str
+        One of `guide.GUIDES`.
 
     Returns
     -------
@@ -70,14 +77,18 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
     """
     started = time.perf_counter()
     observation = search.observation
-    search_rng, floor_rng, ratio_rng, bootstrap_rng = rng.spawn(4)
+    search_rng, floor_rng, ratio_rng, trace_rng, bootstrap_rng = rng.spawn(5)
     progress(f"round {number}: testing the residual against noise")
     missing = examine_residual(observation, model.fit, alpha)
     if not missing.is_missing:
         floor, _ = observation.floor(model.law, floor_rng)
         return _quiet_round(number, missing, model, floor, started), model, search
+    progress(f"round {number}: tracing the residual")
+    trace = trace_residual(observation, model.fit, trace_rng)
+    # The choice of channels has looked at the data: what tests a finding knows nothing of it.
+    complete = (search, model.fit)
+    search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
-    complete = (search, model.fit)  # the hypothesis that the bootstrap tests
     search, fit, proposals = search_with_memory(search, model.fit, search_rng)
     if search.observation is not observation:
         observation = search.observation
@@ -86,7 +97,7 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
         if not missing.is_missing:
             floor, _ = observation.floor(model.law, floor_rng)
             done = _noise_round(number, observation, missing, model, floor, started)
-            return done, model, search
+            return replace(done, trace=trace), model, search.whole or search
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
@@ -98,8 +109,8 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
         rivals = freed_numbers(observation, model)
-        done = _empty_round(number, missing, model, floor, proposals, attempts, rivals, started)
-        return done, model, search
+        empty = _empty_round(number, missing, model, floor, proposals, attempts, rivals, started)
+        return replace(empty, trace=trace, guidance=guidance), model, search.whole or search
     is_freed = shown is not chosen
     p_value, how = proposals.p_value, ""
     is_weak = strength(proposals) < STRONG * max(proposals.null_evidence, 0.0)
@@ -122,8 +133,8 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
             observation, model, after, chosen, attempts, floor, ratio, p_value, alpha
         )
         effect = effect_of(observation, chosen, attempts, p_value)
-    rivals = rivals_of(observation, model, shown, attempts)
-    rivals += freed_numbers(observation, model, chosen, is_freed)
+    effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
+    rivals = [*rivals, *freed_numbers(observation, model, chosen, is_freed)]
     done = Round(
         number=number,
         missing=missing,
@@ -144,8 +155,10 @@ def run_round(number, model, search, alpha, rng, progress, workers=None, n_boots
         verdict=verdict,
         significance=how,
         noise_memory=observation.memory,
+        trace=trace,
+        guidance=guidance,
     )
-    return done, (after if adopted else model), search
+    return done, (after if adopted else model), search.whole or search
 
 
 def _along_the_best(observation, model, search, chosen, attempts, rng, workers):

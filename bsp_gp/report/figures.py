@@ -24,6 +24,7 @@ from bsp_gp.report.drawing import (
     time_scaled,
 )
 from bsp_gp.report.sentences import adopted_rounds
+from bsp_gp.report.traces import trace_figure
 from bsp_gp.report.tracks import draw_errors, draw_tracks, pick_overlays, wants_errors
 
 __all__ = ["ReportFigure", "build_figures"]
@@ -71,7 +72,8 @@ def build_figures(report):
     Returns
     -------
     dict of str to ReportFigure
-        Names among tracks, track_errors, constants, rounds, residuals, in this order.
+        Names among tracks, track_errors, constants, rounds, residuals and trace_1, trace_2, …
+        for the rounds whose residual was traced, in this order.
     """
     makers = {
         "tracks": _tracks,
@@ -81,6 +83,7 @@ def build_figures(report):
         "residuals": _residuals,
     }
     made = {name: make(report) for name, make in makers.items()}
+    made |= {f"trace_{r.number}": trace_figure(r) for r in report.rounds}
     return {name: ReportFigure(name, *parts) for name, parts in made.items() if parts is not None}
 
 

@@ -31,6 +31,7 @@ from bsp_gp.report.sentences import (
     ratio_caution,
     verdict_parts,
 )
+from bsp_gp.report.traces import trace_section
 from bsp_gp.report.typeset import to_svg
 
 __all__ = ["render_html"]
@@ -230,6 +231,7 @@ def _round(r, report):
         "tests": [
             (_TESTS.get(k, k.replace("_", " ")), format_p(p)) for k, p in r.missing.tests.items()
         ],
+        "trace": trace_section(r),
         "outcome": outcome_sentence(r),
         "effect": effect,
         "constants": [_constant(c) for c in shared],

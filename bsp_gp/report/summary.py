@@ -13,6 +13,7 @@ from bsp_gp.report.sentences import (
     ratio_caution,
     verdict_sentence,
 )
+from bsp_gp.report.traces import trace_sentence
 
 __all__ = ["format_number", "format_value", "summary_text"]
 
@@ -42,6 +43,7 @@ def summary_text(report):
     lines += _wrapped("Law: F = " + report.law_text, 3, indent="     ")
     lines += _constants(report)
     lines += _rounds(report)
+    lines += _traced(report)
     lines += _ties(report)
     notes = [*caveats(report), *report.notes]
     if notes:
@@ -90,6 +92,14 @@ def _rounds(report):
                 )
         out += _wrapped(f"Round {r.number}: {text}", 1)
     return out
+
+
+def _traced(report):
+    """Where the residual of the first traced round is: that of the declared model."""
+    for r in report.rounds:
+        if r.trace is not None:
+            return _wrapped(f"Traced in round {r.number}: {trace_sentence(r.trace)}", 3, "  ")
+    return []
 
 
 def _ties(report):
