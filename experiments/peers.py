@@ -326,7 +326,7 @@ def summary(table, seconds):
              f"force. Table: up to {N_TABLE} pulls of single pairs; motion: {N_SCENES} scenes of "
              f"four discs, {N_FRAMES} frames. Cells: found / runs, median error, median processor "
              f"time. Seeds {', '.join(map(str, sorted(set(table['seed']))))}; at most {seconds:g} "
-             "s a run (pyoperon by the clock; ours: for the laws with constants inside).\n"]  # fmt: skip
+             "s a run (pyoperon by the clock; ours for laws with constants inside).\n"]  # fmt: skip
     for form in FORMS:
         part = table[table["form"] == form]
         tools = [tool for tool in TOOLS if tool in set(part["tool"])]
@@ -360,22 +360,24 @@ def figure(table):
     import matplotlib.pyplot as plt
 
     names = list(dict.fromkeys(table["law"]))
-    fig, axes = plt.subplots(2, len(names), figsize=(0.8 + 2.1 * len(names), 5.2), sharex=True,
+    fig, axes = plt.subplots(2, len(names), figsize=(0.8 + 2.1 * len(names), 5.6), sharex=True,
                              sharey=True, squeeze=False, layout="constrained")  # fmt: skip
     for axs, form in zip(axes, FORMS, strict=True):
         for ax, name in zip(axs, names, strict=True):
             part = table[(table["form"] == form) & (table["law"] == name)]
             for tool, mine in part.groupby("tool", sort=False):
                 error = mine["error"].clip(1e-14, 10.0)
-                ax.plot(mine["seconds"].clip(lower=1e-3), error, "o", ms=5, alpha=0.7, mew=0,
+                ax.plot(mine["seconds"].clip(lower=0.05), error, "o", ms=5, alpha=0.7, mew=0,
                         color=COLOURS[tool], label=tool)  # fmt: skip
             ax.axhline(TOLERANCE, color="#999999", lw=0.8, ls="--")
-            ax.set(xscale="log", yscale="log")
+            ax.set(xscale="log", yscale="log", xlim=(0.05, 300), xticks=(0.1, 1, 10, 100))
+            ax.minorticks_off()
             ax.spines[["top", "right"]].set_visible(False)
         axs[0].set_ylabel(f"from {'tables' if form == 'table' else form}\nrelative error")
     for ax, name in zip(axes[0], names, strict=True):
         ax.set_title(name, fontsize=10)
-    fig.supxlabel("processor time, s", fontsize=10)
+    for ax in axes[1]:
+        ax.set_xlabel("processor time, s")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return fig
