@@ -184,8 +184,10 @@ class _Loop:
         self.n_rows = n_rows
         self.one = partial(excess_of_row, model, n_moving=n_moving, dt=dt, inputs=training.inputs)
         self.unit = dt**2
-        decay = optax.cosine_decay_schedule(training.rate, training.n_steps, 0.01)
-        self.optimiser = optax.adam(decay if training.decays else training.rate)
+        rate = training.rate
+        if training.decays:
+            rate = optax.cosine_decay_schedule(rate, training.n_steps, 0.01)
+        self.optimiser = optax.adam(rate)
         self.chunk = jax.jit(jax.vmap(self._chunk, in_axes=(0, 0, 0, 0, None)))
         self.check = jax.jit(jax.vmap(self.loss))
 
