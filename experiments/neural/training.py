@@ -264,7 +264,7 @@ def _taken_up(path, state):
         return 0, state
     leaves, tree = jax.tree.flatten(state)
     with np.load(path, allow_pickle=False) as file:
-        read = [file[f"leaf{k}"] for k in range(len(leaves))]
-        if any(a.shape != b.shape for a, b in zip(read, leaves, strict=True)):
+        read = [file[f"leaf{k}"] for k in range(len(file.files) - 1)]
+        if [x.shape for x in read] != [x.shape for x in leaves]:
             raise ValueError(f"{path} is of another training; remove it, or give another --out")
         return int(file["done"]), jax.tree.unflatten(tree, [jnp.asarray(x) for x in read])
