@@ -1,0 +1,155 @@
+"""The neural baselines of the experiments (extra `neural`)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.metrics import one_step_nrmse
+from bsp_gp.simulate.synth import make, preset
+
+jax = pytest.importorskip("jax", reason="pip install 'bsp_gp[neural]'")
+pytest.importorskip("optax", reason="pip install 'bsp_gp[neural]'")
+from experiments.neural import training as T  # noqa: E402
+from experiments.neural.models import FIXED_NUMBER, MODELS, Inputs, init_model, normaliser  # noqa: E402
+from experiments.neural.scores import can_be_asked, one_step, rollouts  # noqa: E402
+from experiments.neural.worlds import load_worlds, rows_of  # noqa: E402
+
+NUMBER_FREE = [name for name in MODELS if name not in FIXED_NUMBER]
+KINDS = {"raw": Inputs(), "relative": Inputs(True, True, "silu")}
+
+
+def scenes(name="bounce", n=2, **numbers):
+    settings = preset(name, n_scenes=n, n_frames=12, **numbers)
+    return list(make(settings, np.random.default_rng(3))[0].scenes)
+
+
+def untrained(model, worlds, inputs=KINDS["relative"]):
+    """A network with its first weights, as one run."""
+    n_bodies = worlds.positions.shape[2]
+    norm = normaliser(rows_of(worlds), worlds.n_moving, inputs, inputs.is_relative)
+    params = init_model(model, np.random.default_rng(1), n_bodies, worlds.n_moving, inputs)
+    params, norm = (jax.tree.map(lambda x: np.asarray(x)[None], t) for t in (params, norm))
+    return T.Trained(model, inputs, params, norm, 1, np.zeros(1))
+
+
+def silent(trained):
+    """The network with all weights zero: no force, or no displacement."""
+    return replace(trained, params=jax.tree.map(np.zeros_like, trained.params))
+
+
+@pytest.mark.parametrize("inputs", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize("model", NUMBER_FREE)
+def test_the_order_of_bodies_does_not_matter(model, inputs):
+    plain = scenes()
+    order = [2, 0, 3, 1, 6, 4, 7, 5]
+    turned = [
+        replace(s, entities=tuple(s.entities[k] for k in order), positions=s.positions[:, order],
+                velocities=None)
+        for s in plain
+    ]  # fmt: skip
+    trained = untrained(model, load_worlds(plain), inputs)
+    expected = trained.excess(load_worlds(plain))[0][:, order[:4]]
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(trained.excess(load_worlds(turned))[0], expected, atol=1e-5 * scale)
+
+
+@pytest.mark.parametrize("model", NUMBER_FREE)
+def test_padding_does_not_matter(model):
+    plain = scenes()
+    worlds, padded = load_worlds(plain), load_worlds(plain, n_bodies=11, n_moving=6)
+    trained = untrained(model, worlds)
+    expected = trained.excess(worlds)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(trained.excess(padded)[:, :, :4], expected, atol=1e-5 * scale)
+    np.testing.assert_allclose(one_step(trained, padded), one_step(trained, worlds), rtol=1e-4)
+    np.testing.assert_allclose(rollouts(trained, padded), rollouts(trained, worlds), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["nbody", "bounce", "mat"])
+def test_without_force_the_error_is_that_of_no_law(name):
+    made = scenes(name, 3)
+    worlds = load_worlds(made)
+    mine = one_step(silent(untrained("OGN", worlds)), worlds).mean()
+    assert mine == pytest.approx(one_step_nrmse(made, ForceLaw(())), rel=1e-6)
+
+
+def test_a_displacement_network_that_stays_errs_by_the_displacement():
+    worlds = load_worlds(scenes("nbody"))
+    moved = np.linalg.norm(np.diff(worlds.positions[:, 1:], axis=1), axis=-1).mean(axis=(1, 2))
+    still = silent(untrained("IN", worlds, KINDS["raw"]))
+    np.testing.assert_allclose(one_step(still, worlds)[0], moved, rtol=1e-5)
+
+
+def test_the_first_step_of_a_rollout_is_the_one_step_prediction():
+    made = [replace(s, times=s.times[:3], positions=s.positions[:3], velocities=None)
+            for s in scenes("nbody")]  # fmt: skip
+    worlds = load_worlds(made)
+    trained = untrained("OGN", worlds)
+    np.testing.assert_allclose(rollouts(trained, worlds), one_step(trained, worlds), rtol=1e-3)
+
+
+def test_only_networks_without_a_fixed_number_can_be_asked_about_more_bodies():
+    more = load_worlds(scenes("nbody", n_bodies=5))
+    assert can_be_asked("OGN", more, n_bodies=4)
+    assert not can_be_asked("MLP (position)", more, n_bodies=4)
+
+
+def trained(model, training, **kwargs):
+    # Contacts would make the loss jump.
+    numbers = {"distance": (40, 90), "jitter": (0, 1), "has_contacts": False}
+    made = scenes("nbody", 6, **numbers)
+    return T.train(model, training, [made[:3], made[3:]], seeds=[1, 2], **kwargs), made
+
+
+@pytest.mark.parametrize(
+    ("model", "version"),
+    [
+        ("MLP (force)", "paper"),
+        pytest.param("OGN", "tuned", marks=pytest.mark.slow),
+        pytest.param("IN", "tuned", marks=pytest.mark.slow),
+        pytest.param("MLP (position)", "tuned", marks=pytest.mark.slow),
+        pytest.param("HOGN", "tuned", marks=pytest.mark.slow),
+    ],
+)
+def test_training_reduces_the_error_on_its_own_scenes(model, version):
+    make_training = {"paper": T.paper_training, "tuned": T.tuned_training}[version]
+    training = replace(make_training(model), n_steps=20, batch=0, held_out=0.0, decays=False)
+    after, made = trained(model, training)
+    worlds = load_worlds(made[:3])
+    first, _ = trained(model, replace(training, n_steps=0))
+    assert one_step(after, worlds)[0].mean() < one_step(first, worlds)[0].mean()
+
+
+def test_a_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.setattr(T, "CHUNK", 2)
+    training = replace(T.tuned_training("MLP (force)"), n_steps=15 * T.CHUNK, batch=8)
+    whole, _ = trained("MLP (force)", training)
+    file = tmp_path / "state.npz"
+    assert trained("MLP (force)", training, checkpoint=file, stop_after=10 * T.CHUNK)[0] is None
+    seen = []
+    resumed, _ = trained("MLP (force)", training, checkpoint=file, progress=seen.append)
+    assert seen[0] == 11 * T.CHUNK
+    for a, b in zip(jax.tree.leaves(whole.params), jax.tree.leaves(resumed.params), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+    np.testing.assert_array_equal(whole.steps, resumed.steps)
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(T, "CHUNK", 2)
+    file = tmp_path / "state.npz"
+    training = replace(T.tuned_training("MLP (force)"), n_steps=10 * T.CHUNK, batch=8)
+    trained("MLP (force)", training, checkpoint=file)
+    with pytest.raises(ValueError, match="another training"):
+        trained("OGN", training, checkpoint=file)
+
+
+def test_held_out_rows_are_not_trained_on():
+    made = scenes("nbody", 5)
+    rows, held = T.split(made, 0.2, (4, 4))
+    assert (len(rows), len(held)) == (40, 10)  # a whole scene
+    rows, held = T.split(made[:2], 0.2, (4, 4))
+    assert (len(rows), len(held)) == (16, 4)  # the end of each
+    assert not set(map(tuple, rows.p[:, 1])) & set(map(tuple, held.p[:, 1]))
+    assert rows.weights.sum() == pytest.approx(1.0)
