@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.point_errors import with_point_errors
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError
@@ -60,7 +61,6 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     Observation
     """
     dataset = _thinned(_with_usable_masses(dataset))
-    train, test, note = choose_split(dataset, rng)
     estimate = noise or estimate_noise(dataset)
     sigma = np.array(estimate.sigma, dtype=float)
     if not np.isfinite(sigma).any():
@@ -70,6 +70,10 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     )
     extent = _extent(dataset)
     is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    if not is_exact:
+        dataset, more = with_point_errors(dataset, estimate)
+        estimate = replace(estimate, notes=(*estimate.notes, *more))
+    train, test, note = choose_split(dataset, rng)
     if is_exact and not measured and not _made_in_steps(train, law, dataset.up, sources):
         is_exact = False
         sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
@@ -129,8 +130,12 @@ def run_round(
         adopted, verdict, reason = False, "cannot tell", FREED
         effect = freed_effect(observation, model, shown, p_value)
     else:
+        found = Weighed(
+            floor, ratio, observation.held_out_gain(model.law, after.law),
+            observation.is_exact or examine_residual(observation, after.fit, alpha).is_missing,
+        )  # fmt: skip
         adopted, verdict, reason = _verdict(
-            observation, model, after, chosen, attempts, floor, ratio, p_value, alpha
+            observation, model, after, chosen, attempts, found, p_value, alpha
         )
         effect = effect_of(observation, chosen, attempts, p_value)
     effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
@@ -197,11 +202,31 @@ def _told_of(observation, model, chosen, attempts, p_value, alpha):
     return freed if is_clear else chosen
 
 
-def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value, alpha):
+class Weighed(NamedTuple):
+    """What was found out about a term: error floor, ratio, gain on held-out tracks, what is left.
+
+    Attributes
+    ----------
+    floor : Errors
+    ratio : Ratio
+    held_out : float
+        Fall of the chi-squared of held-out tracks; nan on exact data.
+    is_left : bool
+        Whether the law with the term still leaves more than noise.
+    """
+
+    floor: object
+    ratio: object
+    held_out: float
+    is_left: bool
+
+
+def _verdict(observation, model, after, chosen, attempts, found, p_value, alpha):
     """Adopt, or say why not."""
+    ratio, held_out = found.ratio, found.held_out
     n_eff = chosen.fit.n_effective
     gain = model.fit.bic(n_eff) - chosen.fit.bic(n_eff)
-    share = _explained(observation, model.errors, after.errors, floor)
+    share = _explained(observation, model.errors, after.errors, found.floor)
     if p_value > alpha:
         return (
             False,
@@ -219,10 +244,7 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
         )
     if _number_wins(model, chosen, attempts, p_value, alpha):
         return False, "cannot tell", FREED
-    is_explained = not observation.is_exact and not (
-        examine_residual(observation, after.fit, alpha).is_missing
-    )
-    if not is_explained and not share >= MIN_SHARE:
+    if found.is_left and not share >= MIN_SHARE:
         rivals = [
             a
             for a in attempts
@@ -247,7 +269,6 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
             "seen, not adopted",
             (f"beside it {blurred}: these data hardly tell the two terms apart"),
         )
-    held_out = observation.held_out_gain(model.law, after.law)
     if not observation.is_exact and (not held_out > 0 or ratio.low > 1):
         return (
             False,

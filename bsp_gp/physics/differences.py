@@ -12,6 +12,10 @@ DENSE_LIMIT = 1500
 """Longest track (rows) whose whitening matrix is kept dense."""
 
 
+MOST_NUMBERS = 4e7
+"""Largest size of all whitening matrices together, numbers, at which single points count."""
+
+
 def difference_weights(offsets, order):
     """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
 
@@ -77,6 +81,9 @@ def gls_whitener(times, valid, sizes=None, memory=0.0):
             f"tracks of {n_times} rows with gaps, differing times or errors of single points are "
             "too long for the exact covariance; split them into scenes of at most 1500 rows"
         )
+    if sizes is not None and n_scenes * valid.shape[2] * n_times**2 > MOST_NUMBERS:
+        # One error for all then, or memory would run out; fits to whole tracks heed them still.
+        return gls_whitener(times, valid, None, memory)
     blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))
     for s in range(n_scenes):
         for r in range(valid.shape[2]):

@@ -9,7 +9,7 @@ from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.preparing import observe
-from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, _blurred, _explained, _verdict
+from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, Weighed, _blurred, _explained, _verdict
 from bsp_gp.loop.telling import _freed_reason, _separated_by
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
@@ -72,13 +72,14 @@ def judged(
     p=0.003,
     declared=None,
     observation=Noisy,
+    held_out=1e4,
+    is_left=True,
 ):
     declared = declared or fit(20000.0)
     model = Model(ForceLaw(), declared, errors(before, before), [])
     new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
-    return _verdict(
-        observation, model, new, chosen, [chosen, *others], errors(0.05), Ratio(*ratio), p, 0.01
-    )
+    found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left)
+    return _verdict(observation, model, new, chosen, [chosen, *others], found, p, 0.01)
 
 
 GOOD = attempt("drag", fit(200.0, [-0.1], [0.01]))
@@ -97,8 +98,9 @@ def test_what_passes_every_test_is_adopted():
         ({"declared": fit(200.0 + MIN_BIC_GAIN)}, "seen, not adopted", "evidence for it is weak"),
         ({"after": 8.0}, "seen, not adopted", "removes only 36%"),
         ({"after": 12.0}, "seen, not adopted", "removes only 0%"),
-        ({"ratio": (0.5, 0.3, 1.1)}, "seen, not adopted", "does not fall for sure: ratio 0.50"),
-        ({"ratio": (0.5, np.nan, np.nan)}, "seen, not adopted", "does not fall for sure"),
+        ({"ratio": (1.5, 1.1, 2.0)}, "seen, not adopted", "has the ratio 1.50"),
+        ({"held_out": -3.0}, "seen, not adopted", "chi-squared falls by -3"),
+        ({"held_out": np.nan}, "seen, not adopted", "held-out tracks do not confirm it"),
         ({"before": 0.05}, "seen, not adopted", "removes only 0%"),
     ],
 )
@@ -106,6 +108,14 @@ def test_reasons_not_to_adopt(settings, verdict, reason):
     adopted, said, why = judged(GOOD, **settings)
     assert (adopted, said) == (False, verdict)
     assert reason in why
+
+
+def test_a_weak_effect_that_leaves_only_noise_is_adopted_on_the_likelihood_of_held_out_tracks():
+    weak = {"before": 1.0, "after": 0.9, "ratio": (0.9, 0.6, 1.3), "held_out": 12.0}
+    adopted, _, reason = judged(GOOD, **weak, is_left=False)
+    assert adopted
+    assert "chi-squared falls by 12" in reason
+    assert not judged(GOOD, **weak, is_left=True)[0]
 
 
 def test_a_tie_that_explains_little_is_cannot_tell():
