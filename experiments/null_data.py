@@ -25,7 +25,7 @@ WORLDS = {
     "spring": {"noise": 0.003, "n_frames": 50},
     "nbody": {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1,
               "distance": (15.0, 30.0), "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 30,
-              "dt": 0.2, "substeps": 100},
+              "dt": 0.2, "substeps": 400},
 }  # fmt: skip
 """What is changed in the presets: smooth motion without contacts, at most 300 rows a set."""
 N_SETS = 500

@@ -17,7 +17,7 @@ from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
 from bsp_gp.physics.noise import draw_noise
-from bsp_gp.physics.shooting import cut_segments, fit_rollout, predict
+from bsp_gp.physics.shooting import cut_segments, fit_rollout, predict, track_blocks
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -112,6 +112,13 @@ class Observation:
             whole=whole,
             converged=whole.converged,
         )
+
+    def track_blocks(self, whole):
+        """Residuals of a fit to whole tracks and their derivatives, see `shooting.track_blocks`."""
+        return track_blocks(
+            whole, self.sigma, integrator=self.integrator, substeps=self.substeps,
+            memory=self.memory,
+        )  # fmt: skip
 
     def fit_beyond(self, law, contained, bounds=None):
         """Fit a law that contains a fitted one, never worse than that one.

@@ -11,6 +11,8 @@ from bsp_gp.units import ACCELERATION
 __all__ = ["LAGS", "examine_residual", "ljung_box"]
 
 LAGS = 8
+DEGREE = 6
+"""Of the polynomials of time in which a residual force is looked for, track by track."""
 POWER = 0.95
 POWER_Z = 1.6448536269514722  # 95 % of a normal distribution lie below
 
@@ -20,9 +22,10 @@ def examine_residual(observation, fit, alpha):
 
     On noisy data the residual is that of whole tracks (positions), otherwise of accelerations.
 
-    Two tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
-    noise level, an F test against an estimated one, whose own uncertainty counts) and its
-    autocorrelation along tracks (Ljung-Box).
+    Three tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
+    noise level, an F test against an estimated one, whose own uncertainty counts), its
+    autocorrelation along tracks (Ljung-Box), and on noisy data the size of its smooth part, in
+    which forces are and noise hardly is.
 
     Parameters
     ----------
@@ -34,31 +37,91 @@ def examine_residual(observation, fit, alpha):
     -------
     Missing
     """
-    from scipy import stats
-
     if fit.whole is not None:
         size = fit.whole.chisqr
         dof = max(fit.whole.n_rows - fit.whole.n_free, 1)
-        p_lag = _ljung_box_of_tracks(observation, fit.whole)
+        blocks = observation.track_blocks(fit.whole)
+        p_lag = _ljung_box_of_tracks(fit.whole, blocks)
     else:
         size = float(fit.residual @ fit.residual)
         dof = max(observation.train_regression.n_rows - len(fit.parameters), 1)
         p_lag = ljung_box(observation.train_regression, fit.residual)
     size /= dof
     n_noise = _noise_dof(observation)
-    if np.isfinite(n_noise):
-        p_size = float(stats.f.sf(size, dof, n_noise))
-    else:
-        p_size = float(stats.chi2.sf(size * dof, dof))
-    p_value = min(1.0, 2 * min(p_size, p_lag))
+    tests = {"size": _p_of_size(size * dof, dof, n_noise), "autocorrelation": p_lag}
+    smooth = None if fit.whole is None else _smooth_part(observation, fit.whole, blocks)
+    if smooth is not None:
+        tests["smooth part"] = _p_of_size(*smooth, n_noise)
+    p_value = min(1.0, len(tests) * min(tests.values()))
     return Missing(
         statistic=size,
         p_value=p_value,
-        detectable=_detectable(observation, fit, alpha),
+        detectable=_detectable(observation, fit, alpha, smooth),
         detectable_unit=observation.dataset.units.text(ACCELERATION),
-        tests={"size": p_size, "autocorrelation": p_lag},
+        tests=tests,
         is_missing=bool(p_value <= alpha),
     )
+
+
+def _p_of_size(square, dof, n_noise):
+    """p-value of a whitened sum of squares; `n_noise` as of `_noise_dof`."""
+    from scipy import stats
+
+    if np.isfinite(n_noise):
+        return float(stats.f.sf(square / dof, dof, n_noise))
+    return float(stats.chi2.sf(square, dof))
+
+
+def _smooth_part(observation, whole, blocks):
+    """Sum of squares of the position residuals in low polynomials of time, and how many these are.
+
+    What constants and initial states can take up is projected out of the polynomials of every
+    track, so that under the law alone the coordinates are independent and of unit variance.
+    """
+    square, dof = 0.0, 0
+    for batch, block in zip(whole.batches, blocks, strict=True):
+        noise = TrackNoise(batch, observation.sigma, observation.memory)
+        time = np.nan_to_num(batch.times - np.nanmin(batch.times, axis=0))
+        time = 2 * time / np.maximum(time.max(axis=0), 1e-300) - 1
+        powers = np.moveaxis(np.polynomial.legendre.legvander(time, DEGREE), -1, 0)
+        n_scenes, n_receivers, n_dims = noise.seen.shape[1:]
+        columns = np.zeros((n_receivers, n_dims, DEGREE + 1, *noise.seen.shape))
+        for r, axis in np.ndindex(n_receivers, n_dims):
+            columns[r, axis, :, :, :, r, axis] = powers
+        columns = noise.whiten(columns).reshape(-1, *noise.seen.shape)
+        for s, (residual, *taken) in enumerate(zip(*block, strict=True)):
+            mine = columns[:, :, s].reshape(len(columns), -1)
+            basis = _beside(mine, np.concatenate(taken))
+            square += float(np.square(basis @ residual).sum())
+            dof += len(basis)
+    return (square, dof) if dof else None
+
+
+def _beside(rows, taken):
+    """Orthonormal basis of what the rows span beyond the rows `taken`, each of shape (k, n)."""
+    rows = _scaled(rows)
+    if not len(rows):
+        return rows
+    q = _orthonormal_rows(taken)
+    rows = rows - (rows @ q.T) @ q
+    _, values, basis = np.linalg.svd(rows, full_matrices=False)
+    return basis[values > 1e-6]
+
+
+def _orthonormal_rows(rows):
+    """Orthonormal basis of what rows (k, n) span, shape (m, n)."""
+    rows = _scaled(rows)
+    if not len(rows):
+        return rows
+    _, values, q = np.linalg.svd(rows, full_matrices=False)
+    return q[values > 1e-10 * values[0]]
+
+
+def _scaled(rows):
+    """The rows that are not zero, at unit length."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    known = np.isfinite(sizes[:, 0]) & (sizes[:, 0] > 0)
+    return rows[known] / sizes[known]
 
 
 def _noise_dof(observation):
@@ -82,36 +145,32 @@ def ljung_box(regression, residual, lags=LAGS):
     return _pooled_ljung_box(parts, n, lags)
 
 
-def _ljung_box_of_tracks(observation, whole, lags=LAGS):
+def _ljung_box_of_tracks(whole, blocks, lags=LAGS):
     """The same for the position residuals of a fit to whole tracks."""
     mean, covariance = np.zeros(lags), np.zeros((lags, lags))
-    for batch in whole.batches:
-        noise = TrackNoise(batch, observation.sigma, observation.memory)
-        clock = np.broadcast_to(np.nan_to_num(batch.times)[..., None, None], noise.seen.shape)
-        basis = noise.whiten(np.stack([np.ones_like(clock), clock]))  # (2, T, S, R, d)
-        for track in np.ndindex(noise.seen.shape[1:]):
-            seen = noise.seen[(slice(None), *track)]
-            if seen.sum() > 2:
-                moments = _taken_by_state(basis[(slice(None), slice(None), *track)].T, seen, lags)
-                mean, covariance = mean + moments[0], covariance + moments[1]
+    for errors, (_, _, by_state) in zip(whole.whitened, blocks, strict=True):
+        n_times, n_segments = errors.shape[:2]
+        for s in range(n_segments):
+            basis = _orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
+            moments = _taken_by_state(basis, errors[:, s].reshape(n_times, -1) != 0, lags)
+            mean, covariance = mean + moments[0], covariance + moments[1]
     return _pooled_ljung_box(whole.whitened, whole.n_rows - whole.n_free, lags, mean, covariance)
 
 
 def _taken_by_state(basis, seen, lags):
-    """What fitting a place and a velocity does to the lagged products of white noise.
+    """What fitting initial states does to the lagged products of white noise.
 
     With the projection C = I - QQ' on the residuals, a product r'Sr has the expectation tr(SC),
-    and two of them the covariance 2 tr(SCS'C).
+    and two of them the covariance 2 tr(SCS'C). The basis Q has the shape (m, T, tracks).
     """
-    q = np.linalg.qr(basis)[0]
-    moved = np.zeros((lags, *q.shape))
+    moved = np.zeros((lags, *basis.shape))
     for lag in range(1, lags + 1):
-        moved[lag - 1, lag:] += q[:-lag] / 2
-        moved[lag - 1, :-lag] += q[lag:] / 2
-    moved[:, ~seen] = 0.0
-    inner = np.swapaxes(q, 0, 1) @ moved
+        moved[lag - 1, :, lag:] += basis[:, :-lag] / 2
+        moved[lag - 1, :, :-lag] += basis[:, lag:] / 2
+    moved[:, :, ~seen] = 0.0
+    inner = np.einsum("itk,ljtk->lij", basis, moved, optimize=True)
     covariance = 2 * np.einsum("lij,mji->lm", inner, inner)
-    covariance -= 4 * np.einsum("ltk,mtk->lm", moved, moved)
+    covariance -= 4 * np.einsum("litk,mitk->lm", moved, moved, optimize=True)
     return -np.trace(inner, axis1=1, axis2=2), covariance
 
 
@@ -139,13 +198,14 @@ def _pooled_ljung_box(parts, n, lags, mean=0.0, covariance=0.0):
     return float(stats.chi2.sf(float(z @ np.linalg.pinv(spread) @ z), lags))
 
 
-def _detectable(observation, fit, alpha):
+def _detectable(observation, fit, alpha, smooth):
     """Smallest uniform acceleration that would have been seen with 95 % power.
 
-    Along the worst axis on which anything moves, after the law's own constants are refitted.
+    All of it is in the smooth part. Along the worst axis on which anything moves, after the law's
+    own constants are refitted.
     """
     regression = observation.train_regression
-    needed = _needed(observation, fit, alpha)
+    needed = _needed(observation, fit, alpha, smooth)
     q = (
         np.linalg.qr(_live(fit.jacobian))[0]
         if fit.jacobian.size
@@ -170,17 +230,20 @@ def _detectable(observation, fit, alpha):
     return worst if worst else float("nan")
 
 
-def _needed(observation, fit, alpha):
-    """Whitened sum of squares that the test of size, which knows no direction, sees with 95 %."""
+def _needed(observation, fit, alpha, smooth):
+    """Whitened sum of squares that the tests of size, which know no direction, see with 95 %."""
     from scipy import optimize, stats
 
     whole = fit.whole
     n_rows = whole.n_rows - whole.n_free if whole else observation.train_regression.n_rows
-    dof, n_noise = max(n_rows, 1), _noise_dof(observation)
-    bar = stats.chi2.isf(alpha / 2, dof)
+    dof, n_noise, n_tests = max(n_rows, 1), _noise_dof(observation), 2
+    if smooth is not None:
+        dof, n_tests = smooth[1], 3
+    bar = stats.chi2.isf(alpha / n_tests, dof)
     if np.isfinite(n_noise):
         # The level may have been estimated too high, by as much as its own error.
-        bar = dof * stats.f.isf(alpha / 2, dof, n_noise) * (1 + POWER_Z * np.sqrt(2 / n_noise))
+        bar = dof * stats.f.isf(alpha / n_tests, dof, n_noise)
+        bar *= 1 + POWER_Z * np.sqrt(2 / n_noise)
     return optimize.brentq(lambda x: stats.ncx2.sf(bar, dof, x) - POWER, 0.0, 10 * bar + 100)
 
 

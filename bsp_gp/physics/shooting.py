@@ -17,7 +17,10 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.noise import TrackNoise
 
-__all__ = ["RolloutFit", "cut_segments", "fit_rollout", "guess_state", "parameter_list", "predict"]
+__all__ = [
+    "RolloutFit", "cut_segments", "fit_rollout", "guess_state", "parameter_list", "predict",
+    "track_blocks",
+]  # fmt: skip
 
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
@@ -185,6 +188,32 @@ def fit_rollout(
     return problem.solve(max_iterations)
 
 
+def track_blocks(fit, sigma, *, integrator="rk4", substeps=1, memory=0.0):
+    """Whitened residuals of a fit and what its parameters do to them, segment by segment.
+
+    Parameters
+    ----------
+    fit : RolloutFit
+    sigma, integrator, substeps, memory
+        As for the fit.
+
+    Returns
+    -------
+    list of tuple, one per batch
+        Residuals (S, n), derivatives of the tracks by the constants (S, k, n) and by the initial
+        states (S, 2 R d, n); n = T R d.
+    """
+    problem = object.__new__(_Problem)
+    problem.law, problem.integrator, problem.substeps = fit.law, integrator, substeps
+    problem.fit_states = True
+    problem.batches, problem.parameters = fit.batches, fit.parameters
+    problem.attach_noise(sigma, memory)
+    blocks, _, _ = problem._linearise(
+        fit.values, list(zip(fit.positions, fit.velocities, strict=True))
+    )
+    return blocks
+
+
 class _Problem:
     def __init__(
         self, scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states,
@@ -196,15 +225,19 @@ class _Problem:
         self.fit_states = fit_states
         self.batches = stack(scenes, up, velocity)
         self.parameters = parameter_list(law, free)
+        self.attach_noise(sigma, memory)
+        low = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[0] for n, _ in self.parameters])
+        high = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n, _ in self.parameters])
+        self.low, self.high = low, high
+
+    def attach_noise(self, sigma, memory):
+        """Observed positions, and what whitens their errors."""
         self.observed, self.noise = [], []
         for batch in self.batches:
             noise = TrackNoise(batch, sigma, memory)
             observed = batch.positions[:, :, batch.bodies.receivers]
             self.observed.append(np.where(noise.seen, observed, 0.0))
             self.noise.append(noise)
-        low = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[0] for n, _ in self.parameters])
-        high = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n, _ in self.parameters])
-        self.low, self.high = low, high
 
     def solve(self, max_iterations):
         states = [guess_state(batch) for batch in self.batches]
