@@ -34,11 +34,11 @@ def spring_dataset(clip, px_per_m, vertical=False):
     return Dataset(clip.name, (scene,), up="y", units=units)
 
 
-def close_spring(clip, px_per_m, seed, n_null=299):
+def close_spring(clip, px_per_m, seed, n_null=299, progress=None):
     """Rounds of the loop on one clip: list of rows for the table."""
     report = close_loop(
         spring_dataset(clip, px_per_m), DECLARED, rng=np.random.default_rng(seed), seed=seed,
-        n_null=n_null, max_rounds=3,
+        n_null=n_null, max_rounds=3, progress=progress,
     )  # fmt: skip
     rows = []
     for k, round_ in enumerate(report.rounds, 1):

@@ -100,9 +100,10 @@ def _from_tracker(path, *, units, fps, dt, train, test):
     own = {"time": "s"}
     own |= {k: v for k, v in (("length", about["unit"]), ("mass", about["mass_unit"])) if v}
     tracked = [name for name in about["masses"] if name in set(frame["entity"])]
-    masses = [about["masses"][name] for name in tracked]
-    masses = [mass if mass > 0 else math.nan for mass in masses]  # in the file's unit
-    entities = pd.DataFrame({"entity": tracked, "mass": masses})
+    entities = pd.DataFrame({"entity": tracked})
+    masses = [about["masses"][name] for name in tracked]  # in the file's unit
+    if any(mass > 0 for mass in masses):
+        entities["mass"] = [mass if mass > 0 else math.nan for mass in masses]
     dataset = dataset_from_frames(
         frame, entities, name=path.stem, units=own | dict(units or {}), up="y", train=train,
         test=test, provenance={"source": f"Tracker file {path.name}"},

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+
+import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
+from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Rival, Round
+from bsp_gp.loop.replacing import blurred_constants, in_place_of_declared, refuted_rival
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
     effect_of,
@@ -25,10 +30,6 @@ FREED = (
     "a change of a declared number fits better than any new term; a wrong number, a wrong length "
     "scale and a wrong clock do the same, and these data cannot tell them apart"
 )
-
-
-MAX_BLUR = 10.0
-"""Growth of the relative error of an adopted constant at which a further term is refused."""
 
 
 MOST_REFINEMENTS = 2
@@ -80,8 +81,19 @@ def run_round(number, observation, model, search, alpha, rng, progress, workers=
         adopted, verdict, reason = _verdict(
             observation, model, after, chosen, attempts, floor, ratio, proposals.p_value, alpha
         )
+        refuted = None
+        if not adopted:
+            refuted = _in_place(
+                observation, model, after, chosen, attempts, proposals.p_value, alpha, ratio_rng
+            )
+        if refuted is not None:
+            chosen = shown = refuted.chosen
+            adopted, verdict, reason = True, "effect adopted", refuted.reason
+            after, ratio = refuted.after, refuted.ratio
         effect = effect_of(observation, chosen, attempts, proposals.p_value)
     rivals = rivals_of(observation, model, shown, attempts)
+    if not is_freed and refuted is not None:
+        rivals.insert(0, refuted.rival)
     rivals += freed_numbers(observation, model, chosen, is_freed)
     done = Round(
         number=number,
@@ -207,6 +219,39 @@ def _verdict(observation, model, after, chosen, attempts, floor, ratio, p_value,
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Refuted:
+    """A declared term is out, the found one in its place."""
+
+    chosen: Attempt
+    after: Model
+    ratio: object
+    reason: str
+    rival: Rival
+
+
+def _in_place(observation, model, both, chosen, attempts, p_value, alpha, rng):
+    """The found term in place of a declared one, if it passes there and the two beside it do not.
+
+    `both` is the model with the two. The term alone must pass every test of a new term against
+    the declared law, and the declared term, added to it again, must fail as a further term.
+    """
+    attempt = in_place_of_declared(observation, model, chosen)
+    if attempt is None or not np.isfinite(attempt.fit.chisqr):
+        return None
+    after = evaluate(observation, attempt.law, attempt.fit)
+    floor, copies = observation.floor(after.law, rng)
+    ratio = observation.ratio(model.rows, after.rows, rng, copies, model.law, after.law)
+    adopted, _, reason = _verdict(
+        observation, model, after, attempt, attempts, floor, ratio, p_value, alpha
+    )
+    if not adopted or _explained(observation, after.errors, both.errors, floor) >= MIN_SHARE:
+        return None
+    left = observation.headline_error(both.law) / observation.headline_error(after.law)
+    rival = refuted_rival(model, attempt, chosen, left)
+    return _Refuted(attempt, after, ratio, reason, rival)
+
+
 def _number_wins(model, chosen, attempts, p_value, alpha):
     """Whether something is there, and a change of a declared number explains it best."""
     n_eff = chosen.fit.n_effective
@@ -228,16 +273,8 @@ def _blurred(before, after):
     A term that nearly repeats one of the law's inflates that one's error bar and may flip its
     sign; it explains nothing that can be named.
     """
-    widths = {
-        key: half / abs(value)
-        for key, value, half in zip(before.parameters, before.values, before.intervals, strict=True)
-        if value
-    }
-    for key, value, half in zip(after.parameters, after.values, after.intervals, strict=True):
-        if key in widths and value:
-            width = half / abs(value)
-            if width > MAX_BLUR * widths[key] and width > 0.03:
-                return f"the relative error of {key[0]} grows from {widths[key]:.1g} to {width:.1g}"
+    for name, was, width in blurred_constants(before, after):
+        return f"the relative error of {name} grows from {was:.1g} to {width:.1g}"
     return ""
 
 
