@@ -234,8 +234,8 @@ def write_summary(folder, table, falls, springs, loops):
             f"{PAPER[scenario][3]:.2e} | {form} |"
         )
     seeds = table.seed.nunique()
-    lines += ["", f"{6 * seeds} runs a line: 6 splits x {seeds} seeds; the search is exhaustive, so "
-              "that the seeds of one split agree. newtonian is the paper's grammar; ullman has "
+    lines += ["", f"{6 * seeds} runs a line: 6 splits x {seeds} seeds; the search is exhaustive, "
+              "so that the seeds of one split agree. newtonian is the paper's grammar; ullman has "
               "constant vectors of the picture.", "", "## FALL in pixels and SI", ""]  # fmt: skip
     lines += fall_lines(falls)
     lines += ["", "## SPRING", "", *spring_lines(springs)]
