@@ -197,7 +197,8 @@ def figure(clips, table):
         ax.axvline(t[70], color="grey", lw=0.8, ls=":")
         ax.invert_yaxis()
         ax.set(title=f"{name}: fitted left of the line", xlabel="t, s", ylabel="y, px")
-        ax.legend(fontsize=8, loc="lower right")
+        ax.margins(y=0.15)
+        ax.legend(fontsize=8, ncols=3, loc="lower center")
     return fig
 
 
