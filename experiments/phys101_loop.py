@@ -74,7 +74,7 @@ def weigh_damping(clip, px_per_m, view, seed):
         "round": 0, "effect": "damping, linear in speed",
         "law": f"{after.fit.values[k]:.4f} +- {after.fit.intervals[k]:.4f} kg/s * v_i",
         "adopted": bool(gain >= MIN_BIC_GAIN and share >= MIN_SHARE),
-        "reason": f"BIC falls by {gain:.1f}; of the held-out error above the floor {share:.0%} goes",
+        "reason": f"BIC falls by {gain:.1f}, {share:.0%} of the held-out error above noise goes",
         "before_px": px_per_m * b**0.5, "after_px": px_per_m * a**0.5,
         "floor_px": px_per_m * f**0.5,
     }  # fmt: skip
