@@ -21,13 +21,6 @@ MARKS = {
     "w_block_10-tight-01": ((972, 701, 40, 40), 30, "surround"),
     "w_block_10-tight-02": ((956, 685, 40, 40), 30, "surround"),
 }
-# Frames of the full video in free flight: no hand on the block, no table yet (seen by eye).
-FLIGHT = {
-    "w_block_05-table-01": (9, 12),
-    "w_block_05-table-02": (8, 11),
-    "w_block_05-table-03": (7, 11),
-    "w_block_05-table-04": (6, 9),
-}
 FIRST_FRAME = {"01": 8, "02": 7, "03": 5, "04": 3}  # of the trimmed fall clips in the full video
 PAPER_DT, FPS = 0.1, 30.0
 

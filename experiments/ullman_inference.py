@@ -141,7 +141,8 @@ def _with_slack(gram, b, constant, slack):
 def softened(summary, masses, h, constants):
     """Likelihood of the coefficients under mass assignment `masses`, with slack."""
     names = summary.names
-    scale = {"drag": 1.0, "pull": constants.g, "pair": constants.k}
+    # A strength may come out negative where hardly any movie shows that force; a spread may not.
+    scale = {"drag": 1.0, "pull": abs(constants.g), "pair": abs(constants.k)}
     slack = np.array([constants.slack[KINDS.index(n[0])] * scale[n[0]] for n in names])
     factor = mass_factors(names, masses, constants)
     e = summary.evidence

@@ -71,6 +71,12 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
         entities = path / ENTITIES
     elif path.suffix.lower() == ".trk" and path.is_file():
         return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
+    elif path.suffix.lower() == ".trz" and path.is_file():
+        raise DataError(
+            "a zipped Tracker project cannot be read as it is",
+            file=path,
+            remedy="unzip it (it is a ZIP file) and give the .trk file inside",
+        )
     elif path.is_file():
         trajectories, entities, declaration = path, None, Declaration()
     else:
@@ -91,12 +97,13 @@ def _from_tracker(path, *, units, fps, dt, train, test):
     if fps is not None or dt is not None:
         raise DataError("a Tracker file has its own times", file=path, remedy="leave out fps or dt")
     frame, about = read_trk(path)
-    own = {"time": "s"} | ({"length": about["unit"]} if about["unit"] else {})
-    entities = [
-        Entity(name, properties={"mass": mass} if mass > 0 else {})
-        for name, mass in about["masses"].items()
-        if name in set(frame["entity"])
-    ]
+    own = {"time": "s"}
+    own |= {k: v for k, v in (("length", about["unit"]), ("mass", about["mass_unit"])) if v}
+    tracked = [name for name in about["masses"] if name in set(frame["entity"])]
+    entities = pd.DataFrame({"entity": tracked})
+    masses = [about["masses"][name] for name in tracked]  # in the file's unit
+    if any(mass > 0 for mass in masses):
+        entities["mass"] = [mass if mass > 0 else math.nan for mass in masses]
     dataset = dataset_from_frames(
         frame, entities, name=path.stem, units=own | dict(units or {}), up="y", train=train,
         test=test, provenance={"source": f"Tracker file {path.name}"},

@@ -1,16 +1,21 @@
 """Tracker's own files (.trk, XML): point masses, their frames, scale and axes.
 
 Layout after Open Source Physics Tracker 5 and 6: a TrackerPanel with a video clip (start frame,
-step size), a clip control (``delta_t``, milliseconds per frame), a coordinate system (origin in
-pixels, angle in degrees counter-clockwise, pixels per unit) and tracks of the class PointMass
-whose steps are in image pixels, y down. The world is X = (dx cos a + dy sin a) / sx and
+step size, number of steps), a clip control (``delta_t``, milliseconds per frame), a coordinate
+system (origin in pixels, angle in degrees counter-clockwise, pixels per unit; where it moves, its
+key frames alone are stored and each holds until the next) and tracks of the class PointMass whose
+steps are in image pixels, y down. The world is X = (dx cos a + dy sin a) / sx and
 Y = (dy cos a - dx sin a) / sy with dx = x - x0 and dy = y0 - y.
+
+Tracks of other classes (particle models, centres of mass, tapes) are no measurements and left out.
+Steps outside of the clip are kept by Tracker, but are no part of its own tables: left out too.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -23,6 +28,8 @@ __all__ = ["read_trk"]
 
 MOST_BYTES = 100_000_000
 DEFAULT_FPS = 30.0
+DEFAULT_MASS = 1.0
+SCALES = ("xscale", "yscale")
 
 
 def read_trk(path):
@@ -38,7 +45,8 @@ def read_trk(path):
         Columns t (s), entity, x, y in the file's unit of length (`unit`), y up along the file's
         axes; frames without a step are left out, as gaps.
     about : dict
-        unit (str or None), fps, masses (dict name -> mass or nan), notes (tuple of str).
+        unit (str, "px" where the scale was never set, or None), mass_unit (str or None), fps,
+        masses (dict name -> mass or nan), notes (tuple of str).
 
     Raises
     ------
@@ -58,8 +66,11 @@ def read_trk(path):
     clip = _child(root, "videoclip")
     first = int(_number(clip, "startframe", 0, path))
     step = max(int(_number(clip, "stepsize", 1, path)), 1)
+    count = int(_number(clip, "stepcount", 0, path)) or sys.maxsize
     start_ms = _number(clip, "starttime", 0.0, path)
     delta_ms = _number(_child(root, "clipcontrol"), "delta_t", math.nan, path)
+    if not delta_ms > 0:  # picture sequences carry their own
+        delta_ms = _number(_child(clip, "video"), "delta_t", math.nan, path)
     if not delta_ms > 0:
         delta_ms = 1000.0 / DEFAULT_FPS
         notes.append(f"{path.name} gives no time per frame; {DEFAULT_FPS:g} frames a second taken")
@@ -71,7 +82,7 @@ def read_trk(path):
             raise DataError(f"two tracks are called {name!r}", file=path, remedy="rename one")
         masses[name] = _number(mass, "mass", math.nan, path)
         for index, x, y in _steps(mass, path):
-            if index < first or (index - first) % step:
+            if index < first or (index - first) % step or (index - first) // step >= count:
                 continue  # not a step of the clip
             world = axes.world(index, x, y)
             rows.append((start_ms / 1000 + (index - first) * delta_ms / 1000, name, *world))
@@ -84,10 +95,23 @@ def read_trk(path):
     frame = pd.DataFrame(rows, columns=["t", "entity", "x", "y"])
     frame = frame.sort_values(["entity", "t"], ignore_index=True)
     unit = _text(root, "length_unit")
-    if unit is None:
+    if axes.is_unscaled:
+        unit = "px"
+        notes.append(
+            f"{path.name} has Tracker's first scale, one pixel per unit of length: it was never "
+            "calibrated, and lengths are in pixels"
+        )
+    elif unit is None:
         notes.append(f"{path.name} names no unit of length")
+    defaults = [name for name, value in masses.items() if value == DEFAULT_MASS]
+    if defaults:
+        notes.append(
+            f"the mass of {', '.join(defaults)} is {DEFAULT_MASS:g}, which Tracker gives to every "
+            "new point mass: check it"
+        )
     return frame, {
-        "unit": unit, "fps": 1000.0 / delta_ms, "masses": masses, "notes": tuple(notes),
+        "unit": unit, "mass_unit": _text(root, "mass_unit"), "fps": 1000.0 / delta_ms,
+        "masses": masses, "notes": tuple(notes),
     }  # fmt: skip
 
 
@@ -157,6 +181,8 @@ class _Axes:
             raise DataError("it holds no axes (coords)", file=path)
         self.fixed = _flag(coords, "fixedorigin") and _flag(coords, "fixedangle")
         self.fixed = self.fixed and _flag(coords, "fixedscale")
+        scales = {_number(n, s, 1.0, path) for n in self.frames.values() for s in SCALES}
+        self.is_unscaled = scales == {1.0}
 
     def world(self, index, x, y):
         known = sorted(k for k in self.frames if k <= index) or sorted(self.frames)[:1]

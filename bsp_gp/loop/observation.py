@@ -12,8 +12,9 @@ import numpy as np
 
 from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
-from bsp_gp.loop.fitted import Fit, clipped
+from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.outcome import Errors, Ratio
+from bsp_gp.loop.tracks import fit_tracks
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
 from bsp_gp.physics.noise import draw_noise
@@ -82,16 +83,7 @@ class Observation:
                 first.residual,
                 True,
             )
-        whole = fit_rollout(
-            self.segments,
-            clipped(start or first.law, bounds),
-            self.sigma,
-            integrator=self.integrator,
-            substeps=self.substeps,
-            up=self.dataset.up,
-            bounds=bounds,
-            memory=self.memory,
-        )
+        whole = fit_tracks(self, start or first.law, bounds, is_sure=start is not None)
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
         # Misfit beyond the noise counts against the constants, with as many independent rows

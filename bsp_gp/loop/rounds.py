@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, attempts_of, choose, evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.memory import search_with_memory
+from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Rival, Round
+from bsp_gp.loop.replacing import blurred_constants, in_place_of_declared, refuted_rival
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
     effect_of,
@@ -32,10 +36,6 @@ FREED = (
     "a change of a declared number fits better than any new term; a wrong number, a wrong length "
     "scale and a wrong clock do the same, and these data cannot tell them apart"
 )
-
-
-MAX_BLUR = 10.0
-"""Growth of the relative error of an adopted constant at which a further term is refused."""
 
 
 STRONG = 5.0
@@ -130,16 +130,24 @@ def run_round(
         adopted, verdict, reason = False, "cannot tell", FREED
         effect = freed_effect(observation, model, shown, p_value)
     else:
-        found = Weighed(
-            floor, ratio, observation.held_out_gain(model.law, after.law),
-            observation.is_exact or examine_residual(observation, after.fit, alpha).is_missing,
-        )  # fmt: skip
+        found = _weighed(observation, model, after, floor, ratio, alpha)
         adopted, verdict, reason = _verdict(
             observation, model, after, chosen, attempts, found, p_value, alpha
         )
+        refuted = None
+        if not adopted:
+            refuted = _in_place(
+                observation, model, after, chosen, attempts, p_value, alpha, ratio_rng
+            )
+        if refuted is not None:
+            chosen = shown = refuted.chosen
+            adopted, verdict, reason = True, "effect adopted", refuted.reason
+            after, ratio = refuted.after, refuted.ratio
         effect = effect_of(observation, chosen, attempts, p_value)
     effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
     rivals = [*rivals, *freed_numbers(observation, model, chosen, is_freed)]
+    if not is_freed and refuted is not None:
+        rivals.insert(0, refuted.rival)
     done = Round(
         number=number,
         missing=missing,
@@ -219,6 +227,11 @@ class Weighed(NamedTuple):
     ratio: object
     held_out: float
     is_left: bool
+
+
+def _weighed(observation, model, after, floor, ratio, alpha):
+    is_left = observation.is_exact or examine_residual(observation, after.fit, alpha).is_missing
+    return Weighed(floor, ratio, observation.held_out_gain(model.law, after.law), is_left)
 
 
 def _verdict(observation, model, after, chosen, attempts, found, p_value, alpha):
@@ -301,6 +314,40 @@ def _on_held_out(observation, share, gain, ratio):
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Refuted:
+    """A declared term is out, the found one in its place."""
+
+    chosen: Attempt
+    after: Model
+    ratio: object
+    reason: str
+    rival: Rival
+
+
+def _in_place(observation, model, both, chosen, attempts, p_value, alpha, rng):
+    """The found term in place of a declared one, if it passes there and the two beside it do not.
+
+    `both` is the model with the two. The term alone must pass every test of a new term against
+    the declared law, and the declared term, added to it again, must fail as a further term.
+    """
+    attempt = in_place_of_declared(observation, model, chosen)
+    if attempt is None or not np.isfinite(attempt.fit.chisqr):
+        return None
+    after = evaluate(observation, attempt.law, attempt.fit)
+    floor, copies = observation.floor(after.law, rng)
+    ratio = observation.ratio(model.rows, after.rows, rng, copies, model.law, after.law)
+    found = _weighed(observation, model, after, floor, ratio, alpha)
+    adopted, _, reason = _verdict(
+        observation, model, after, attempt, attempts, found, p_value, alpha
+    )
+    if not adopted or _explained(observation, after.errors, both.errors, floor) >= MIN_SHARE:
+        return None
+    left = observation.headline_error(both.law) / observation.headline_error(after.law)
+    rival = refuted_rival(model, attempt, chosen, left)
+    return _Refuted(attempt, after, ratio, reason, rival)
+
+
 def _number_wins(model, chosen, attempts, p_value, alpha):
     """Whether something is there, and a change of a declared number explains it best."""
     n_eff = chosen.fit.n_effective
@@ -322,16 +369,8 @@ def _blurred(before, after):
     A term that nearly repeats one of the law's inflates that one's error bar and may flip its
     sign; it explains nothing that can be named.
     """
-    widths = {
-        key: half / abs(value)
-        for key, value, half in zip(before.parameters, before.values, before.intervals, strict=True)
-        if value
-    }
-    for key, value, half in zip(after.parameters, after.values, after.intervals, strict=True):
-        if key in widths and value:
-            width = half / abs(value)
-            if width > MAX_BLUR * widths[key] and width > 0.03:
-                return f"the relative error of {key[0]} grows from {widths[key]:.1g} to {width:.1g}"
+    for name, was, width in blurred_constants(before, after):
+        return f"the relative error of {name} grows from {was:.1g} to {width:.1g}"
     return ""
 
 

@@ -156,6 +156,7 @@ def fit_rollout(
     max_iterations=MAX_ITERATIONS,
     fit_states=True,
     memory=0.0,
+    states=None,
 ):
     """Fit constants and initial states to whole tracks.
 
@@ -177,6 +178,9 @@ def fit_rollout(
         False keeps the initial states at the (measured) first row.
     memory : float
         Correlation time of the position noise, s; 0 = white.
+    states : mapping of str to (ndarray, ndarray), optional
+        Scene name -> initial positions and velocities, shape (R, d), to start from; by default a
+        parabola through the first rows.
 
     Returns
     -------
@@ -185,7 +189,7 @@ def fit_rollout(
     problem = _Problem(
         scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states, memory
     )
-    return problem.solve(max_iterations)
+    return problem.solve(max_iterations, states or {})
 
 
 def track_blocks(fit, sigma, *, integrator="rk4", substeps=1, memory=0.0):
@@ -239,8 +243,8 @@ class _Problem:
             self.observed.append(np.where(noise.seen, observed, 0.0))
             self.noise.append(noise)
 
-    def solve(self, max_iterations):
-        states = [guess_state(batch) for batch in self.batches]
+    def solve(self, max_iterations, known):
+        states = [_start(batch, known) for batch in self.batches]
         x = np.clip(_get(self.law, self.parameters), self.low, self.high)
         damping, converged = 1e-7, False
         blocks, chisqr, predicted = self._linearise(x, states)
@@ -444,6 +448,15 @@ class _Problem:
             ),
             converged,
         )
+
+
+def _start(batch, known):
+    """Initial states of a batch: given ones, or guessed."""
+    positions, velocities = guess_state(batch)
+    for s, scene in enumerate(batch.scenes):
+        if scene.name in known:
+            positions[s], velocities[s] = known[scene.name]
+    return positions, velocities
 
 
 def covariance_of(information):

@@ -9,7 +9,8 @@ from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.preparing import observe
-from bsp_gp.loop.rounds import MAX_BLUR, MIN_BIC_GAIN, Weighed, _blurred, _explained, _verdict
+from bsp_gp.loop.replacing import MAX_BLUR
+from bsp_gp.loop.rounds import MIN_BIC_GAIN, Weighed, _blurred, _explained, _verdict
 from bsp_gp.loop.telling import _freed_reason, _separated_by
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict

@@ -72,6 +72,82 @@ def test_a_data_set_of_it(tmp_path):
     np.testing.assert_allclose(dataset.scenes[0].positions[:, 0, 1], [0, 1, 2])
 
 
+def changed(path, old, new, count=1):
+    """The file with a piece of it replaced; the piece must be there."""
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, count), "utf-8")
+    return path
+
+
+def test_steps_after_the_end_of_the_clip_are_left_out(tmp_path):
+    start = '<property name="startframe"'
+    ends = '<property name="stepcount" type="int">2</property>' + start
+    frame, _ = read_trk(changed(write(tmp_path / "a.trk"), start, ends))
+    np.testing.assert_allclose(frame["t"], [0.0, 0.04])
+
+
+def test_a_picture_sequence_brings_its_own_time_per_frame(tmp_path):
+    path = changed(write(tmp_path / "a.trk"), '<property name="delta_t" type="double">20.0', "<x>")
+    path = changed(path, "<x></property></object>", "</object>")
+    video = """<object class="VideoClip"><property name="video" type="object">\
+<object class="ImageVideo"><property name="delta_t" type="double">10.0</property></object>\
+</property>"""
+    frame, about = read_trk(changed(path, '<object class="VideoClip">', video))
+    np.testing.assert_allclose(frame["t"], [0.0, 0.02, 0.04])
+    assert about["fps"] == 100.0
+    assert about["notes"] == ()
+
+
+def test_moving_axes_hold_from_key_frame_to_key_frame(tmp_path):
+    path = changed(write(tmp_path / "a.trk"), '"fixedorigin" type="boolean">true',
+                   '"fixedorigin" type="boolean">false')  # fmt: skip
+    key = path.read_text("utf-8").split('class="[L">')[1].split("</object></property>")[0]
+    key += "</object></property>"
+    later = key.replace("[0]", "[4]").replace(">100<", ">150<")
+    frame, _ = read_trk(changed(path, key, key + later))
+    np.testing.assert_allclose(frame["x"], [1, 0, 0])
+
+
+def test_masses_have_the_unit_of_the_file(tmp_path):
+    unit = '<property name="length_unit" type="string">m</property>'
+    path = changed(write(tmp_path / "a.trk"), unit, unit + unit.replace("length", "mass").replace(
+        ">m<", ">g<"))  # fmt: skip
+    dataset = load_dataset(path)
+    assert dataset.units.declared["mass"] == "g"
+    assert dataset.scenes[0].entities[0].mass == pytest.approx(0.25e-3)
+
+
+def test_a_file_without_calibration_is_in_pixels(tmp_path):
+    dataset = load_dataset(write(tmp_path / "a.trk", scale=1.0))
+    assert dataset.units.declared["length"] == "px"
+    assert any("never calibrated" in note for note in dataset.notes)
+    np.testing.assert_allclose(dataset.scenes[0].positions[:, 0, 1], [0, 50, 100])
+
+
+def test_the_mass_of_every_new_track_is_no_measurement(tmp_path):
+    path = changed(write(tmp_path / "a.trk"), ">0.25<", ">1.0<")
+    _, about = read_trk(path)
+    assert any("ball" in note and "check it" in note for note in about["notes"])
+
+
+def test_models_are_no_measurements(tmp_path):
+    path = write(tmp_path / "a.trk")
+    text = path.read_text("utf-8")
+    item = text[text.index('<property name="item"') : text.index('<property name="item" type="ob'
+                + 'ject"><object class="cabrillo.tracker.TapeMeasure"')]  # fmt: skip
+    model = item.replace("PointMass", "DynamicParticle", 1).replace(">ball<", ">model A<")
+    frame, _ = read_trk(changed(path, item, item + model))
+    assert set(frame["entity"]) == {"ball"}
+
+
+def test_a_zipped_project_is_refused_with_a_remedy(tmp_path):
+    path = tmp_path / "a.trz"
+    path.write_bytes(b"PK\x03\x04")
+    with pytest.raises(DataError, match="unzip"):
+        load_dataset(path)
+
+
 @pytest.mark.parametrize("head", ["<!DOCTYPE x>", '<!DOCTYPE x [<!ENTITY a "b">]>', "<!doctype x>"])
 def test_doctype_and_entities_are_refused(tmp_path, head):
     path = write(tmp_path / "a.trk")

@@ -1,0 +1,99 @@
+"""Constants fitted to whole tracks, and the way back where an oscillation fell out of step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.loop.fitted import clipped
+from bsp_gp.physics.shooting import cut_segments, fit_rollout
+
+__all__ = ["fit_tracks"]
+
+LOST = 4.0
+"""Chi-squared per degree of freedom above which a fit may have gone astray."""
+
+
+SHORTEST_PIECE = 16
+"""Rows."""
+
+
+APART = 0.02
+"""Relative difference of a constant from which the whole tracks are fitted again."""
+
+
+SURELY_LESS = 0.99
+
+
+def fit_tracks(observation, law, bounds=None, is_sure=False):
+    """Fit constants and initial states to the training tracks.
+
+    Started from a wrong period, an oscillation that is fitted over many periods stays out of step
+    for good, and bodies that fly past each other closely stay on the wrong course: the nearest
+    minimum is not the least. Over a quarter of the track little is lost yet. So where much is
+    left, the quarters are fitted, then halves from where these lead, and the whole again; the
+    better one counts.
+
+    Parameters
+    ----------
+    observation : Observation
+    law : ForceLaw
+        Start values in its constants.
+    bounds : dict of str to (float, float), optional
+    is_sure : bool
+        The start values are those of a fit already: the first fit counts.
+
+    Returns
+    -------
+    RolloutFit
+    """
+
+    def fit(scenes, start, states=None):
+        return fit_rollout(
+            scenes,
+            clipped(start, bounds),
+            observation.sigma,
+            integrator=observation.integrator,
+            substeps=observation.substeps,
+            up=observation.dataset.up,
+            bounds=bounds,
+            memory=observation.memory,
+            states=states,
+        )
+
+    whole = fit(observation.segments, law)
+    if is_sure or not _is_lost(whole):
+        return whole
+    longest = max(len(scene.times) for scene in observation.segments)
+    near = whole
+    for parts in (4, 2):
+        pieces = cut_segments(observation.segments, max(longest // parts, SHORTEST_PIECE))
+        if len(pieces) == len(observation.segments):
+            continue
+        if near is whole:
+            closer = fit(pieces, law)
+        else:
+            closer = fit(pieces, near.law, _starts(near, pieces))
+        if not np.isfinite(closer.chisqr) or _is_lost(closer):
+            break
+        near = closer
+    if near is whole:
+        return whole
+    again = fit(observation.segments, near.law, _starts(near, observation.segments))
+    return again if again.chisqr < SURELY_LESS * whole.chisqr else whole
+
+
+def _is_lost(fit):
+    return not fit.chisqr <= LOST * max(fit.n_rows - fit.n_free, 1)
+
+
+def _starts(fit, scenes):
+    """Initial states of scenes or pieces from a fit to other pieces that start at the same row."""
+    found = {}
+    for batch, p, v in zip(fit.batches, fit.positions, fit.velocities, strict=True):
+        for s, scene in enumerate(batch.scenes):
+            found[_place(scene)] = (p[s], v[s])
+    return {scene.name: found[_place(scene)] for scene in scenes if _place(scene) in found}
+
+
+def _place(scene):
+    return scene.name.partition("[")[0], float(scene.times[0])
