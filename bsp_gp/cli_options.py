@@ -199,13 +199,6 @@ def _add_compare(commands):
         help="budget of a run, in scored laws (default 20000)",
     )  # fmt: skip
     group.add_argument(
-        "--bootstrap",
-        type=_integer(0, 9999),
-        metavar="N",
-        help="data sets simulated and searched at most to test a finding that is not overwhelming; "
-        "0 = none (default 99, or 1/alpha)",
-    )
-    group.add_argument(
         "--exclude", action="extend", nargs="+", default=[], metavar="INPUT",
         help="inputs that laws may not use, such as v_i (t is always one)",
     )  # fmt: skip
@@ -494,6 +487,13 @@ def _loop(parser):
         type=_number(MIN_ALPHA, 1, "[)"),
         default=0.01,
         help="level of the tests (default 0.01)",
+    )
+    group.add_argument(
+        "--bootstrap",
+        type=_integer(0, 9999),
+        metavar="N",
+        help="data sets simulated and searched at most to test a finding that is not overwhelming; "
+        "0 = none (default 99, or 1/alpha)",
     )
     group.add_argument(
         "--exclude",

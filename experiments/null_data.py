@@ -7,6 +7,7 @@ without its first test, the search and its bootstrap are run for a p-value of ev
 
 import numpy as np
 from common import options, run_jobs, save_figure, write_text
+from made_worlds import FALL, NBODY, SPRING, make_apart, world
 
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.bootstrap import bootstrap, strength
@@ -14,33 +15,24 @@ from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.preparing import observe
-from bsp_gp.simulate.synth import make, preset
 
 ALPHA = 0.01
 ALPHAS = (0.01, 0.05, 0.1, 0.2)
 MEMORY = {"white": 0.0, "memory 0.5": 0.5, "memory 0.8": 0.8}
 """Correlation of one frame's error with the next one's."""
-WORLDS = {
-    "fall": {"has_table": False, "noise": 0.005, "n_frames": 40, "dt": 0.025},
-    "spring": {"noise": 0.003, "n_frames": 50},
-    "nbody": {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1,
-              "distance": (15.0, 30.0), "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 30,
-              "dt": 0.2, "substeps": 400},
-}  # fmt: skip
-"""What is changed in the presets: smooth motion without contacts, at most 300 rows a set."""
+WORLDS = {"fall": FALL, "spring": SPRING, "nbody": {**NBODY, "n_frames": 30, "dt": 0.2}}
+"""Preset and what is changed in it: at most 300 rows a set."""
 N_SETS = 500
 QUICK_SETS = 6
 
 
 def data_set(declared, noise_kind, n_scenes, seed):
     """A data set of its declared model and nothing else."""
-    settings = preset(
-        declared, n_scenes=n_scenes, memory=MEMORY[noise_kind], is_declared=False,
-        **WORLDS[declared],
-    )  # fmt: skip
+    settings = world(
+        declared, WORLDS[declared], n_scenes=n_scenes, memory=MEMORY[noise_kind], is_declared=False
+    )
     entropy = (list(WORLDS).index(declared), list(MEMORY).index(noise_kind), n_scenes, seed)
-    dataset, truth = make(settings, np.random.default_rng(entropy))
-    return dataset, truth, entropy
+    return *make_apart(settings, entropy), entropy
 
 
 def work(declared, noise_kind, n_scenes, seed, n_bootstrap):

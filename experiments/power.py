@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from common import options, run_jobs, save_figure, write_text
+from made_worlds import FALL, MAT, NBODY, make_apart, world
 
 from bsp_gp.errors import BspError, MissingDependencyError
 from bsp_gp.language.parse import parse_formula
@@ -23,7 +24,7 @@ from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.simulate.effects import Effect, ExtraBody, effect
 from bsp_gp.simulate.engine import run_pymunk
 from bsp_gp.simulate.forces import MatFriction, PointSpring
-from bsp_gp.simulate.synth import make, preset
+from bsp_gp.simulate.synth import make
 from bsp_gp.simulate.world import point
 
 ALPHA = 0.01
@@ -34,12 +35,9 @@ SAME_FORM = 1e-5
 MOST_RIVALS = 6
 """Laws that the loop tried, of which the nearest wrong one is looked for beside the others."""
 
-FALL = {"has_table": False, "noise": 0.005, "n_frames": 40, "dt": 0.025, "n_scenes": 10,
-        "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}  # fmt: skip
-MAT = {"forces": (), "noise": 0.05, "n_frames": 40, "n_scenes": 10}
-NBODY = {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1, "distance": (15.0, 30.0),
-         "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 40, "dt": 0.15, "substeps": 100,
-         "n_scenes": 6}  # fmt: skip
+THROWN = {**FALL, "n_scenes": 10, "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}
+SLIDING = {**MAT, "n_scenes": 10}
+ORBITING = {**NBODY, "n_scenes": 6}
 POST = (1.0, 4.0)
 
 
@@ -57,16 +55,16 @@ def _named(name, **fixed):
 
 
 CASES = {
-    "linear drag": ("fall", FALL, _named("drag"), 0.02),
-    "quadratic drag": ("fall", FALL, _named("quadratic_drag"), 0.005),
-    "uniform wind": ("fall", FALL, _named("wind"), 0.02),
-    "perpendicular": ("fall", FALL, _named("perpendicular"), 0.02),
-    "magnetic": ("fall", FALL, _named("magnetic"), 0.02),
-    "spring to a point": ("fall", FALL, _spring, 0.02),
-    "periodic push": ("fall", FALL, _named("push", period=0.5), 0.05),
-    "friction on a mat": ("mat", MAT, _grip, 0.02),
-    "pair force": ("nbody", NBODY, _named("pair"), 1.0),
-    "changed exponent": ("nbody", NBODY, lambda v: _named("exponent")(2.0 + v), 0.001),
+    "linear drag": ("fall", THROWN, _named("drag"), 0.02),
+    "quadratic drag": ("fall", THROWN, _named("quadratic_drag"), 0.005),
+    "uniform wind": ("fall", THROWN, _named("wind"), 0.02),
+    "perpendicular": ("fall", THROWN, _named("perpendicular"), 0.02),
+    "magnetic": ("fall", THROWN, _named("magnetic"), 0.02),
+    "spring to a point": ("fall", THROWN, _spring, 0.02),
+    "periodic push": ("fall", THROWN, _named("push", period=0.5), 0.05),
+    "friction on a mat": ("mat", SLIDING, _grip, 0.02),
+    "pair force": ("nbody", ORBITING, _named("pair"), 1.0),
+    "changed exponent": ("nbody", ORBITING, lambda v: _named("exponent")(2.0 + v), 0.001),
 }
 """Preset, its numbers, effect of a strength, and a strength to begin with."""
 
@@ -94,15 +92,15 @@ def engine_of(name, settings):
     return run_mujoco
 
 
-def world(case, strength, rng, engine="pymunk", noise=None):
+def data_set(case, strength, seed, engine="pymunk", noise=None):
     """Data set and truth of a case."""
     name, numbers, build, _ = CASES[case]
     noise = numbers["noise"] if noise is None else noise
-    settings = preset(name, [build(strength)], **{**numbers, "noise": noise})
+    settings = world(name, numbers, [build(strength)], noise=noise)
     run = engine_of(engine, settings)
     if run is None:
         raise BspError(f"{engine} has no {case}")
-    return make(settings, rng, run)
+    return make_apart(settings, (list(CASES).index(case), seed), run)
 
 
 def seen_against(dataset, truth, extra, sigma):
@@ -119,8 +117,7 @@ def tuned(case, snr, seed, engine):
     """Strength at which the exact data of a case differ from the declared model by `snr`."""
     strength, sigma = CASES[case][3], CASES[case][1]["noise"]
     for _ in range(4):
-        rng = np.random.default_rng((list(CASES).index(case), seed))
-        dataset, truth = world(case, strength, rng, engine, noise=0.0)
+        dataset, truth = data_set(case, strength, seed, engine, noise=0.0)
         found = seen_against(dataset, truth, "", sigma)
         if abs(found / snr - 1) < 0.01:
             break
@@ -186,8 +183,7 @@ def work(case, engine, snr, seed):
     """One data set: a row."""
     strength, found, exact, truth = tuned(case, snr, seed, engine)
     exact_truth = truth
-    rng = np.random.default_rng((list(CASES).index(case), seed))
-    dataset, truth = world(case, strength, rng, engine)
+    dataset, truth = data_set(case, strength, seed, engine)
     loop_rng, observe_rng = np.random.default_rng((1, seed)).spawn(2)
     report = close_loop(dataset, truth.declared, rng=loop_rng, alpha=ALPHA, max_rounds=3)
     judge = Judge(dataset, truth)
@@ -239,7 +235,7 @@ def jobs_of(quick, seed):
     able = {}
     for case in cases:
         name, numbers, build, strength = CASES[case]
-        able[case] = engine_of("mujoco", preset(name, [build(strength)], **numbers)) is not None
+        able[case] = engine_of("mujoco", world(name, numbers, [build(strength)])) is not None
     return [(case, "mujoco" if s % 2 and able[case] else "pymunk", snr, s)
             for snr in SNRS for s in seeds for case in cases]  # fmt: skip
 

@@ -125,7 +125,7 @@ def close_loop(
     started = time.perf_counter()
     progress = progress or (lambda text: None)
     if n_bootstrap is None:
-        n_bootstrap = max(99, round(1 / alpha)) if alpha else 0
+        n_bootstrap = max(99, round(1 / alpha)) if 0 < alpha < 1 else 0
     _check(alpha, max_rounds, n_null, n_bootstrap, max_levels)
     check_guide(guide)
     declared = (declared,) if isinstance(declared, str) else declared
@@ -173,6 +173,9 @@ def close_loop(
         if not done.adopted:
             break
     progress("writing up")
+    if search.observation is not observation:  # the noise was found to have a memory
+        is_same = not any(done.adopted for done in rounds)
+        first = model if is_same else evaluate(search.observation, law)
     return _report(
         search, law, first, model, rounds, grammar, alpha, seed, final_rng, started
     )

@@ -44,6 +44,8 @@ class Entry:
         How it enters as a right-hand factor: "mul", or the grammar's division.
     ties : list of Entry
         Merged entries that are equal or proportional on the data, without their values.
+    sign : float
+        Of a tie: 1 where it is a positive multiple of the entry, -1 where a negative one.
     """
 
     formula: object
@@ -53,6 +55,7 @@ class Entry:
     value: np.ndarray
     operator: str = "mul"
     ties: list = field(default_factory=list)
+    sign: float = 1.0
 
     def family(self):
         """The entry and all that were merged into it."""
@@ -256,9 +259,10 @@ class Banks:
 
 def _remember(lead, other):
     """Note that `other` was merged into `lead`."""
+    sign = -1.0 if float(np.vdot(lead.value, other.value)) < 0 else 1.0
     for entry in other.family():
         if len(lead.ties) < MOST_TIES and entry.formula != lead.formula:
-            lead.ties.append(replace(entry, value=None, ties=[]))
+            lead.ties.append(replace(entry, value=None, ties=[], sign=sign * entry.sign))
 
 
 class _Overlay(dict):

@@ -309,7 +309,12 @@ class _Exhaustive:
             entry.levels,
             value,
             operator,
-            [replace(tie, operator=operator) for tie in entry.ties],
+            # What is guarded against divisors below zero is no multiple of its negative.
+            [
+                replace(tie, operator=operator)
+                for tie in entry.ties
+                if tie.sign > 0 or "guarded" not in operator
+            ],
         )
 
     def _two_banks(self, plans, plan):
