@@ -10,8 +10,8 @@ from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.replacing import MAX_BLUR
-from bsp_gp.loop.rounds import MIN_BIC_GAIN, Weighed, _blurred, _explained, _verdict
 from bsp_gp.loop.telling import _freed_reason, _separated_by
+from bsp_gp.loop.verdict import MIN_BIC_GAIN, Weighed, blurred, explained_share, verdict_of
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
 from bsp_gp.report.summary import summary_text
@@ -80,7 +80,7 @@ def judged(
     model = Model(ForceLaw(), declared, errors(before, before), [])
     new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
     found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left)
-    return _verdict(observation, model, new, chosen, [chosen, *others], found, p, 0.01)
+    return verdict_of(observation, model, new, chosen, [chosen, *others], found, p, 0.01)
 
 
 GOOD = attempt("drag", fit(200.0, [-0.1], [0.01]))
@@ -162,18 +162,18 @@ def test_a_term_that_blurs_another_constant_is_refused():
 
 def test_blur_is_the_growth_of_the_relative_error():
     before = fit(1.0, [10.0, 0.0], [0.1, 1.0])
-    assert _blurred(before, fit(1.0, [10.0, 0.0], [0.99 * MAX_BLUR * 0.1, 50.0])) == ""
-    assert "c1" in _blurred(before, fit(1.0, [10.0, 0.0], [1.01 * MAX_BLUR * 0.1, 50.0]))
+    assert blurred(before, fit(1.0, [10.0, 0.0], [0.99 * MAX_BLUR * 0.1, 50.0])) == ""
+    assert "c1" in blurred(before, fit(1.0, [10.0, 0.0], [1.01 * MAX_BLUR * 0.1, 50.0]))
     # Up to 3 % is sharp in any case.
-    assert _blurred(fit(1.0, [10.0], [1e-6]), fit(1.0, [10.0], [0.29])) == ""
+    assert blurred(fit(1.0, [10.0], [1e-6]), fit(1.0, [10.0], [0.29])) == ""
 
 
 def test_explained_share_is_of_what_is_above_the_floor():
-    assert _explained(Noisy, errors(5.0), errors(3.0), errors(3.0)) == 1.0
-    assert _explained(Noisy, errors(5.0), errors(5.0), errors(3.0)) == 0.0
-    assert _explained(Noisy, errors(5.0), errors(4.0), errors(3.0)) == pytest.approx(9 / 16)
-    assert _explained(Noisy, errors(3.0), errors(1.0), errors(3.0)) == 0.0
-    assert _explained(Exact, errors(9, 2.0), errors(9, 1.0), errors(9)) == pytest.approx(0.75)
+    assert explained_share(Noisy, errors(5.0), errors(3.0), errors(3.0)) == 1.0
+    assert explained_share(Noisy, errors(5.0), errors(5.0), errors(3.0)) == 0.0
+    assert explained_share(Noisy, errors(5.0), errors(4.0), errors(3.0)) == pytest.approx(9 / 16)
+    assert explained_share(Noisy, errors(3.0), errors(1.0), errors(3.0)) == 0.0
+    assert explained_share(Exact, errors(9, 2.0), errors(9, 1.0), errors(9)) == pytest.approx(0.75)
 
 
 def test_the_size_of_a_changed_number_is_told_in_percent():
