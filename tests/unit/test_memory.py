@@ -1,0 +1,115 @@
+"""Noise with a memory beside a law, and findings tested by the whole search on simulated data."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.bootstrap import ENOUGH, LEAST, _decided, _tail, bootstrap, strength
+from bsp_gp.loop.close import close_loop, declared_law
+from bsp_gp.loop.effects import EffectSearch
+from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
+from bsp_gp.loop.preparing import observe
+from tests.worlds import WEIGHT, flights, linear_drag, nothing, red_noise
+
+STEP = 0.05
+TRUE = -STEP / math.log(0.8)  # of red_noise
+
+
+def searching(dataset, max_levels=4):
+    law = declared_law(dataset, [WEIGHT])
+    observation = observe(dataset, law, np.random.default_rng(0), sources=False)
+    search = EffectSearch(observation, load_grammar("physics"), max_levels, n_null=99)
+    return search, observation.fit(law)
+
+
+def test_the_memory_of_red_noise_is_found_and_that_of_white_noise_is_none():
+    found = []
+    for seed in range(6):
+        assert estimate_memory(*searching(flights(seed, nothing))).memory == 0
+        noise = estimate_memory(*searching(flights(seed, nothing, noise=red_noise)))
+        found.append(noise.memory)
+        assert noise.gain > 50
+    assert np.mean(found) == pytest.approx(TRUE, rel=0.15)
+
+
+def test_a_law_is_not_taken_for_memory():
+    search, fit = searching(flights(0, linear_drag))
+    assert estimate_memory(search, fit).memory > 0  # the drag itself, where nothing may explain it
+    new, _, proposals = search_with_memory(search, fit, np.random.default_rng(1))
+    assert new.observation.memory == 0
+    assert "norm(v_i)" in proposals.shortlist[0].text()
+
+
+def test_a_declared_memory_is_believed():
+    dataset = replace(flights(0, nothing, noise=red_noise), noise_memory=TRUE)
+    search, fit = searching(dataset)
+    assert search.observation.memory == TRUE and not search.observation.may_have_memory
+    new, _, _ = search_with_memory(search, fit, np.random.default_rng(1))
+    assert new is search
+
+
+def test_red_noise_is_told_and_nothing_adopted():
+    report = close_loop(
+        flights(1, nothing, noise=red_noise), [WEIGHT], rng=np.random.default_rng(0), max_levels=4,
+        n_null=99,
+    )  # fmt: skip
+    (done,) = report.rounds
+    assert (done.adopted, done.verdict) == (False, "cannot tell")
+    assert "memory" in done.reason
+    assert report.noise["memory_s"] == pytest.approx(TRUE, rel=0.5)
+    assert report.total["ratio"].value == 1
+
+
+def test_memory_widens_what_is_estimated():
+    dataset = replace(flights(0, nothing, noise=red_noise), noise=(0.02,))
+    law = declared_law(dataset, ["g * m_i * down"])
+    white = observe(dataset, law, np.random.default_rng(0), sources=False)
+    red = with_memory(white, TRUE)
+    assert red.fit(law).intervals[0] > 1.5 * white.fit(law).intervals[0]
+
+
+# --- bootstrap ------------------------------------------------------------------------------------
+
+
+def test_it_stops_when_enough_findings_are_as_strong():
+    strengths = [5.0] * ENOUGH
+    done = _decided(strengths, 0, 4.0, 0.01, 99)
+    assert done.p_value == 1 and done.n_done == ENOUGH
+    assert _decided(strengths[:-1], 0, 4.0, 0.01, 99) is None
+
+
+def test_it_stops_when_none_comes_near():
+    strengths = list(np.random.default_rng(0).gumbel(3.0, 1.0, LEAST))
+    far = _decided(strengths, 0, 40.0, 0.01, 99)
+    assert far.is_extrapolated and far.p_value < 1e-6
+    assert _decided(strengths, 0, max(strengths) + 0.5, 0.01, 99) is None
+    assert _decided(strengths[:-1], 0, 40.0, 0.01, 99) is None
+    assert _decided([*strengths[:-1], math.inf], 1, 40.0, 0.01, 99) is None
+
+
+def test_the_tail_is_never_too_thin():
+    assert _tail(np.full(19, 2.0), 12.0) > math.exp(-11)
+    draws = np.random.default_rng(1).gumbel(0.0, 1.0, (4000, 19))
+    at = -math.log(-math.log1p(-0.001))  # exceeded by one in a thousand
+    assert np.mean([_tail(d, at) for d in draws] < np.float64(0.001)) < 0.1
+
+
+def test_the_answer_does_not_depend_on_workers():
+    search, fit = searching(flights(3, nothing, n_train=3, n_test=1), max_levels=3)
+    _, _, proposals = search_with_memory(search, fit, np.random.default_rng(0), n_null=0)
+    alone = bootstrap(search, fit, strength(proposals), np.random.default_rng(5))
+    with ThreadPoolExecutor(2) as pool:
+        shared = bootstrap(search, fit, strength(proposals), np.random.default_rng(5), workers=pool)
+    assert alone == shared
+    assert 0 < alone.p_value <= 1 and "simulated data sets" in alone.text()
+
+
+def test_a_real_effect_is_beyond_what_is_simulated():
+    search, fit = searching(flights(0, linear_drag, n_train=3, n_test=1), max_levels=3)
+    _, _, proposals = search_with_memory(search, fit, np.random.default_rng(0), n_null=0)
+    found = bootstrap(search, fit, strength(proposals), np.random.default_rng(5), n_max=LEAST + 5)
+    assert found.p_value < 0.01 and found.is_extrapolated and found.n_as_strong == 0
