@@ -8,7 +8,7 @@ from dataclasses import replace
 from bsp_gp.loop.attempts import attempts_of, choose, evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.guide import guided, ordered
-from bsp_gp.loop.memory import search_with_memory
+from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
@@ -82,7 +82,10 @@ def run_round(
         missing = examine_residual(observation, fit, alpha)
         if not missing.is_missing:
             floor, _ = observation.floor(model.law, floor_rng)
-            done = _noise_round(number, observation, missing, model, floor, started)
+            if observation.memory:
+                done = _noise_round(number, observation, missing, model, floor, started)
+            else:
+                done = _quiet_round(number, missing, model, floor, started)
             return replace(done, trace=trace), model, search.whole or search
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
@@ -156,7 +159,26 @@ def run_round(
         trace=trace,
         guidance=guidance,
     )
-    return done, (after if adopted else model), search.whole or search
+    search = search.whole or search
+    if not adopted:
+        return done, model, search
+    return done, *_without_spurious_memory(after, search)
+
+
+def _without_spurious_memory(model, search):
+    """Model and search under white noise, if the adopted law leaves no trace of a memory.
+
+    What a search sees of a strong effect, evaluated along a track that lacks it, looks like noise
+    with a memory.
+    """
+    observation = search.observation
+    if not (observation.memory and observation.may_have_memory):
+        return model, search
+    noise = estimate_memory(search, model.fit)
+    if noise.memory:
+        return model, search
+    search = search.on(with_memory(observation, 0.0, noise.factor))
+    return evaluate(search.observation, model.law), search
 
 
 def _along_the_best(observation, model, search, chosen, attempts, rng, workers):

@@ -52,7 +52,9 @@ class Weighed(NamedTuple):
 
 def weigh(observation, model, after, floor, ratio, alpha):
     """What held-out tracks and the residual say of a model with one more term, as `Weighed`."""
-    is_left = observation.is_exact or examine_residual(observation, after.fit, alpha).is_missing
+    # A memory that was estimated takes up what a term leaves: then only errors can tell.
+    is_blind = observation.is_exact or (observation.memory > 0 and observation.may_have_memory)
+    is_left = is_blind or examine_residual(observation, after.fit, alpha).is_missing
     return Weighed(floor, ratio, observation.held_out_gain(model.law, after.law), is_left)
 
 

@@ -41,9 +41,10 @@ def test_twenty_predictions(reports):
     assert all(end is not None for end in ends)
     assert np.median(ends) <= 1.2
     assert np.mean(ends) <= 1.2
-    # Gravity alone, from the README: an independent fit.
-    assert np.median(before) == pytest.approx(6.10, abs=0.1)
-    assert np.mean(before) == pytest.approx(7.34, abs=0.1)
+    # Gravity alone, from the README: an independent fit, initial states under white noise. Here
+    # the noise has a memory, and they differ a little.
+    assert np.median(before) == pytest.approx(6.10, abs=0.2)
+    assert np.mean(before) == pytest.approx(7.34, abs=0.2)
 
 
 def test_the_form_is_chosen_on_training_alone(reports):

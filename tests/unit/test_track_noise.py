@@ -95,7 +95,9 @@ def test_log_scale_is_the_determinant_of_the_whitening():
 
 def test_a_declared_memory_is_read_in_the_units_of_the_data_and_written(tmp_path):
     (tmp_path / "trajectories.csv").write_text("t,x,y\n0,0,0\n10,1,2\n20,2,5\n30,3,9\n")
-    (tmp_path / "dataset.toml").write_text('noise_memory = 40\n[units]\ntime = "ms"\nlength = "m"\n')
+    (tmp_path / "dataset.toml").write_text(
+        'noise_memory = 40\n[units]\ntime = "ms"\nlength = "m"\n'
+    )
     dataset = load_dataset(tmp_path)
     assert dataset.noise_memory == pytest.approx(0.04)
     save_dataset(dataset, tmp_path / "again")
