@@ -17,7 +17,7 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.preparing import observe
-from bsp_gp.loop.rounds import MIN_BIC_GAIN, MIN_SHARE
+from bsp_gp.loop.verdict import MIN_BIC_GAIN, MIN_SHARE
 from bsp_gp.units import UnitSystem
 
 DECLARED = (

@@ -14,7 +14,7 @@ from bsp_gp.loop.replacing import blurred_constants, in_place_of_declared, refut
 from bsp_gp.loop.residual import examine_residual
 
 __all__ = [
-    "FREED", "MIN_BIC_GAIN", "Weighed", "blurred", "explained_share", "number_wins",
+    "FREED", "MIN_BIC_GAIN", "MIN_SHARE", "Weighed", "blurred", "explained_share", "number_wins",
     "put_in_place", "verdict_of", "weigh",
 ]  # fmt: skip
 
