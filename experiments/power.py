@@ -244,8 +244,9 @@ def summary(table):
     """Rates of each effect."""
     lines = [
         "# Undeclared effects: detected, named, measured\n",
-        "Single name: adopted and the class is one. Wrong name: adopted, another form.\n",
-        "| effect | sets | SNR | rival SNR | detected | adopted | named | in class | wrong name "
+        "Named: the right form is adopted. In class: it is among the laws that are reported as not "
+        "to be told apart. Wrong: another form is adopted, and the right one is not in its class.\n",
+        "| effect | sets | SNR | rival SNR | detected | adopted | named | in class | wrong "
         "| covered (90 %) | ratio to oracle: median, 90 % |",
         "|---" * 11 + "|",
     ]
@@ -253,7 +254,7 @@ def summary(table):
         covered = part["covered"].dropna().astype(str)
         covered = covered[covered != ""]
         ratio = part["rollout_ratio_to_oracle"].dropna()
-        wrong = part["adopted"] & ~part["named"]
+        wrong = part["adopted"] & ~part["in_class"]
         cells = [
             name, len(part), f"{part['snr'].median():.1f}", f"{part['snr_rival'].median():.1f}",
             *(f"{part[c].mean():.0%}" for c in ("detected", "adopted", "named", "in_class")),
@@ -273,9 +274,11 @@ def figure(table):
     """Verdicts of each effect as stacked bars."""
     import matplotlib.pyplot as plt
 
-    kinds = {"right form": "#009e73", "other form": "#d55e00", "cannot tell": "#e69f00",
-             "seen, not adopted": "#cccccc", "nothing missing": "#555555"}  # fmt: skip
-    verdict = table["verdict"].where(~table["adopted"], "other form")
+    kinds = {"right form": "#009e73", "right in class": "#56b4e9", "wrong": "#d55e00",
+             "cannot tell": "#e69f00", "seen, not adopted": "#cccccc",
+             "nothing missing": "#555555"}  # fmt: skip
+    verdict = table["verdict"].where(~table["adopted"], "wrong")
+    verdict = verdict.where(~(table["adopted"] & table["in_class"]), "right in class")
     verdict = verdict.where(~table["named"], "right form")
     names = list(dict.fromkeys(table["effect"]))
     fig, ax = plt.subplots(figsize=(7, 0.4 * len(names) + 1.3), layout="constrained")
@@ -287,7 +290,7 @@ def figure(table):
     ax.invert_yaxis()
     ax.set(xlabel="share of data sets", xlim=(0, 1))
     ax.spines[["top", "right"]].set_visible(False)
-    fig.legend(loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    fig.legend(loc="outside upper center", ncols=6, fontsize=8, frameon=False)
     return fig
 
 
