@@ -245,7 +245,7 @@ def summary(table):
     lines = [
         "# Undeclared effects: detected, named, measured\n",
         "Named: the right form is adopted. In class: it is among the laws that are reported as not "
-        "to be told apart. Wrong: another form is adopted, and the right one is not in its class.\n",
+        "to be told apart. Wrong: another form is adopted, the right one is not in its class.\n",
         "| effect | sets | SNR | rival SNR | detected | adopted | named | in class | wrong "
         "| covered (90 %) | ratio to oracle: median, 90 % |",
         "|---" * 11 + "|",
