@@ -17,10 +17,6 @@ SHORTEST_PIECE = 16
 """Rows."""
 
 
-APART = 0.02
-"""Relative difference of a constant from which the whole tracks are fitted again."""
-
-
 SURELY_LESS = 0.99
 
 

@@ -128,7 +128,7 @@ def verdict_of(observation, model, after, chosen, attempts, found, p_value, alph
             "seen, not adopted",
             (f"beside it {blur}: these data hardly tell the two terms apart"),
         )
-    if not observation.is_exact and (not held_out > 0 or ratio.low > 1):
+    if not observation.is_exact and (not held_out > 0 or not ratio.low <= 1):
         return (
             False,
             "seen, not adopted",

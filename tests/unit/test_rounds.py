@@ -100,6 +100,7 @@ def test_what_passes_every_test_is_adopted():
         ({"after": 8.0}, "seen, not adopted", "removes only 36%"),
         ({"after": 12.0}, "seen, not adopted", "removes only 0%"),
         ({"ratio": (1.5, 1.1, 2.0)}, "seen, not adopted", "has the ratio 1.50"),
+        ({"ratio": (0.5, np.nan, np.nan)}, "seen, not adopted", "do not confirm it"),
         ({"held_out": -3.0}, "seen, not adopted", "chi-squared falls by -3"),
         ({"held_out": np.nan}, "seen, not adopted", "held-out tracks do not confirm it"),
         ({"before": 0.05}, "seen, not adopted", "removes only 0%"),
