@@ -4,7 +4,7 @@ The curves of data_efficiency.py by cross-entropy search with the grammar of New
 and without translation invariance, without units, without either; the same budget for all.
 """
 
-from common import options, reference_data, run_jobs, save_figure, write_text
+from common import options, reference_data, run_jobs, write_study
 from data_efficiency import (
     TEST,
     figure,
@@ -47,10 +47,7 @@ def main():
             for prior in GRAMMARS]  # fmt: skip
     table = run_jobs(jobs, work, args.out, args.workers).rename(columns={"method": "prior"})
     text = summary(table, "Priors of the grammar", "prior")
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table, "prior", COLOURS), args.out / "ablation.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(text, figure(table, "prior", COLOURS), args.out, "ablation")
 
 
 if __name__ == "__main__":

@@ -59,6 +59,25 @@ def save_figure(figure, path):
     os.replace(part, path)
 
 
+def write_study(text, figure, out, name):
+    """Print the summary of a study, and write it and the figure beside the table.
+
+    Parameters
+    ----------
+    text : str
+        Markdown.
+    figure : Figure
+    out : Path
+        The folder of `run_jobs`.
+    name : str
+        Of the figure.
+    """
+    print(text)
+    write_text(text, out / "summary.md")
+    save_figure(figure, out / f"{name}.png")
+    print(f"table, figure and summary: {out}")
+
+
 def run_jobs(jobs, work, out, workers):
     """Do jobs that are not yet in the table, and return the rows of all.
 

@@ -7,7 +7,7 @@ on fresh scenes; regret is taken against the certified optimum of the exhaustive
 import functools
 
 import numpy as np
-from common import options, reference_data, run_jobs, save_figure, write_text
+from common import options, reference_data, run_jobs, write_study
 from scenes import LAWS, is_true, noisy_scenes, scenario
 
 from bsp_gp.language.grammar import load_grammar
@@ -213,11 +213,7 @@ def figure(table):
 def main():
     args = options(__doc__.splitlines()[0])
     table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
-    text = summary(table)
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table), args.out / "compare_searches.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(summary(table), figure(table), args.out, "compare_searches")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ same table has room for other methods.
 """
 
 import numpy as np
-from common import options, reference_data, run_jobs, save_figure, write_text
+from common import options, reference_data, run_jobs, write_study
 from scenes import is_true, scenario
 
 from bsp_gp.language.grammar import load_grammar
@@ -160,10 +160,7 @@ def main():
     reference_data("synth")
     table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
     text = summary(table, "Error against the number of training scenes")
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table), args.out / "data_efficiency.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(text, figure(table), args.out, "data_efficiency")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ the whole track.
 import functools
 
 import numpy as np
-from common import options, reference_data, run_jobs, save_figure, write_text
+from common import options, reference_data, run_jobs, write_study
 from scenes import LAWS, is_true, noisy_scenes, scenario
 
 from bsp_gp.data.noise import estimate_noise
@@ -304,11 +304,7 @@ def figure(table):
 def main():
     args = options(__doc__.splitlines()[0])
     table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
-    text = summary(table)
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table), args.out / "noise_limits.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(summary(table), figure(table), args.out, "noise_limits")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ without its first test, the search and its bootstrap are run for a p-value of ev
 """
 
 import numpy as np
-from common import options, run_jobs, save_figure, write_text
+from common import options, run_jobs, write_study
 from made_worlds import FALL, NBODY, SPRING, make_apart, world
 
 from bsp_gp.language.grammar import load_grammar
@@ -114,11 +114,7 @@ def figure(table):
 def main():
     args = options(__doc__.splitlines()[0])
     table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
-    text = summary(table)
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table), args.out / "null_data.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(summary(table), figure(table), args.out, "null_data")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ nearest wrong effect, refitted. Both come from the truth of the generator.
 from dataclasses import replace
 
 import numpy as np
-from common import options, run_jobs, save_figure, write_text
+from common import options, run_jobs, write_study
 from made_worlds import FALL, MAT, NBODY, make_apart, world
 
 from bsp_gp.errors import BspError, MissingDependencyError
@@ -297,11 +297,7 @@ def figure(table):
 def main():
     args = options(__doc__.splitlines()[0])
     table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
-    text = summary(table)
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(table), args.out / "power.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(summary(table), figure(table), args.out, "power")
 
 
 if __name__ == "__main__":
