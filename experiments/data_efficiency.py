@@ -145,7 +145,8 @@ def figure(table, column="method", colours=COLOURS):
                 free = part["nrmse_test_free"].clip(lower=1e-12).groupby(part["n_scenes"]).median()
                 ax.plot(free.index + aside, free, ":", color=colours[method])
             ax.fill_between(error.median().index + aside, error.quantile(0.25),
-                            error.quantile(0.75), color=colours[method], alpha=0.2, lw=0)  # fmt: skip
+                            error.quantile(0.75), color=colours[method],
+                            alpha=0.2, lw=0)  # fmt: skip
         ax.set(title=name.upper(), yscale="log", xlabel="training scenes", ylim=(4e-13, None),
                xticks=sorted(set(mine["n_scenes"])))  # fmt: skip
         ax.spines[["top", "right"]].set_visible(False)
