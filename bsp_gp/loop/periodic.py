@@ -2,7 +2,8 @@
 
 Time is no input of the search for laws, since nearly anything can be said with it. One thing is
 worth a look of its own: the same push on every body, back and forth along an axis with one period.
-Frequencies are tried one by one; the p-value counts how many there were.
+Frequencies are tried one by one, beside arcs of every track, which any slow force leaves; the
+p-value counts how many there were.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, Input, product
 from bsp_gp.language.operators import Type
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.arcs import orthonormal_rows, polynomials
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
@@ -25,8 +27,10 @@ from bsp_gp.units import Unit
 __all__ = ["Rhythm", "periodic_attempts", "rhythm_of"]
 
 MOST_FREQUENCIES = 200
-SLOWEST = 1.5
+SLOWEST = 2.0
 """Periods that the longest track must hold: a slower push is an arc like any other."""
+ARC = 3
+"""Degree of the polynomials of time that are taken out of every track."""
 FASTEST = 5
 """Frames that a period must hold."""
 AXIS_LEVEL = 0.01
@@ -125,8 +129,9 @@ def _stacked(observation, whole, blocks, frequencies):
             moved[:, axis, 0, ..., axis] = np.cos(phase)[..., None]
             moved[:, axis, 1, ..., axis] = np.sin(phase)[..., None]
         moved = noise.whiten(moved.reshape(-1, *noise.seen.shape))
+        arcs = polynomials(batch, noise, ARC)
         for s in range(len(flat)):
-            q = _basis(by_state[s])
+            q = orthonormal_rows(np.concatenate([by_state[s], arcs[:, s]]))
             mine = np.ascontiguousarray(moved[:, :, s]).reshape(len(moved), -1)
             residuals.append(flat[s] - (q @ flat[s]) @ q)
             constants.append(by_constant[s] - (by_constant[s] @ q.T) @ q)
@@ -134,15 +139,6 @@ def _stacked(observation, whole, blocks, frequencies):
     waves = np.concatenate(waves, axis=1)
     shape = (len(frequencies), -1, 2, waves.shape[1])
     return np.concatenate(residuals), np.concatenate(constants, axis=1), waves.reshape(shape)
-
-
-def _basis(rows):
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
-    rows = rows[sizes[:, 0] > 0] / sizes[sizes[:, 0] > 0]
-    if not len(rows):
-        return rows
-    _, values, q = np.linalg.svd(rows, full_matrices=False)
-    return q[values > 1e-10 * values[0]]
 
 
 def _explained(rows, residual):
@@ -201,7 +197,9 @@ def _attempt(observation, model, rhythm, per_mass):
         return None
     if not np.isfinite(fit.chisqr):
         return None
-    period = 2 * np.pi / abs(fit.law.constants[frequency])
+    period = 2 * np.pi / abs(fit.law.constants[frequency] or 1e-300)
+    if not 0.5 < period / (2 * np.pi / rhythm.frequency) < 2:
+        return None  # the fit has gone elsewhere: no push with the period that was seen
     unit = observation.dataset.units.text(Unit.of(s=1))
     return Attempt(
         fit.law, fit, PRIOR_NATS, f"a push with a period of {period:.3g} {unit}",

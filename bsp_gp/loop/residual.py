@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from bsp_gp.loop.arcs import orthonormal_rows, polynomials, scaled_rows
 from bsp_gp.loop.outcome import Missing
 from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
@@ -91,20 +92,12 @@ def _smooth_parts(observation, whole, blocks):
     square, dof = np.zeros(len(DEGREES)), np.zeros(len(DEGREES), dtype=int)
     for batch, block in zip(whole.batches, blocks, strict=True):
         noise = TrackNoise(batch, observation.sigma, observation.memory)
-        time = np.nan_to_num(batch.times - np.nanmin(batch.times, axis=0))
-        time = 2 * time / np.maximum(time.max(axis=0), 1e-300) - 1
-        powers = np.moveaxis(np.polynomial.legendre.legvander(time, DEGREES[-1]), -1, 0)
-        n_scenes, n_receivers, n_dims = noise.seen.shape[1:]
-        columns = np.zeros((n_receivers, n_dims, DEGREES[-1] + 1, *noise.seen.shape))
-        for r, axis in np.ndindex(n_receivers, n_dims):
-            columns[r, axis, :, :, :, r, axis] = powers
-        columns = noise.whiten(columns).reshape(-1, *noise.seen.shape)
-        degrees = np.tile(np.arange(DEGREES[-1] + 1), n_receivers * n_dims)
+        columns = polynomials(batch, noise, DEGREES[-1])
+        degrees = np.tile(np.arange(DEGREES[-1] + 1), len(columns) // (DEGREES[-1] + 1))
         for s, (residual, *taken) in enumerate(zip(*block, strict=True)):
-            mine = columns[:, :, s].reshape(len(columns), -1)
-            known = _orthonormal_rows(np.concatenate(taken))
+            known = orthonormal_rows(np.concatenate(taken))
             for k, degree in enumerate(DEGREES):
-                basis = _beside(mine[degrees <= degree], known)
+                basis = _beside(columns[degrees <= degree, s], known)
                 square[k] += float(np.square(basis @ residual).sum())
                 dof[k] += len(basis)
     return [(d, *both) for d, *both in zip(DEGREES, square, dof, strict=True) if both[1]]
@@ -112,28 +105,12 @@ def _smooth_parts(observation, whole, blocks):
 
 def _beside(rows, q):
     """Orthonormal basis of what rows (k, n) span beyond the orthonormal rows `q`."""
-    rows = _scaled(rows)
+    rows = scaled_rows(rows)
     if not len(rows):
         return rows
     rows = rows - (rows @ q.T) @ q
     _, values, basis = np.linalg.svd(rows, full_matrices=False)
     return basis[values > 1e-6]
-
-
-def _orthonormal_rows(rows):
-    """Orthonormal basis of what rows (k, n) span, shape (m, n)."""
-    rows = _scaled(rows)
-    if not len(rows):
-        return rows
-    _, values, q = np.linalg.svd(rows, full_matrices=False)
-    return q[values > 1e-10 * values[0]]
-
-
-def _scaled(rows):
-    """The rows that are not zero, at unit length."""
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
-    known = np.isfinite(sizes[:, 0]) & (sizes[:, 0] > 0)
-    return rows[known] / sizes[known]
 
 
 def _noise_dof(observation):
@@ -163,7 +140,7 @@ def _ljung_box_of_tracks(whole, blocks, lags=LAGS):
     for errors, (_, _, by_state) in zip(whole.whitened, blocks, strict=True):
         n_times, n_segments = errors.shape[:2]
         for s in range(n_segments):
-            basis = _orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
+            basis = orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
             moments = _taken_by_state(basis, errors[:, s].reshape(n_times, -1) != 0, lags)
             mean, covariance = mean + moments[0], covariance + moments[1]
     return _pooled_ljung_box(whole.whitened, whole.n_rows - whole.n_free, lags, mean, covariance)
