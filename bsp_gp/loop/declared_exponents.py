@@ -23,7 +23,7 @@ from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["exponent_attempts"]
+__all__ = ["changed_exponents", "exponent_attempts"]
 
 PRIOR_NATS = 3.0
 """Complexity of a changed exponent: as likely beforehand as the simplest laws of a grammar."""
@@ -53,6 +53,22 @@ def exponent_attempts(observation, model):
                 for with_number in (False,) if term.formula.constants else (False, True):
                     out.append(_attempt(observation, model, index, base, power, with_number))
     return [attempt for attempt in out if attempt is not None]
+
+
+def changed_exponents(observation, law):
+    """What a small change of each exponent adds to the declared terms: (text of base, Term).
+
+    The derivative of a term by its exponent, at a typical value: the term times log(x / x0).
+    """
+    for term in law.terms:
+        if term.is_declared:
+            for base, _ in _powers(term.formula):
+                typical = _typical(observation, law, term, base)
+                if typical is not None:
+                    ratio = Call("div", base, Number(typical, base.type.unit))
+                    yield to_text(base), Term(
+                        Call("mul", Call("log", ratio), term.formula), term.kind
+                    )
 
 
 def _powers(formula):

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from bsp_gp.loop.arcs import orthonormal_rows, polynomials, scaled_rows
+from bsp_gp.loop.directed import directed_test
 from bsp_gp.loop.outcome import Missing
 from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
@@ -29,8 +30,9 @@ def examine_residual(observation, fit, alpha):
 
     Tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
     noise level, an F test against an estimated one, whose own uncertainty counts), its
-    autocorrelation along tracks (Ljung-Box), and on noisy data the size of its smooth part, in
-    which forces are and noise hardly is, for three degrees of smoothness.
+    autocorrelation along tracks (Ljung-Box); on noisy data also the size of its smooth part, in
+    which forces are and noise hardly is, for three degrees of smoothness, its part along common
+    effects, and the best of all periods.
 
     Parameters
     ----------
@@ -57,16 +59,20 @@ def examine_residual(observation, fit, alpha):
     smooth = [] if fit.whole is None else _smooth_parts(observation, fit.whole, blocks)
     for degree, square, n in smooth:
         tests[f"smooth part, degree {degree}"] = _p_of_size(square, n, n_noise)
-    rhythm = None
+    rhythm, n_effects = None, 0
     if fit.whole is not None:
-        rhythm = rhythm_of(observation, fit.whole, blocks, partial(_p_of_size, n_noise=n_noise))
+        p_of_size = partial(_p_of_size, n_noise=n_noise)
+        rhythm = rhythm_of(observation, fit.whole, blocks, p_of_size)
+        name, p, n_effects = directed_test(observation, fit, blocks, p_of_size)
+        if name:
+            tests[f"common effects ({name})"] = p
     if rhythm is not None:
         tests["a period"] = rhythm.p_value
     p_value = min(1.0, len(tests) * min(tests.values()))
     return Missing(
         statistic=size,
         p_value=p_value,
-        detectable=_detectable(observation, fit, alpha / len(tests), smooth),
+        detectable=_detectable(observation, fit, alpha / len(tests), n_effects),
         detectable_unit=observation.dataset.units.text(ACCELERATION),
         tests=tests,
         is_missing=bool(p_value <= alpha),
@@ -187,14 +193,14 @@ def _pooled_ljung_box(parts, n, lags, mean=0.0, covariance=0.0):
     return float(stats.chi2.sf(float(z @ np.linalg.pinv(spread) @ z), lags))
 
 
-def _detectable(observation, fit, alpha, smooth):
+def _detectable(observation, fit, alpha, n_effects):
     """Smallest uniform acceleration that would have been seen with 95 % power at level `alpha`.
 
-    All of it is in the smooth parts. Along the worst axis on which anything moves, after the law's
-    own constants are refitted.
+    On whole tracks it is one of the common effects that are looked for. Along the worst axis on
+    which anything moves, after the law's own constants are refitted.
     """
     regression = observation.train_regression
-    needed = _needed(observation, fit, alpha, smooth)
+    needed = _needed(observation, fit, alpha, n_effects)
     q = (
         np.linalg.qr(_live(fit.jacobian))[0]
         if fit.jacobian.size
@@ -219,15 +225,15 @@ def _detectable(observation, fit, alpha, smooth):
     return worst if worst else float("nan")
 
 
-def _needed(observation, fit, alpha, smooth):
-    """Whitened sum of squares that the tests of size, which know no direction, see with 95 %."""
+def _needed(observation, fit, alpha, n_effects):
+    """Whitened sum of squares that is seen with 95 %, in one direction of several or in all."""
     from scipy import optimize, stats
 
     whole = fit.whole
     n_rows = whole.n_rows - whole.n_free if whole else observation.train_regression.n_rows
     dof, n_noise = max(n_rows, 1), _noise_dof(observation)
-    if smooth:
-        dof = min(n for _, _, n in smooth)
+    if n_effects:
+        dof, alpha = 1, alpha / n_effects
     bar = stats.chi2.isf(alpha, dof)
     if np.isfinite(n_noise):
         # The level may have been estimated too high, by as much as its own error.
