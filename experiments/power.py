@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from common import options, run_jobs, write_study
 from made_worlds import FALL, MAT, NBODY, make_apart, world
+from scipy.optimize import least_squares
 
 from bsp_gp.errors import BspError, MissingDependencyError
 from bsp_gp.language.parse import parse_formula
@@ -20,7 +21,7 @@ from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.preparing import observe
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.physics.shooting import fit_rollout
+from bsp_gp.physics.shooting import fit_rollout, parameter_list
 from bsp_gp.simulate.effects import Effect, ExtraBody, effect
 from bsp_gp.simulate.engine import run_pymunk
 from bsp_gp.simulate.forces import MatFriction, PointSpring
@@ -39,6 +40,8 @@ THROWN = {**FALL, "n_scenes": 10, "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}
 SLIDING = {**MAT, "n_scenes": 10}
 ORBITING = {**NBODY, "n_scenes": 6}
 POST = (1.0, 4.0)
+PERIOD = 0.5
+PUSH = "a * cos(w * t + f) * e_x"
 
 
 def _spring(value):
@@ -61,13 +64,14 @@ CASES = {
     "perpendicular": ("fall", THROWN, _named("perpendicular"), 0.02),
     "magnetic": ("fall", THROWN, _named("magnetic"), 0.02),
     "spring to a point": ("fall", THROWN, _spring, 0.02),
-    "periodic push": ("fall", THROWN, _named("push", period=0.5), 0.05),
+    "periodic push": ("fall", THROWN, _named("push", period=PERIOD), 0.05),
     "friction on a mat": ("mat", SLIDING, _grip, 0.02),
     "pair force": ("nbody", ORBITING, _named("pair"), 1.0),
     "changed exponent": ("nbody", ORBITING, lambda v: _named("exponent")(2.0 + v), 0.001),
 }
 """Preset, its numbers, effect of a strength, and a strength to begin with."""
 
+GRAVITY = "G * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 LAWS = {
     "linear drag": "c * v_i", "quadratic drag": "c * norm(v_i) * v_i", "uniform wind": "c * e_x",
     "perpendicular": "c * perp(v_i)", "magnetic": "c * charge_i * perp(v_i)",
@@ -77,6 +81,11 @@ LAWS = {
     "friction": "c * m_i * normalize(v_i)",
 }  # fmt: skip
 """What may be taken for an effect, where the data have what it names."""
+
+
+def declared_of(case, truth):
+    """The declared laws. An exponent is only wrong where the strength does not have to make up."""
+    return (GRAVITY,) if case == "changed exponent" else truth.declared
 
 
 def engine_of(name, settings):
@@ -103,9 +112,9 @@ def data_set(case, strength, seed, engine="pymunk", noise=None):
     return make_apart(settings, (list(CASES).index(case), seed), run)
 
 
-def seen_against(dataset, truth, extra, sigma):
+def seen_against(dataset, declared, extra, sigma):
     """SNR of exact positions against the declared model, or it and one more law."""
-    law = declared_law(dataset, truth.declared)
+    law = declared_law(dataset, declared)
     if extra:
         formula = parse_formula(extra, dataset_types(dataset), units=dataset.units)
         law = law.plus(Term(formula), dict.fromkeys(formula.constants, 0.0))
@@ -118,7 +127,7 @@ def tuned(case, snr, seed, engine):
     strength, sigma = CASES[case][3], CASES[case][1]["noise"]
     for _ in range(4):
         dataset, truth = data_set(case, strength, seed, engine, noise=0.0)
-        found = seen_against(dataset, truth, "", sigma)
+        found = seen_against(dataset, declared_of(case, truth), "", sigma)
         if abs(found / snr - 1) < 0.01:
             break
         strength *= snr / found
@@ -128,12 +137,12 @@ def tuned(case, snr, seed, engine):
 def rival_of(case, dataset, truth, tried=()):
     """SNR against the nearest wrong effect or law that the loop tried, and its name."""
     best, sigma = ("", np.inf), CASES[case][1]["noise"]
-    judge = Judge(dataset, truth)
+    judge = Judge(dataset, truth, declared_of(case, truth))
     texts = {name: text for name, text in LAWS.items() if name != case}
     wrong = [law for law in dict.fromkeys(tried) if not judge.is_form(law)]
     for name, text in {**texts, **dict(zip(wrong, wrong, strict=True))}.items():
         try:
-            value = seen_against(dataset, truth, text, sigma)
+            value = seen_against(dataset, declared_of(case, truth), text, sigma)
         except BspError:  # the data have not what it names
             continue
         best = min(best, (name, value), key=lambda item: item[1])
@@ -143,40 +152,56 @@ def rival_of(case, dataset, truth, tried=()):
 class Judge:
     """Compares laws with what was undeclared, along the true motion."""
 
-    def __init__(self, dataset, truth):
-        self.dataset = dataset
+    def __init__(self, dataset, truth, declared):
+        from bsp_gp.physics.bodies import stack
+
+        self.dataset, self.declared = dataset, declared_law(dataset, declared)
         scenes = [truth.scene(k) for k in range(len(truth.scenes))]
-        self.scenes = scenes
         moving = scenes[0].dynamic
-        both = truth.accelerations() - truth.accelerations(of_declared=True)
-        self.missing = both[:, :, moving].ravel()
+        (self.batch,) = stack(scenes, dataset.up, "measured")
+        self.true = truth.accelerations()[:, :, moving].ravel()
+        self.missing = self.true - truth.accelerations(of_declared=True)[:, :, moving].ravel()
 
     def acceleration(self, law):
         """Accelerations of a law along the true motion, one vector."""
-        from bsp_gp.physics.bodies import stack
-
-        (batch,) = stack(self.scenes, self.dataset.up, "measured")
-        value = law.acceleration(batch.bodies, batch.positions, batch.velocities, batch.times)
+        b = self.batch
+        value = law.acceleration(b.bodies, b.positions, b.velocities, b.times)
         return np.moveaxis(value, 1, 0).ravel()
 
-    def factor(self, law):
-        """How many times the law the missing effect is, nan if it is of another form."""
-        value = self.acceleration(law)
-        size = value @ value
-        if not (np.isfinite(size) and size > 0):
-            return np.nan
-        along = (value @ self.missing) / size
-        left = self.missing - along * value
-        return along if left @ left < SAME_FORM * (self.missing @ self.missing) else np.nan
+    def refitted(self, law):
+        """The law with the constants that come nearest to the truth; None if it is another form.
+
+        A law has the form of the truth if with some constants it leaves next to nothing of what
+        was undeclared.
+        """
+        parameters = parameter_list(law)
+
+        def left(values):
+            return self.true - self.acceleration(law.with_values(parameters, values))
+
+        if not parameters:
+            found, size = law, np.square(left(())).sum()
+        else:
+            start = np.array([law.constants[n] for n, _ in parameters], dtype=float)
+            scale = np.maximum(np.abs(start), 1e-9)
+            with np.errstate(all="ignore"):
+                if not np.isfinite(left(start)).all():
+                    return None
+                fit = least_squares(left, start, method="lm", x_scale=scale)
+            found, size = law.with_values(parameters, fit.x), 2 * fit.cost
+        return found if size < SAME_FORM * (self.missing @ self.missing) else None
 
     def is_form(self, text):
-        """Whether a law as text is of the form of the missing effect."""
+        """Whether the declared law and a further one, or that one in its place, is the truth."""
         try:
             formula = parse_formula(text, dataset_types(self.dataset), units=self.dataset.units)
         except BspError:
             return False
-        law = ForceLaw((Term(formula),), dict.fromkeys(formula.constants, 1.0))
-        return bool(np.isfinite(self.factor(law)))
+        own = set(formula.constants)
+        start = {n: 0.0 if n.startswith("n") else 1.0 for n in own}
+        alone = ForceLaw((Term(formula),), start)
+        beside = self.declared.plus(Term(formula), start)
+        return any(self.refitted(law) is not None for law in (alone, beside))
 
 
 def work(case, engine, snr, seed):
@@ -184,29 +209,28 @@ def work(case, engine, snr, seed):
     strength, found, exact, truth = tuned(case, snr, seed, engine)
     exact_truth = truth
     dataset, truth = data_set(case, strength, seed, engine)
+    declared = declared_of(case, truth)
     loop_rng, observe_rng = np.random.default_rng((1, seed)).spawn(2)
-    report = close_loop(dataset, truth.declared, rng=loop_rng, alpha=ALPHA, max_rounds=3)
-    judge = Judge(dataset, truth)
-    extra = tuple(term for term in report.law.terms if not term.is_declared)
-    law = ForceLaw(extra, {n: v for n, v in report.law.constants.items()
-                           if any(n in t.formula.constants for t in extra)})  # fmt: skip
-    factor = judge.factor(law) if extra else np.nan
+    report = close_loop(dataset, declared, rng=loop_rng, alpha=ALPHA, max_rounds=3)
+    judge = Judge(dataset, truth, declared)
+    is_adopted = any(done.adopted for done in report.rounds)
+    law = judge.refitted(report.law) if is_adopted else None
     first = report.rounds[0]
     reported = [] if first.effect is None else [first.effect.law, *first.effect.equivalents]
     tried = [r.law for r in first.rivals if r.kind in ("pair", "field")][:MOST_RIVALS]
-    tried += [first.effect.law] if first.effect else []
+    tried += [first.effect.law] if first.effect and law is None else []
     rival, snr_rival = rival_of(case, exact, exact_truth, tried)
     covered = ""
-    if len(extra) == 1 and np.isfinite(factor):
-        (constant,) = [c for c in report.constants if c.name in law.constants]
-        covered = bool(constant.low <= constant.value * factor <= constant.high)
+    if law is not None:
+        new = [c for c in report.constants if c.name not in judge.declared.names]
+        covered = [bool(c.low <= law.constants[c.name] <= c.high) for c in new]
     return [{
         "effect": case, "engine": engine, "snr": found, "snr_rival": snr_rival, "rival": rival,
         "seed": seed, "strength": strength,
         "detected": any(r.missing.is_missing for r in report.rounds), "verdict": first.verdict,
-        "adopted": bool(extra), "named": bool(np.isfinite(factor)),
-        "in_class": bool(np.isfinite(factor)) or any(map(judge.is_form, reported)),
-        "n_class": len(reported), "covered": covered, "law": report.law_text,
+        "adopted": is_adopted, "named": law is not None,
+        "in_class": law is not None or any(map(judge.is_form, reported)),
+        "n_class": len(reported), "covered": " ".join(map(str, covered)), "law": report.law_text,
         "p_value": first.effect.p_value if first.effect else "",
         "rollout_ratio_to_oracle": report.total["after"].rollout_rmse / oracle(
             dataset, truth, case, observe_rng),
@@ -215,17 +239,18 @@ def work(case, engine, snr, seed):
 
 def oracle(dataset, truth, case, rng):
     """Held-out rollout error of the declared model with the true form added, or of truth itself."""
-    law = declared_law(dataset, truth.declared)
+    law = declared_law(dataset, declared_of(case, truth))
     if case in LAWS:
         formula = parse_formula(LAWS[case], dataset_types(dataset), units=dataset.units)
         law = law.plus(Term(formula), {"c": 0.0})
+    elif case == "periodic push":
+        law = declared_law(dataset, [*truth.declared, PUSH])
+        law = law.with_constants({"a": 0.0, "w": 2 * np.pi / PERIOD, "f": 0.0})
     elif case == "changed exponent":
-        law = declared_law(dataset, truth.acting)
-    else:
-        return np.nan  # no law of the language says it
+        law = declared_law(dataset, [f"{GRAVITY} * norm(p_i - p_j)^c"]).with_constants({"c": 0.0})
     pairs = any(term.kind == "pair" for term in law.terms)
     observation = observe(dataset, law, rng, sources=pairs)
-    return evaluate(observation, law).errors.rollout_rmse
+    return evaluate(observation, law, observation.fit(law, start=law)).errors.rollout_rmse
 
 
 def jobs_of(quick, seed):
@@ -251,15 +276,14 @@ def summary(table):
         "|---" * 11 + "|",
     ]
     for name, part in [*table.groupby("effect", sort=False), ("all", table)]:
-        covered = part["covered"].dropna().astype(str)
-        covered = covered[covered != ""]
+        covered = [c == "True" for row in part["covered"].dropna() for c in str(row).split()]
         ratio = part["rollout_ratio_to_oracle"].dropna()
         wrong = part["adopted"] & ~part["in_class"]
         cells = [
             name, len(part), f"{part['snr'].median():.1f}", f"{part['snr_rival'].median():.1f}",
             *(f"{part[c].mean():.0%}" for c in ("detected", "adopted", "named", "in_class")),
             f"{wrong.mean():.0%}",
-            f"{(covered == 'True').mean():.0%} of {len(covered)}" if len(covered) else "",
+            f"{np.mean(covered):.0%} of {len(covered)}" if covered else "",
             f"{ratio.median():.2f}, {ratio.quantile(0.9):.2f}" if len(ratio) else "",
         ]  # fmt: skip
         lines.append("| " + " | ".join(map(str, cells)) + " |")

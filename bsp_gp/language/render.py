@@ -65,7 +65,7 @@ def _text(node, values, units):
         if node.name not in values:
             return node.name, _ATOM
         text = f"{values[node.name]:.6g}"
-        if units.get(node.name) not in (None, "1"):
+        if units.get(node.name) not in (None, "", "1"):
             text += f" [{units[node.name]}]"
         return text, _NEGATIVE if text.startswith("-") else _ATOM
     parts = [_text(arg, values, units) for arg in node.args]

@@ -15,9 +15,13 @@ from bsp_gp.loop.naming import describe, fresh_name, rename_constant
 from bsp_gp.loop.planning import plan_ahead
 from bsp_gp.physics.force import Term, split_linear
 
-__all__ = ["attempts_of", "choose", "evaluate"]
+__all__ = ["CLASS_BIC", "TIE_BIC", "attempts_of", "choose", "evaluate", "named"]
 
 TIE_BIC = 2.0
+
+
+CLASS_BIC = 10.0
+"""Laws whose BIC is higher by less than this are not ruled out: a wrong name is worse than two."""
 
 
 def evaluate(observation, law, fit=None):
@@ -34,11 +38,16 @@ def attempts_of(observation, model, proposals, workers):
     return [attempt for attempt in run(_attempt, jobs) if attempt is not None]
 
 
+def named(proposal, law):
+    """The formula of a proposal with a constant that the law does not use yet."""
+    return rename_constant(proposal.formula, proposal.constant, fresh_name(law))
+
+
 def _attempt(job):
     observation, before, proposal = job
     law = before.law
     name = fresh_name(law)
-    formula = rename_constant(proposal.formula, proposal.constant, name)
+    formula = named(proposal, law)
     start = 0.0
     if proposal.per_entity:
         start = dict.fromkeys(observation.train_regression.receiver_names(), 0.0)
@@ -87,10 +96,30 @@ def choose(observation, model, search, attempts):
         return None
     n_eff = min(attempts, key=lambda a: a.fit.chisqr).fit.n_effective
     best = min(able, key=lambda a: (a.score(n_eff), a.complexity))
+    best = _confirmed(observation, model, able, best, n_eff)
+    if best.freed:
+        return best
     best = _like_declared(observation, model, best, n_eff)
     if observation.is_exact:
         best = plan_ahead(observation, model.law, best, search)
     return best
+
+
+def _confirmed(observation, model, able, best, n_eff):
+    """Of the attempts that are not ruled out beside the best, the one with held-out tracks too.
+
+    What the training tracks cannot tell, others may: their likelihood counts like the rest of it.
+    """
+    near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
+    if len(near) < 2 or observation.is_exact or observation.velocity == "measured":
+        return best
+    misfit = max(best.fit.chisqr / best.fit.n_rows, 1.0)
+
+    def score(attempt):
+        gain = observation.held_out_gain(model.law, attempt.fit.law) / misfit
+        return attempt.score(n_eff) - gain if np.isfinite(gain) else np.inf
+
+    return min(near, key=lambda a: (score(a), a.complexity))
 
 
 def _declared_pair(law):

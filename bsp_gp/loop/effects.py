@@ -21,6 +21,10 @@ SHORTLIST = 6
 TOP_K = 40
 
 
+CLASS_NATS = 5.0
+"""Half of `attempts.CLASS_BIC`: laws whose evidence is less by no more are not ruled out."""
+
+
 SHORTLIST_NATS = 12.0
 """Proposals whose evidence is within this of the best are fitted jointly, to whole tracks."""
 
@@ -85,6 +89,8 @@ class Proposals:
     seconds : float
     null_evidence : float
         Greatest evidence on a simulated residual, nats.
+    near : tuple of Proposal
+        All whose evidence is within `CLASS_NATS` of the best, simplest first.
     """
 
     shortlist: tuple[Proposal, ...]
@@ -93,6 +99,7 @@ class Proposals:
     n_scored: int
     seconds: float
     null_evidence: float = float("nan")
+    near: tuple = ()
 
 
 @dataclass(eq=False)
@@ -343,6 +350,7 @@ class EffectSearch:
             sum(r.n_evaluated for r, *_ in outcomes),
             sum(r.seconds for r, *_ in outcomes),
             float(np.max(null)) if len(null[0]) else float("nan"),
+            _near(proposals),
         )
 
     def _proposal(self, candidate, own, n_constants, n_rows):
@@ -381,6 +389,17 @@ def _unit(column):
     """A column at unit length, whatever its size; zeros stay zeros."""
     top = np.max(np.abs(column), initial=0.0)
     return column / top / np.linalg.norm(column / top) if top > 0 else column
+
+
+def _near(proposals):
+    """Proposals not ruled out beside the best, by evidence or as simpler, simplest first."""
+    able = [p for p in proposals if not p.redoes_declared]
+    near = [
+        p
+        for p in able
+        if p.evidence - able[0].evidence + CLASS_NATS >= min(p.complexity - able[0].complexity, 0)
+    ]
+    return tuple(sorted(near, key=lambda p: p.complexity))
 
 
 def _shortlist(proposals, is_exact):
@@ -454,8 +473,8 @@ def sign_bounds(observation, law):
     kept = observation.__dict__.setdefault("_bounds", {})
     out = {}
     for term in law.terms:
-        name, _ = split_linear(term.formula)
-        if term.is_declared or name is None:
+        name, rest = split_linear(term.formula)
+        if term.is_declared or name is None or rest.constants:
             continue
         if term.formula not in kept:
             kept[term.formula] = allowed_sign(observation, term)

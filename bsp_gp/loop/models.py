@@ -36,7 +36,15 @@ class Attempt:
     reason : str
         Why it cannot be adopted; "" if it can.
     replaces : tuple of str
-        Found terms of the law before that it does without.
+        Terms of the law before that it does without.
+    equivalents : tuple of str
+        Sets of terms that these data cannot tell from it.
+    redoes_declared : bool
+        Whether it only changes the number of a declared term.
+    freed : tuple of str
+        Further constants that belong to it: not linear ones, and those added to a declared term.
+    p_value : float
+        With its own selection counted, where it is no law of the search; else nan.
     """
 
     law: ForceLaw
@@ -52,6 +60,8 @@ class Attempt:
     replaces: tuple = ()
     equivalents: tuple = field(default=())
     redoes_declared: bool = False
+    freed: tuple = ()
+    p_value: float = float("nan")
 
     def score(self, n_effective):
         """BIC plus twice the complexity (the prior of the grammar)."""

@@ -404,15 +404,18 @@ class Observation:
         """
         if self.is_exact or self.velocity == "measured":
             return float("nan")
-        scenes = cut_segments(self.test, self.segment_rows)
-        values = [
-            fit_rollout(
-                scenes, law, self.sigma, free=(), integrator=self.integrator,
-                substeps=self.substeps, up=self.dataset.up, memory=self.memory,
-            ).chisqr
-            for law in (before, after)
-        ]  # fmt: skip
-        return float(values[0] - values[1])
+        return self._held_out_chisqr(before) - self._held_out_chisqr(after)
+
+    def _held_out_chisqr(self, law):
+        kept = self.__dict__.setdefault("_held_out", {})
+        if id(law) not in kept:
+            fit = fit_rollout(
+                cut_segments(self.test, self.segment_rows), law, self.sigma, free=(),
+                integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
+                memory=self.memory,
+            )  # fmt: skip
+            kept[id(law)] = (law, float(fit.chisqr))
+        return kept[id(law)][1]
 
     def ratio(self, before, after, rng, copies=None, law_before=None, law_after=None):
         """After / before of the rollout error on held-out data, with a 90 % interval.

@@ -105,6 +105,8 @@ class Missing:
     tests : dict of str to float
         p-values of the single tests.
     is_missing : bool
+    rhythm : Rhythm or None
+        The frequency in which the residual stands out most.
     """
 
     statistic: float
@@ -113,6 +115,7 @@ class Missing:
     detectable_unit: str = ""
     tests: dict = field(default_factory=dict)
     is_missing: bool = True
+    rhythm: object = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -359,6 +362,8 @@ def _plain(value):
     """Turn dataclasses, tuples and numpy numbers into what JSON can hold; nan and inf -> None."""
     if hasattr(value, "__dataclass_fields__"):
         return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
+    if hasattr(value, "_asdict"):
+        return _plain(value._asdict())
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

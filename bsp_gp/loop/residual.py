@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
+from bsp_gp.loop.arcs import orthonormal_rows, polynomials, scaled_rows
+from bsp_gp.loop.directed import directed_test
 from bsp_gp.loop.outcome import Missing
+from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
 from bsp_gp.units import ACCELERATION
 
 __all__ = ["LAGS", "examine_residual", "ljung_box"]
 
 LAGS = 8
-DEGREE = 6
-"""Of the polynomials of time in which a residual force is looked for, track by track."""
+DEGREES = (2, 3, 6)
+"""Of the polynomials of time in which a residual force is looked for, track by track. What a slow
+force does lies in the first few, and stands out more the fewer are looked at."""
 POWER = 0.95
 POWER_Z = 1.6448536269514722  # 95 % of a normal distribution lie below
 
@@ -22,10 +28,11 @@ def examine_residual(observation, fit, alpha):
 
     On noisy data the residual is that of whole tracks (positions), otherwise of accelerations.
 
-    Three tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
+    Tests, Bonferroni-corrected: the size of the residual (chi-squared against a declared
     noise level, an F test against an estimated one, whose own uncertainty counts), its
-    autocorrelation along tracks (Ljung-Box), and on noisy data the size of its smooth part, in
-    which forces are and noise hardly is.
+    autocorrelation along tracks (Ljung-Box); on noisy data also the size of its smooth part, in
+    which forces are and noise hardly is, for three degrees of smoothness, its part along common
+    effects, and the best of all periods.
 
     Parameters
     ----------
@@ -49,17 +56,27 @@ def examine_residual(observation, fit, alpha):
     size /= dof
     n_noise = _noise_dof(observation)
     tests = {"size": _p_of_size(size * dof, dof, n_noise), "autocorrelation": p_lag}
-    smooth = None if fit.whole is None else _smooth_part(observation, fit.whole, blocks)
-    if smooth is not None:
-        tests["smooth part"] = _p_of_size(*smooth, n_noise)
+    smooth = [] if fit.whole is None else _smooth_parts(observation, fit.whole, blocks)
+    for degree, square, n in smooth:
+        tests[f"smooth part, degree {degree}"] = _p_of_size(square, n, n_noise)
+    rhythm, n_effects = None, 0
+    if fit.whole is not None:
+        p_of_size = partial(_p_of_size, n_noise=n_noise)
+        rhythm = rhythm_of(observation, fit.whole, blocks, p_of_size)
+        name, p, n_effects = directed_test(observation, fit, blocks, p_of_size)
+        if name:
+            tests[f"common effects ({name})"] = p
+    if rhythm is not None:
+        tests["a period"] = rhythm.p_value
     p_value = min(1.0, len(tests) * min(tests.values()))
     return Missing(
         statistic=size,
         p_value=p_value,
-        detectable=_detectable(observation, fit, alpha, smooth),
+        detectable=_detectable(observation, fit, alpha / len(tests), n_effects),
         detectable_unit=observation.dataset.units.text(ACCELERATION),
         tests=tests,
         is_missing=bool(p_value <= alpha),
+        rhythm=rhythm,
     )
 
 
@@ -72,56 +89,34 @@ def _p_of_size(square, dof, n_noise):
     return float(stats.chi2.sf(square, dof))
 
 
-def _smooth_part(observation, whole, blocks):
-    """Sum of squares of the position residuals in low polynomials of time, and how many these are.
+def _smooth_parts(observation, whole, blocks):
+    """Sums of squares of the position residuals in low polynomials of time: (degree, square, dof).
 
     What constants and initial states can take up is projected out of the polynomials of every
     track, so that under the law alone the coordinates are independent and of unit variance.
     """
-    square, dof = 0.0, 0
+    square, dof = np.zeros(len(DEGREES)), np.zeros(len(DEGREES), dtype=int)
     for batch, block in zip(whole.batches, blocks, strict=True):
         noise = TrackNoise(batch, observation.sigma, observation.memory)
-        time = np.nan_to_num(batch.times - np.nanmin(batch.times, axis=0))
-        time = 2 * time / np.maximum(time.max(axis=0), 1e-300) - 1
-        powers = np.moveaxis(np.polynomial.legendre.legvander(time, DEGREE), -1, 0)
-        n_scenes, n_receivers, n_dims = noise.seen.shape[1:]
-        columns = np.zeros((n_receivers, n_dims, DEGREE + 1, *noise.seen.shape))
-        for r, axis in np.ndindex(n_receivers, n_dims):
-            columns[r, axis, :, :, :, r, axis] = powers
-        columns = noise.whiten(columns).reshape(-1, *noise.seen.shape)
+        columns = polynomials(batch, noise, DEGREES[-1])
+        degrees = np.tile(np.arange(DEGREES[-1] + 1), len(columns) // (DEGREES[-1] + 1))
         for s, (residual, *taken) in enumerate(zip(*block, strict=True)):
-            mine = columns[:, :, s].reshape(len(columns), -1)
-            basis = _beside(mine, np.concatenate(taken))
-            square += float(np.square(basis @ residual).sum())
-            dof += len(basis)
-    return (square, dof) if dof else None
+            known = orthonormal_rows(np.concatenate(taken))
+            for k, degree in enumerate(DEGREES):
+                basis = _beside(columns[degrees <= degree, s], known)
+                square[k] += float(np.square(basis @ residual).sum())
+                dof[k] += len(basis)
+    return [(d, *both) for d, *both in zip(DEGREES, square, dof, strict=True) if both[1]]
 
 
-def _beside(rows, taken):
-    """Orthonormal basis of what the rows span beyond the rows `taken`, each of shape (k, n)."""
-    rows = _scaled(rows)
+def _beside(rows, q):
+    """Orthonormal basis of what rows (k, n) span beyond the orthonormal rows `q`."""
+    rows = scaled_rows(rows)
     if not len(rows):
         return rows
-    q = _orthonormal_rows(taken)
     rows = rows - (rows @ q.T) @ q
     _, values, basis = np.linalg.svd(rows, full_matrices=False)
     return basis[values > 1e-6]
-
-
-def _orthonormal_rows(rows):
-    """Orthonormal basis of what rows (k, n) span, shape (m, n)."""
-    rows = _scaled(rows)
-    if not len(rows):
-        return rows
-    _, values, q = np.linalg.svd(rows, full_matrices=False)
-    return q[values > 1e-10 * values[0]]
-
-
-def _scaled(rows):
-    """The rows that are not zero, at unit length."""
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
-    known = np.isfinite(sizes[:, 0]) & (sizes[:, 0] > 0)
-    return rows[known] / sizes[known]
 
 
 def _noise_dof(observation):
@@ -151,7 +146,7 @@ def _ljung_box_of_tracks(whole, blocks, lags=LAGS):
     for errors, (_, _, by_state) in zip(whole.whitened, blocks, strict=True):
         n_times, n_segments = errors.shape[:2]
         for s in range(n_segments):
-            basis = _orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
+            basis = orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
             moments = _taken_by_state(basis, errors[:, s].reshape(n_times, -1) != 0, lags)
             mean, covariance = mean + moments[0], covariance + moments[1]
     return _pooled_ljung_box(whole.whitened, whole.n_rows - whole.n_free, lags, mean, covariance)
@@ -198,14 +193,14 @@ def _pooled_ljung_box(parts, n, lags, mean=0.0, covariance=0.0):
     return float(stats.chi2.sf(float(z @ np.linalg.pinv(spread) @ z), lags))
 
 
-def _detectable(observation, fit, alpha, smooth):
-    """Smallest uniform acceleration that would have been seen with 95 % power.
+def _detectable(observation, fit, alpha, n_effects):
+    """Smallest uniform acceleration that would have been seen with 95 % power at level `alpha`.
 
-    All of it is in the smooth part. Along the worst axis on which anything moves, after the law's
-    own constants are refitted.
+    On whole tracks it is one of the common effects that are looked for. Along the worst axis on
+    which anything moves, after the law's own constants are refitted.
     """
     regression = observation.train_regression
-    needed = _needed(observation, fit, alpha, smooth)
+    needed = _needed(observation, fit, alpha, n_effects)
     q = (
         np.linalg.qr(_live(fit.jacobian))[0]
         if fit.jacobian.size
@@ -230,19 +225,19 @@ def _detectable(observation, fit, alpha, smooth):
     return worst if worst else float("nan")
 
 
-def _needed(observation, fit, alpha, smooth):
-    """Whitened sum of squares that the tests of size, which know no direction, see with 95 %."""
+def _needed(observation, fit, alpha, n_effects):
+    """Whitened sum of squares that is seen with 95 %, in one direction of several or in all."""
     from scipy import optimize, stats
 
     whole = fit.whole
     n_rows = whole.n_rows - whole.n_free if whole else observation.train_regression.n_rows
-    dof, n_noise, n_tests = max(n_rows, 1), _noise_dof(observation), 2
-    if smooth is not None:
-        dof, n_tests = smooth[1], 3
-    bar = stats.chi2.isf(alpha / n_tests, dof)
+    dof, n_noise = max(n_rows, 1), _noise_dof(observation)
+    if n_effects:
+        dof, alpha = 1, alpha / n_effects
+    bar = stats.chi2.isf(alpha, dof)
     if np.isfinite(n_noise):
         # The level may have been estimated too high, by as much as its own error.
-        bar = dof * stats.f.isf(alpha / n_tests, dof, n_noise)
+        bar = dof * stats.f.isf(alpha, dof, n_noise)
         bar *= 1 + POWER_Z * np.sqrt(2 / n_noise)
     return optimize.brentq(lambda x: stats.ncx2.sf(bar, dof, x) - POWER, 0.0, 10 * bar + 100)
 

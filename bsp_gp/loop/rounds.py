@@ -5,11 +5,16 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from bsp_gp.loop.attempts import attempts_of, choose, evaluate
+import numpy as np
+
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.attempts import attempts_of, choose, evaluate, named
 from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.declared_exponents import exponent_attempts
 from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
+from bsp_gp.loop.periodic import periodic_attempts
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
     effect_of,
@@ -90,8 +95,10 @@ def run_round(
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
+    attempts += exponent_attempts(observation, model)
+    attempts += periodic_attempts(observation, model, missing.rhythm)
     chosen = choose(observation, model, search, attempts)
-    chosen, attempts = _along_the_best(
+    chosen, attempts, near = _along_the_best(
         observation, model, search, chosen, attempts, search_rng, workers
     )
     shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
@@ -103,6 +110,8 @@ def run_round(
     is_freed = shown is not chosen
     p_value, how = proposals.p_value, ""
     is_weak = strength(proposals) < STRONG * max(proposals.null_evidence, 0.0)
+    if np.isfinite(shown.p_value):  # no law of the search
+        p_value, is_weak = min(1.0, 2 * shown.p_value), False
     if p_value <= alpha and is_weak and n_bootstrap and not observation.is_exact and not is_freed:
         progress(f"round {number}: the same search on simulated data")
         significance = bootstrap(
@@ -116,7 +125,10 @@ def run_round(
     ratio = observation.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
     if is_freed:
         adopted, verdict, reason = False, "cannot tell", FREED
-        effect = freed_effect(observation, model, shown, p_value)
+        if shown.freed:
+            effect = effect_of(observation, shown, attempts, p_value, near)
+        else:
+            effect = freed_effect(observation, model, shown, p_value)
     else:
         found = weigh(observation, model, after, floor, ratio, alpha)
         adopted, verdict, reason = verdict_of(
@@ -131,7 +143,7 @@ def run_round(
             chosen = shown = refuted.chosen
             adopted, verdict, reason = True, "effect adopted", refuted.reason
             after, ratio = refuted.after, refuted.ratio
-        effect = effect_of(observation, chosen, attempts, p_value)
+        effect = effect_of(observation, chosen, attempts, p_value, near)
     effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
     rivals = [*rivals, *freed_numbers(observation, model, chosen, is_freed)]
     if not is_freed and refuted is not None:
@@ -185,12 +197,15 @@ def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
     """Search again at the states of the best attempt, until it stays the best.
 
     A model that lacks much leads its tracks far astray; laws are then better told apart along
-    the track of even a rough stand-in.
+    the track of even a rough stand-in. Also returned are the texts of all laws that are not ruled
+    out there.
     """
+    near = ()
     for _ in range(MOST_REFINEMENTS):
         if chosen is None or observation.is_exact:
             break
         again = search.propose(model.fit, rng, along=chosen.fit, n_null=0)
+        near = tuple(to_text(named(p, model.law)) for p in again.near)
         known = {attempt.text for attempt in attempts}
         fresh = [a for a in attempts_of(observation, model, again, workers) if a.text not in known]
         attempts = [*attempts, *fresh]
@@ -198,7 +213,7 @@ def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
         if not fresh or better.text == chosen.text:
             break
         chosen = better
-    return chosen, attempts
+    return chosen, attempts, near
 
 
 def _told_of(observation, model, chosen, attempts, p_value, alpha):
@@ -210,9 +225,11 @@ def _told_of(observation, model, chosen, attempts, p_value, alpha):
     freed = freed_attempt(observation, model)
     if freed is None:
         return chosen
+    n_eff = freed.fit.n_effective
+    wider = [a for a in attempts if a.redoes_declared and a.freed]
+    freed = min((freed, *wider), key=lambda a: a.fit.bic(n_eff))
     if chosen is None and min(a.fit.chisqr for a in attempts) < freed.fit.chisqr:
         return None  # what is ruled out explains more: the number is no cause
-    n_eff = freed.fit.n_effective
     is_clear = model.fit.bic(n_eff) - freed.fit.bic(n_eff) >= MIN_BIC_GAIN
     return freed if is_clear else chosen
 

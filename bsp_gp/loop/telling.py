@@ -7,7 +7,7 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.loop.attempts import TIE_BIC
+from bsp_gp.loop.attempts import CLASS_BIC, TIE_BIC
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
@@ -53,25 +53,36 @@ def _mass_unknown(observation, entity):
     )
 
 
-CLASS_BIC = 6.0
-"""Laws whose BIC is higher by less than this are not ruled out: a wrong name is worse than two."""
+def effect_of(observation, chosen, attempts, p_value, near=()):
+    """The chosen attempt as an Effect: constants, bodies, what it cannot be told from.
 
-
-def effect_of(observation, chosen, attempts, p_value):
-    """The chosen attempt as an Effect: constants, bodies, what it cannot be told from."""
+    Parameters
+    ----------
+    observation : Observation
+    chosen : Attempt
+    attempts : list of Attempt
+        All that were fitted.
+    p_value : float
+    near : sequence of str
+        Further laws that were not fitted to whole tracks, but are not ruled out.
+    """
     names = {split_linear(t.formula)[0] for t in chosen.law.terms if not t.is_declared}
+    names |= set(chosen.freed)
     estimates = tuple(c for c in constant_estimates(observation, chosen.fit) if c.name in names)
     entities = tuple(dict.fromkeys(e for e in observation.train_regression.receiver_names()))
     zero = {c.entity for c in estimates if c.entity and c.value == 0.0}
     n_eff = chosen.fit.n_effective
-    as_good = [
-        a.text
+    # A much simpler law is not ruled out either, though it fits a little worse.
+    fitted = {
+        a.text: min(
+            a.fit.bic(n_eff) - chosen.fit.bic(n_eff), a.score(n_eff) - chosen.score(n_eff)
+        )
         for a in attempts
-        if not a.reason
-        and a.text != chosen.text
-        and a.fit.bic(n_eff) - chosen.fit.bic(n_eff) < CLASS_BIC
-    ]
-    equivalents = (*as_good, *chosen.equivalents, *chosen.ties)
+        if (not a.reason or a.freed) and a.text != chosen.text
+    }
+    as_good = sorted((t for t, delta in fitted.items() if delta < CLASS_BIC), key=fitted.get)
+    further = [text for text in near if text != chosen.text and text not in fitted]
+    equivalents = (*as_good, *chosen.equivalents, *further[:MOST_EQUALS], *chosen.ties)
     return Effect(
         name=chosen.name,
         kind=chosen.kind,
@@ -80,7 +91,7 @@ def effect_of(observation, chosen, attempts, p_value):
         entities=tuple(e for e in entities if e not in zero),
         constants=estimates,
         p_value=p_value,
-        equivalents=tuple(dict.fromkeys(equivalents))[:MOST_EQUALS],
+        equivalents=tuple(dict.fromkeys(equivalents))[: 2 * MOST_EQUALS],
         separated_by=_separated_by(chosen.text, equivalents),
     )
 
