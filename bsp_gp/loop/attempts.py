@@ -106,20 +106,17 @@ def choose(observation, model, search, attempts):
 
 
 def _confirmed(observation, model, able, best, n_eff):
-    """Of the attempts that are not ruled out beside the best, the one with held-out tracks too.
+    """The best attempt, or where held-out tracks refute it, the next that they do not.
 
-    What the training tracks cannot tell, others may: their likelihood counts like the rest of it.
+    Only those are looked at that are not ruled out beside the best.
     """
-    near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
-    if len(near) < 2 or observation.is_exact or observation.velocity == "measured":
+    if observation.is_exact or observation.velocity == "measured":
         return best
-    misfit = max(best.fit.chisqr / best.fit.n_rows, 1.0)
-
-    def score(attempt):
-        gain = observation.held_out_gain(model.law, attempt.fit.law) / misfit
-        return attempt.score(n_eff) - gain if np.isfinite(gain) else np.inf
-
-    return min(near, key=lambda a: (score(a), a.complexity))
+    near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
+    for attempt in sorted(near, key=lambda a: (a.score(n_eff), a.complexity)):
+        if observation.held_out_gain(model.law, attempt.fit.law) > 0:
+            return attempt
+    return best
 
 
 def _declared_pair(law):
