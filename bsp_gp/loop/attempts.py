@@ -15,7 +15,7 @@ from bsp_gp.loop.naming import describe, fresh_name, rename_constant
 from bsp_gp.loop.planning import plan_ahead
 from bsp_gp.physics.force import Term, split_linear
 
-__all__ = ["CLASS_BIC", "TIE_BIC", "attempts_of", "choose", "evaluate", "named"]
+__all__ = ["CLASS_BIC", "TIE_BIC", "attempt_of", "attempts_of", "choose", "evaluate", "named"]
 
 TIE_BIC = 2.0
 
@@ -35,7 +35,7 @@ def attempts_of(observation, model, proposals, workers):
     """Every proposal of the shortlist, fitted jointly with the rest of the law."""
     jobs = [(observation, model.fit, proposal) for proposal in proposals.shortlist]
     run = map if workers is None else workers.map
-    return [attempt for attempt in run(_attempt, jobs) if attempt is not None]
+    return [attempt for attempt in run(attempt_of, jobs) if attempt is not None]
 
 
 def named(proposal, law):
@@ -43,7 +43,8 @@ def named(proposal, law):
     return rename_constant(proposal.formula, proposal.constant, fresh_name(law))
 
 
-def _attempt(job):
+def attempt_of(job):
+    """A proposal fitted jointly with the law: of (observation, fit before, proposal); or None."""
     observation, before, proposal = job
     law = before.law
     name = fresh_name(law)

@@ -8,6 +8,7 @@ a known effect would move the tracks it stands in one number, so that much weake
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,29 +17,55 @@ from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.inputs import SHORT
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.arcs import orthonormal_rows
+from bsp_gp.loop.attempts import attempt_of
 from bsp_gp.loop.declared_exponents import changed_exponents
+from bsp_gp.loop.effects import Proposal
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, split_linear
 
-__all__ = ["directed_test"]
+__all__ = ["Direction", "directed_attempts", "directed_test"]
 
 FIELD = {
-    "drag, linear in speed": "m_i * v_i",
-    "drag, square in speed": "m_i * norm(v_i) * v_i",
-    "a push across the velocity": "m_i * perp(v_i)",
-    "a push along x": "m_i * e_x",
-    "a push along y": "m_i * e_y",
-    "a push along z": "m_i * e_z",
+    "drag, linear in speed": "c1 * (norm(v_i) * normalize(v_i))",
+    "drag, square in speed": "c1 * (norm(v_i)^2 * normalize(v_i))",
+    "a push across the velocity": "c1 * (norm(v_i) * perp(normalize(v_i)))",
+    "a push along x": "c1 * e_x",
+    "a push along y": "c1 * e_y",
+    "a push along z": "c1 * e_z",
 }
-PAIR = "{0}_i * {0}_j / norm(p_i - p_j)^2 * normalize(p_i - p_j)"
+"""As the grammar writes them, so that one law has one text."""
+ACROSS = "c1 * ({0}_i * norm(v_i) * perp(normalize(v_i)))"
+PAIR = "c1 * ({0}_i * {0}_j * inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j))"
+PRIOR_NATS = 4.0
+"""Complexity of a common effect, as that of the shortest laws of a grammar."""
+MOST = 3
 START = 1e-5
 """Strength at which derivatives are taken, in parts of what moves a body across its track."""
 BEYOND = 1e-6
 """Part of a direction, squared, that must lie beyond what constants and states can take up."""
 
 
+class Direction(NamedTuple):
+    """A common effect and how much the residual speaks for it.
+
+    Attributes
+    ----------
+    name : str
+    law : str
+        Of the effect as a force, with the constant c1; "" for another exponent of a declared term.
+    p_value : float
+        With the number of effects that were tried counted.
+    n_tried : int
+    """
+
+    name: str
+    law: str
+    p_value: float
+    n_tried: int
+
+
 def directed_test(observation, fit, blocks, p_of_size):
-    """The most significant of the common effects.
+    """Common effects, the most significant first.
 
     Parameters
     ----------
@@ -52,24 +79,21 @@ def directed_test(observation, fit, blocks, p_of_size):
 
     Returns
     -------
-    name : str
-    p_value : float
-        With the number of effects that were tried counted; 1 where none could be.
-    n_tried : int
+    tuple of Direction
+        Without those that these data cannot show.
     """
-    effects = _effects(observation, fit)
-    names = list(effects)
-    if not names:
-        return "", 1.0, 0
+    effects = _effects(observation, fit.whole.law)
+    if not effects:
+        return ()
     law = fit.whole.law
-    for k, term in enumerate(effects.values()):
+    for k, (_, _, term) in enumerate(effects):
         law = law.plus(term, {f"d{k}": START})
-    extra = tuple((f"d{k}", "") for k in range(len(names)))
+    extra = tuple((f"d{k}", "") for k in range(len(effects)))
     whole = replace(
         fit.whole, law=law, parameters=fit.whole.parameters + extra,
-        values=np.append(fit.whole.values, np.full(len(names), START)),
+        values=np.append(fit.whole.values, np.full(len(effects), START)),
     )  # fmt: skip
-    residual, taken, rows = [], [], []
+    residual, taken, rows, sizes = [], [], [], 0.0
     n_own = len(fit.whole.parameters)
     for (flat, _, _), (_, by_constant, by_state) in zip(
         blocks, observation.track_blocks(whole), strict=True
@@ -79,53 +103,91 @@ def directed_test(observation, fit, blocks, p_of_size):
             free = by_constant[s] - (by_constant[s] @ q.T) @ q
             residual.append(flat[s] - (q @ flat[s]) @ q)
             taken.append(free[:n_own])
-            rows.append((free[n_own:], np.square(by_constant[s][n_own:]).sum(axis=1)))
-    residual = np.concatenate(residual)
-    sizes = sum(size for _, size in rows)
-    rows = np.concatenate([free for free, _ in rows], axis=1)
+            rows.append(free[n_own:])
+            sizes = sizes + np.square(by_constant[s][n_own:]).sum(axis=1)
+    residual, rows = np.concatenate(residual), np.concatenate(rows, axis=1)
     q = orthonormal_rows(np.concatenate(taken, axis=1))
     rows = rows - (rows @ q.T) @ q
-    best, n_tried = ("", 1.0), 0
-    for name, row, size in zip(names, rows, sizes, strict=True):
+    found = []
+    for (name, text, _), row, size in zip(effects, rows, sizes, strict=True):
         beyond = float(row @ row)
         if np.isfinite(beyond) and beyond > BEYOND * size > 0:
-            n_tried += 1
-            p = p_of_size(float(row @ residual) ** 2 / beyond, 1)
-            best = min(best, (name, p), key=lambda item: item[1])
-    return best[0], min(1.0, n_tried * best[1]), n_tried
+            found.append((name, text, p_of_size(float(row @ residual) ** 2 / beyond, 1)))
+    found.sort(key=lambda item: item[2])
+    return tuple(Direction(n, t, min(1.0, len(found) * p), len(found)) for n, t, p in found)
 
 
-def _effects(observation, fit):
-    """Effects that these data can speak of: terms of typical size, by name."""
-    dataset, law = observation.dataset, fit.whole.law
+def directed_attempts(observation, model, directions, attempts, alpha):
+    """The attempts of a round, those of the significant common effects among them.
+
+    They were named before the data were seen, so that each has a p-value of its own, which need
+    not count all laws of a grammar.
+
+    Parameters
+    ----------
+    observation : Observation
+    model : Model
+    directions : sequence of Direction
+    attempts : list of Attempt
+    alpha : float
+
+    Returns
+    -------
+    list of Attempt
+    """
+    out = list(attempts)
+    types = dataset_types(observation.dataset)
+    for name, law, p, _ in [d for d in directions if d.p_value <= alpha][:MOST]:
+        if not law:
+            out = [
+                replace(a, p_value=p) if a.freed and name.split(" of ")[1] in a.name else a
+                for a in out
+            ]
+            continue
+        formula = parse_formula(law, types, units=observation.dataset.units)
+        kind = Term(formula).kind
+        proposal = Proposal(formula, kind, "c1", False, PRIOR_NATS, float("nan"), float("nan"))
+        attempt = attempt_of((observation, model.fit, proposal))
+        if attempt is None:
+            continue
+        same = [k for k, a in enumerate(out) if a.text == attempt.text]
+        if same:
+            out[same[0]] = replace(out[same[0]], p_value=p)
+        else:
+            out.append(replace(attempt, p_value=p))
+    return out
+
+
+def _effects(observation, law):
+    """Effects that these data can speak of: (name, text, term of typical size)."""
+    dataset = observation.dataset
     types = dataset_types(dataset)
     texts = dict(FIELD)
     for column in dataset.property_names:
         short = SHORT.get(column, column)
         if column != "mass":
-            texts[f"a push across the velocity by {column}"] = f"{short}_i * perp(v_i)"
+            texts[f"a push across the velocity by {column}"] = ACROSS.format(short)
         if observation.sources:
             texts[f"a force between bodies by {column}"] = PAIR.format(short)
     if dataset.n_dims != 2:  # across the velocity lies a plane
         texts = {name: text for name, text in texts.items() if "perp" not in text}
-    out = {}
+    found = []
     for name, text in texts.items():
         try:
             formula = parse_formula(text, types, units=dataset.units)
         except BspError:
             continue  # what it names is not in these data
-        out[name] = Term(formula)
+        found.append((name, text, Term(split_linear(formula)[1])))
     for base, term in changed_exponents(observation, law):
-        out[f"another exponent of {base}"] = term
-    scale = _typical_acceleration(observation)
-    made = {}
-    for name, term in out.items():
+        found.append((f"another exponent of {base}", "", term))
+    scale, out = _typical_acceleration(observation), []
+    for name, text, term in found:
         size = _size(observation, term, law)
         if np.isfinite(size) and size > 0:
             unit = Call("mul", Number(scale / size), term.formula)
-            formula = Call("mul", Constant(f"d{len(made)}"), unit)
-            made[name] = Term(formula, term.kind)
-    return made
+            formula = Call("mul", Constant(f"d{len(out)}"), unit)
+            out.append((name, text, Term(formula, term.kind)))
+    return out
 
 
 def _typical_acceleration(observation):

@@ -107,6 +107,8 @@ class Missing:
     is_missing : bool
     rhythm : Rhythm or None
         The frequency in which the residual stands out most.
+    directions : tuple of Direction
+        Common effects, the most significant first.
     """
 
     statistic: float
@@ -116,6 +118,7 @@ class Missing:
     tests: dict = field(default_factory=dict)
     is_missing: bool = True
     rhythm: object = field(default=None, repr=False, compare=False)
+    directions: tuple = field(default=(), repr=False)
 
 
 @dataclass(frozen=True)

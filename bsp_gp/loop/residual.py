@@ -59,24 +59,25 @@ def examine_residual(observation, fit, alpha):
     smooth = [] if fit.whole is None else _smooth_parts(observation, fit.whole, blocks)
     for degree, square, n in smooth:
         tests[f"smooth part, degree {degree}"] = _p_of_size(square, n, n_noise)
-    rhythm, n_effects = None, 0
+    rhythm, directions = None, ()
     if fit.whole is not None:
         p_of_size = partial(_p_of_size, n_noise=n_noise)
         rhythm = rhythm_of(observation, fit.whole, blocks, p_of_size)
-        name, p, n_effects = directed_test(observation, fit, blocks, p_of_size)
-        if name:
-            tests[f"common effects ({name})"] = p
+        directions = directed_test(observation, fit, blocks, p_of_size)
+        if directions:
+            tests[f"common effects ({directions[0].name})"] = directions[0].p_value
     if rhythm is not None:
         tests["a period"] = rhythm.p_value
     p_value = min(1.0, len(tests) * min(tests.values()))
     return Missing(
         statistic=size,
         p_value=p_value,
-        detectable=_detectable(observation, fit, alpha / len(tests), n_effects),
+        detectable=_detectable(observation, fit, alpha / len(tests), len(directions)),
         detectable_unit=observation.dataset.units.text(ACCELERATION),
         tests=tests,
         is_missing=bool(p_value <= alpha),
         rhythm=rhythm,
+        directions=directions,
     )
 
 

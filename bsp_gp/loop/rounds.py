@@ -11,6 +11,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.attempts import attempts_of, choose, evaluate, named
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.declared_exponents import exponent_attempts
+from bsp_gp.loop.directed import directed_attempts
 from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
@@ -97,6 +98,7 @@ def run_round(
     n_failed = len(proposals.shortlist) - len(attempts)
     attempts += exponent_attempts(observation, model)
     attempts += periodic_attempts(observation, model, missing.rhythm)
+    attempts = directed_attempts(observation, model, missing.directions, attempts, alpha)
     chosen = choose(observation, model, search, attempts)
     chosen, attempts, near = _along_the_best(
         observation, model, search, chosen, attempts, search_rng, workers
@@ -110,8 +112,10 @@ def run_round(
     is_freed = shown is not chosen
     p_value, how = proposals.p_value, ""
     is_weak = strength(proposals) < STRONG * max(proposals.null_evidence, 0.0)
-    if np.isfinite(shown.p_value):  # no law of the search
-        p_value, is_weak = min(1.0, 2 * shown.p_value), False
+    if np.isfinite(shown.p_value):  # it was tested by itself, beside the search
+        own = min(1.0, 2 * min(p_value, shown.p_value))
+        is_weak = is_weak and own > alpha
+        p_value = own
     if p_value <= alpha and is_weak and n_bootstrap and not observation.is_exact and not is_freed:
         progress(f"round {number}: the same search on simulated data")
         significance = bootstrap(
