@@ -118,7 +118,7 @@ def directed_test(observation, fit, blocks, p_of_size):
 
 
 def directed_attempts(observation, model, directions, attempts, alpha):
-    """The attempts of a round, those of the significant common effects among them.
+    """Attempts at the significant common effects, added to others.
 
     They were named before the data were seen, so that each has a p-value of its own, which need
     not count all laws of a grammar.
@@ -129,14 +129,14 @@ def directed_attempts(observation, model, directions, attempts, alpha):
     model : Model
     directions : sequence of Direction
     attempts : list of Attempt
+        Those at another exponent get the p-value of its direction.
     alpha : float
 
     Returns
     -------
     list of Attempt
     """
-    out = list(attempts)
-    types = dataset_types(observation.dataset)
+    out, types = list(attempts), dataset_types(observation.dataset)
     for name, law, p, _ in [d for d in directions if d.p_value <= alpha][:MOST]:
         if not law:
             out = [
@@ -148,12 +148,7 @@ def directed_attempts(observation, model, directions, attempts, alpha):
         kind = Term(formula).kind
         proposal = Proposal(formula, kind, "c1", False, PRIOR_NATS, float("nan"), float("nan"))
         attempt = attempt_of((observation, model.fit, proposal))
-        if attempt is None:
-            continue
-        same = [k for k, a in enumerate(out) if a.text == attempt.text]
-        if same:
-            out[same[0]] = replace(out[same[0]], p_value=p)
-        else:
+        if attempt is not None:
             out.append(replace(attempt, p_value=p))
     return out
 

@@ -10,12 +10,10 @@ import numpy as np
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.attempts import attempts_of, choose, evaluate, named
 from bsp_gp.loop.bootstrap import bootstrap, strength
-from bsp_gp.loop.declared_exponents import exponent_attempts
-from bsp_gp.loop.directed import directed_attempts
 from bsp_gp.loop.guide import guided, ordered
+from bsp_gp.loop.known import joined, known_attempts, leaves_noise_alone
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
-from bsp_gp.loop.periodic import periodic_attempts
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.telling import (
     effect_of,
@@ -81,7 +79,12 @@ def run_round(
     complete = (search, model.fit)
     search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
-    search, fit, proposals = search_with_memory(search, model.fit, search_rng)
+    known = known_attempts(observation, model, missing, alpha)
+    fit = model.fit
+    if leaves_noise_alone(observation, known, alpha):
+        proposals = search.propose(fit, search_rng)
+    else:
+        search, fit, proposals = search_with_memory(search, fit, search_rng)
     if search.observation is not observation:
         observation = search.observation
         model = evaluate(observation, fit.law, fit)
@@ -93,12 +96,11 @@ def run_round(
             else:
                 done = _quiet_round(number, missing, model, floor, started)
             return replace(done, trace=trace), model, search.whole or search
+        known = known_attempts(observation, model, missing, alpha)
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
-    attempts += exponent_attempts(observation, model)
-    attempts += periodic_attempts(observation, model, missing.rhythm)
-    attempts = directed_attempts(observation, model, missing.directions, attempts, alpha)
+    attempts = joined(attempts, known)
     chosen = choose(observation, model, search, attempts)
     chosen, attempts, near = _along_the_best(
         observation, model, search, chosen, attempts, search_rng, workers

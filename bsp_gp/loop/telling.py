@@ -81,7 +81,10 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
         if (not a.reason or a.freed) and a.text != chosen.text
     }
     as_good = sorted((t for t, delta in fitted.items() if delta < CLASS_BIC), key=fitted.get)
-    further = [text for text in near if text != chosen.text and text not in fitted]
+    searched = [a for a in attempts if not a.freed]
+    further = []
+    if any(a.text == chosen.text or fitted.get(a.text, np.inf) < CLASS_BIC for a in searched):
+        further = [text for text in near if text != chosen.text and text not in fitted]
     equivalents = (*as_good, *chosen.equivalents, *further[:MOST_EQUALS], *chosen.ties)
     return Effect(
         name=chosen.name,

@@ -140,7 +140,6 @@ def test_a_damped_spring_is_not_called_by_a_wrong_name():
     assert set(names) <= {"spring towards the other body", "drag, linear in speed"}
 
 
-@pytest.mark.xfail(reason="no rival frees the exponent of a declared term")
 def test_a_slightly_wrong_power_is_not_called_by_a_wrong_name():
     """Declared 1/r^2, in truth 1/r^2.1: whatever is adopted must be a power of the distance."""
     report = close(orbits(0, exponent=2.1), [GRAVITY])

@@ -1,0 +1,53 @@
+"""Attempts that need no search: common effects, a period, another exponent of a declared term."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bsp_gp.loop.declared_exponents import exponent_attempts
+from bsp_gp.loop.directed import directed_attempts
+from bsp_gp.loop.periodic import periodic_attempts
+from bsp_gp.loop.residual import examine_residual
+
+__all__ = ["joined", "known_attempts", "leaves_noise_alone"]
+
+
+def known_attempts(observation, model, missing, alpha):
+    """Attempts at what was named before the data were seen and stands out in the residual.
+
+    Parameters
+    ----------
+    observation : Observation
+    model : Model
+    missing : Missing
+        Of the model.
+    alpha : float
+
+    Returns
+    -------
+    list of Attempt
+    """
+    out = exponent_attempts(observation, model)
+    out += periodic_attempts(observation, model, missing.rhythm)
+    return directed_attempts(observation, model, missing.directions, out, alpha)
+
+
+def leaves_noise_alone(observation, attempts, alpha):
+    """Whether the best of the attempts explains all that was left.
+
+    Then nothing need be explained by noise with a memory: along tracks that lack a strong effect
+    everything looks like that.
+    """
+    able = [a for a in attempts if not a.reason]
+    if not able or not observation.may_have_memory:
+        return False
+    n_eff = able[0].fit.n_effective
+    best = min(able, key=lambda a: a.score(n_eff))
+    return not examine_residual(observation, best.fit, alpha).is_missing
+
+
+def joined(attempts, known):
+    """Attempts of the search and known ones, a law that is both only once."""
+    own = {a.text: a for a in known}
+    out = [replace(a, p_value=own.pop(a.text).p_value) if a.text in own else a for a in attempts]
+    return out + list(own.values())
