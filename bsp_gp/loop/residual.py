@@ -8,7 +8,7 @@ from bsp_gp.loop.outcome import Missing
 from bsp_gp.physics.noise import TrackNoise
 from bsp_gp.units import ACCELERATION
 
-__all__ = ["LAGS", "examine_residual", "ljung_box"]
+__all__ = ["LAGS", "examine_residual", "ljung_box", "orthonormal_rows"]
 
 LAGS = 8
 DEGREE = 6
@@ -102,13 +102,13 @@ def _beside(rows, taken):
     rows = _scaled(rows)
     if not len(rows):
         return rows
-    q = _orthonormal_rows(taken)
+    q = orthonormal_rows(taken)
     rows = rows - (rows @ q.T) @ q
     _, values, basis = np.linalg.svd(rows, full_matrices=False)
     return basis[values > 1e-6]
 
 
-def _orthonormal_rows(rows):
+def orthonormal_rows(rows):
     """Orthonormal basis of what rows (k, n) span, shape (m, n)."""
     rows = _scaled(rows)
     if not len(rows):
@@ -151,7 +151,7 @@ def _ljung_box_of_tracks(whole, blocks, lags=LAGS):
     for errors, (_, _, by_state) in zip(whole.whitened, blocks, strict=True):
         n_times, n_segments = errors.shape[:2]
         for s in range(n_segments):
-            basis = _orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
+            basis = orthonormal_rows(by_state[s]).reshape(-1, n_times, errors[0, s].size)
             moments = _taken_by_state(basis, errors[:, s].reshape(n_times, -1) != 0, lags)
             mean, covariance = mean + moments[0], covariance + moments[1]
     return _pooled_ljung_box(whole.whitened, whole.n_rows - whole.n_free, lags, mean, covariance)
