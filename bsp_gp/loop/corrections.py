@@ -9,7 +9,7 @@ measured. What cannot be undone (a delay, a smoothing) is taken from the tracks 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 
@@ -60,9 +60,9 @@ class Correction:
         ``undo(scene, values, track) -> Scene``: the scene as it was; `track` are the predicted
         positions of the receivers, shape (T, R, d), None if it needs none.
     needs_track : bool
-    factors : callable
+    factors : callable, optional
         ``factors(values) -> (length, time)``: by what lengths and times of the corrected data
-        differ from the measured ones, for what is quoted beside the scenes.
+        differ from the measured ones, for what is quoted beside the scenes; None: by nothing.
     low : float
         Least value that makes sense.
     holds_for_all : bool
@@ -75,12 +75,16 @@ class Correction:
     numbers: tuple
     undo: Callable
     needs_track: bool = False
-    factors: Callable = field(default=lambda values: (1.0, 1.0))
+    factors: Callable = None
     low: float = -np.inf
     holds_for_all: bool = True
 
     def __len__(self):
         return len(self.numbers)
+
+    def quoted(self, values):
+        """By what corrected lengths and times differ from measured ones: (length, time)."""
+        return (1.0, 1.0) if self.factors is None else self.factors(values)
 
     @property
     def sizes(self):
@@ -141,25 +145,32 @@ def _scale():
     return Correction(
         "a length scale that is off", "measured lengths = (1 + {epsilon}) * true lengths",
         r"\hat{x} = (1 + \epsilon)\, x", (FreeNumber("epsilon", DIMENSIONLESS, LARGE),),
-        _unscaled, factors=lambda values: (1 / (1 + values[0]), 1.0),
+        _unscaled, factors=_scale_factors,
     )  # fmt: skip
 
 
+def _scale_factors(values):
+    return 1 / (1 + values[0]), 1.0
+
+
 def _unscaled(scene, values, track=None):
-    factor = 1 / (1 + values[0])
-    return _stretched(scene, factor, 1.0)
+    return _stretched(scene, *_scale_factors(values))
 
 
 def _clock():
     return Correction(
         "a clock that is off", "measured times = (1 + {epsilon}) * true times",
         r"\hat{t} = (1 + \epsilon)\, t", (FreeNumber("epsilon", DIMENSIONLESS, LARGE),),
-        _unclocked, factors=lambda values: (1.0, 1 / (1 + values[0])),
+        _unclocked, factors=_clock_factors,
     )  # fmt: skip
 
 
+def _clock_factors(values):
+    return 1.0, 1 / (1 + values[0])
+
+
 def _unclocked(scene, values, track=None):
-    return _stretched(scene, 1.0, 1 / (1 + values[0]))
+    return _stretched(scene, *_clock_factors(values))
 
 
 def _stretched(scene, length, time):

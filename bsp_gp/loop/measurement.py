@@ -137,7 +137,7 @@ def _only(correction, seen):
     numbers = tuple(n for n, is_seen in zip(correction.numbers, seen, strict=True) if is_seen)
     return replace(
         correction, numbers=numbers, undo=partial(_undo_some, correction, seen),
-        factors=partial(_factors_of_some, correction, seen),
+        factors=partial(_quoted_by_some, correction, seen),
         text=correction.text if len(numbers) > 3 else _trimmed(correction, seen),
     )  # fmt: skip
 
@@ -159,8 +159,8 @@ def _undo_some(correction, seen, scene, values, track=None):
     return correction.undo(scene, _all_values(seen, values), track)
 
 
-def _factors_of_some(correction, seen, values):
-    return correction.factors(_all_values(seen, values))
+def _quoted_by_some(correction, seen, values):
+    return correction.quoted(_all_values(seen, values))
 
 
 # --- what is one and the same ---------------------------------------------------------------------

@@ -58,33 +58,33 @@ def explanations(observation, model, rng, workers=None, to_beat=None):
 
 def _rows_that_count(*fits):
     """Effective rows by which fits are compared: those of the best."""
-    return min((fit for fit in fits if fit is not None), key=lambda f: f.chisqr).n_effective
+    return min(fits, key=lambda f: f.chisqr).n_effective
 
 
 def _able(found):
     return [e for e in found if not e.reason]
 
 
-def winner_of(model, shown, found):
-    """The explanation that is clearly better than the best law, or None.
+def winner_of(model, laws, found):
+    """The explanation that is clearly better than every law, or None.
 
     Parameters
     ----------
     model : Model
         The one entering the round.
-    shown : Attempt or None
-        The law, or changed number, that the round would tell of.
+    laws : list of Fit
+        Of the laws that were tried, and of a changed number: a law that is ruled out and
+        explains more tells that the explanation is not the cause either.
     found : list of Explanation
     """
     able = _able(found)
     if not able:
         return None
-    law = shown.fit if shown is not None else None
-    n_eff = _rows_that_count(law, *(e.fit for e in able))
+    n_eff = _rows_that_count(*laws, *(e.fit for e in able))
     best = min(able, key=lambda e: e.bic(n_eff))
     if model.fit.bic(n_eff) - best.bic(n_eff) < MIN_BIC_GAIN:
         return None
-    if law is not None and law.bic(n_eff) - best.bic(n_eff) < CLASS_BIC:
+    if any(law.bic(n_eff) - best.bic(n_eff) < CLASS_BIC for law in laws):
         return None
     return best
 
@@ -286,20 +286,19 @@ def _verdict(observation, model, best, after, names, floor, ratio, p_value, alph
             f"and so does {' or '.join(names)}: these data cannot tell them apart"
         )  # fmt: skip
     seen = best.observation
-    is_blind = seen.is_exact or (seen.memory > 0 and seen.may_have_memory)
-    is_left = is_blind or examine_residual(seen, best.fit, alpha).is_missing
+    if examine_residual(seen, best.fit, alpha).is_missing:
+        # A law may be rough and of use; a measurement that is put right leaves noise.
+        return False, "seen, not adopted", (
+            f"{best.name} fits better than any law, but leaves more than noise: the cause is not "
+            "among what was tried"
+        )  # fmt: skip
     is_defect = best.details.get("is_defect", False)
-    if is_defect:
-        free = best.fit.whole.n_free
-        above = max(model.fit.chisqr - (best.fit.n_rows - free), 1e-300)
-        share = (model.fit.chisqr - best.fit.chisqr) / above
-    else:
-        share = explained_share(seen, model.errors, after.errors, floor)
-    if is_left and not share >= MIN_SHARE:
+    share = explained_share(seen, model.errors, after.errors, floor)
+    if seen.memory > 0 and seen.may_have_memory and not is_defect and not share >= MIN_SHARE:
+        # A memory that was estimated takes up what is left: then only errors can tell.
         return False, "seen, not adopted", (
             f"{best.name} fits better than any law, but it removes only {max(share, 0):.0%} of the "
-            f"error above the noise floor, less than {MIN_SHARE:.0%}, and leaves more than noise: "
-            "the cause is not among what was tried"
+            f"held-out error above the noise floor, less than {MIN_SHARE:.0%}"
         )  # fmt: skip
     said = f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted"
     if is_defect:

@@ -97,7 +97,8 @@ def run_round(
     )
     shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
     progress(f"round {number}: weighing errors of the measurement")
-    least = min((a.fit.chisqr for a in (shown, chosen) if a is not None), default=None)
+    laws = [a.fit for a in (shown, *attempts) if a is not None]
+    least = min((fit.chisqr for fit in laws), default=None)
     others = explanations(observation, model, rival_rng, workers, least)
 
     def significance(evidence):
@@ -112,7 +113,7 @@ def run_round(
         )
         return found.p_value, found.text()
 
-    winner = winner_of(model, shown, others)
+    winner = winner_of(model, laws, others)
     if winner is not None:
         told = (number, missing, proposals, attempts, trace, guidance, started)
         return _round_of_rival(search, model, winner, others, significance, alpha, ratio_rng, told)

@@ -46,7 +46,7 @@ def corrected_scenes(scenes, correction, values, tracks=None):
 
 def corrected_train(observation, correction, values, tracks=None):
     """The observation with corrected training scenes; its regression is the old one."""
-    length, time = correction.factors(values)
+    length, time = correction.quoted(values)
     train = corrected_scenes(observation.train, correction, values, tracks)
     bend = length / time**2 if observation.method == "derivative" else length
     return replace(
