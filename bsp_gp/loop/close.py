@@ -247,6 +247,8 @@ def _report(search, measured, law, first, model, rounds, grammar, alpha, seed, r
     verdict = next(v for v in VERDICTS if v in verdicts)
     if verdict == "nothing missing" and "seen, not adopted" in verdicts:
         verdict = "seen, not adopted"
+    if any(r.adopted for r in rounds) and "effect adopted" not in verdicts:
+        verdict = "cannot tell"  # all that was adopted has a rival that explains as much
     units = {c.name: c.unit for c in constant_estimates(observation, model.fit) if not c.entity}
     return LoopReport(
         dataset=_about(measured),

@@ -81,9 +81,7 @@ def swaps_of(scene, sigma):
     pairs = list(combinations(scene.dynamic.tolist(), 2))
     bar = CLEAR + 2 * np.log(max(len(pairs) * len(scene.times), 2))
     while pairs and len(out) < MOST_SWAPS:
-        gain, row, first, second = max(
-            (*_best_swap(scene, sigma, a, b), a, b) for a, b in pairs
-        )
+        gain, row, first, second = max((*_best_swap(scene, sigma, a, b), a, b) for a, b in pairs)
         if gain < bar:
             break
         out.append(Swap(scene.name, row, first, second, gain))

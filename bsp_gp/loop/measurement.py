@@ -25,14 +25,14 @@ from bsp_gp.loop.seeing import Linearised, corrected, corrected_train, train_tra
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.shooting import fit_rollout
 
-__all__ = ["fit_correction", "measurement_rivals", "same_numbers"]
+__all__ = ["fit_correction", "measurement_rivals", "same_numbers", "states_of_fit"]
 
 PARALLEL = 1e-6
 """One minus the cosine up to which two changes of the data are one and the same."""
 ROUNDING = 1e-4
 """Part of a change that is left beside initial states and constants by rounding alone."""
 WORTH = 0.25
-"""Part of what the best law explains that a correction must explain, to first order."""
+"""Part of what the best law or correction explains that one must explain, to first order."""
 MOST_FITTED = 5
 MOST_STEPS = 8
 ENOUGH = 0.01
@@ -91,6 +91,7 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     target = target if to_beat is None else min(to_beat, target)
     misfit = max(target / max(model.fit.n_rows, 1), 1.0)
     least = max(WORTH * (model.fit.chisqr - target), misfit * _chance(1, len(screened)))
+    least = max([least, *(WORTH * s.gain for s in screened)])
     screened.sort(key=lambda s: -s.gain)
     worth = [s for s in screened if s.gain >= least][:MOST_FITTED]
     rest = [s for s in screened if s not in worth]
@@ -193,9 +194,7 @@ def same_numbers(observation, fit):
         out[text] = None
         if np.isfinite(size) and size > 0:
             bar = (1 - PARALLEL) * size
-            out[text] = tuple(
-                s.correction.name for s in found if abs(s.direction @ column) > bar
-            )
+            out[text] = tuple(s.correction.name for s in found if abs(s.direction @ column) > bar)
     return out
 
 
@@ -283,7 +282,7 @@ def fit_correction(observation, fit, correction, start):
     seen = corrected(observation, correction, values, here)
     done = seen.fit(here.law, bounds, start=here.law, states=states_of_fit(here))
     covariance = np.linalg.pinv(columns @ columns.T, hermitian=True)
-    return values, covariance * inflation(done), seen, done
+    return values, covariance * _inflation(done), seen, done
 
 
 def _fit_at(observation, near, correction, values, bounds):
@@ -303,7 +302,17 @@ def _fit_at(observation, near, correction, values, bounds):
 
 
 def states_of_fit(fit):
-    """Initial states of a fit to tracks by the name of scene or segment; None without one."""
+    """Initial states of a fit to whole tracks, to start another from.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    dict of str to (ndarray, ndarray) or None
+        By the name of scene or segment; None without a fit to tracks.
+    """
     if fit.whole is None:
         return None
     return {
@@ -315,7 +324,7 @@ def states_of_fit(fit):
     }
 
 
-def inflation(fit):
+def _inflation(fit):
     """By what misfit beyond the noise inflates the variance of a correction's numbers."""
     free = fit.whole.n_free if fit.whole is not None else len(fit.parameters)
     misfit = max(fit.chisqr / max(fit.n_rows - free, 1), 1.0)
@@ -351,7 +360,7 @@ def _fitted(observation, model, n_tested, screened):
         MEASUREMENT, correction.name, _text_of(correction.text, constants), correction.latex, seen,
         fit, len(correction), constants, reason,
         details={
-            "p_value": _p_of(gain / inflation(fit), len(correction), n_tested),
+            "p_value": _p_of(gain / _inflation(fit), len(correction), n_tested),
             "linear_gain": screened.gain,
         },
         view=partial(_viewed, correction, values) if correction.holds_for_all else None,

@@ -192,6 +192,7 @@ class Round:
         What of that guided the search.
     undecided : tuple of str
         Explanations that are no force law and fit as well as the effect: these data cannot tell.
+        A law may be adopted all the same, for predictions; the verdict is then "cannot tell".
     """
 
     number: int

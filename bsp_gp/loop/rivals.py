@@ -13,7 +13,9 @@ from functools import partial
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
-from bsp_gp.loop.measurement import measurement_rivals
+from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.measurement import measurement_rivals, states_of_fit
+from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.outcome import Effect, Rival
 from bsp_gp.loop.residual import examine_residual
@@ -188,9 +190,7 @@ def rival_rows(model, best, found, but=None):
 def _ratio(explanation, model):
     """Held-out error under an explanation over that of the model entering the round."""
     seen = explanation.observation
-    bottom = (
-        model.errors.residual_acceleration if seen.is_exact else model.errors.rollout_rmse
-    )
+    bottom = model.errors.residual_acceleration if seen.is_exact else model.errors.rollout_rmse
     with np.errstate(over="ignore", invalid="ignore"):
         return seen.headline_error(explanation.fit.law) / bottom if bottom else float("nan")
 
@@ -207,6 +207,8 @@ class Judged:
     adopted : bool
     verdict, reason : str
     effect : Effect
+    observation : Observation
+        To go on with.
     after : Model
         Under the explanation; its errors are those of positions as they were by it.
     floor, ratio
@@ -217,12 +219,13 @@ class Judged:
     verdict: str
     reason: str
     effect: Effect
+    observation: object
     after: object
     floor: object
     ratio: object
 
 
-def judge(observation, model, best, found, p_value, alpha, rng):
+def judge(observation, model, best, found, p_value, alpha, rng, noise=None):
     """Adopt an explanation, or say why not: no test is easier than that of a law.
 
     Parameters
@@ -238,13 +241,15 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         Of the search of the round; that of the explanation counts if it is greater.
     alpha : float
     rng : numpy.random.Generator
+    noise : NoiseEstimate, optional
+        As it was taken for white, before a memory was estimated on what the laws leave.
 
     Returns
     -------
     Judged
     """
-    seen = best.observation
-    after = evaluate(seen, best.fit.law, best.fit)
+    base, seen, fit = _settled(observation, best, noise, alpha)
+    after = evaluate(seen, fit.law, fit)
     floor_rng, ratio_rng = rng.spawn(2)
     floor, copies = seen.floor(after.law, floor_rng)
     ratio = seen.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
@@ -257,7 +262,7 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         if freed.fit.bic(n_eff) < best.bic(n_eff) + CLASS_BIC:
             names.append(freed.name)
     adopted, verdict, reason = _verdict(
-        observation, model, best, after, names, floor, ratio, p_value, alpha
+        base, seen, model, best, after, names, floor, ratio, p_value, alpha
     )
     separated_by = best.separated_by
     if names:
@@ -269,10 +274,28 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         best.name, best.kind, best.text, best.latex, (), best.constants, p_value,
         tuple(names), separated_by,
     )  # fmt: skip
-    return Judged(adopted, verdict, reason, effect, after, floor, ratio)
+    return Judged(adopted, verdict, reason, effect, seen, after, floor, ratio)
 
 
-def _verdict(observation, model, best, after, names, floor, ratio, p_value, alpha):
+def _settled(observation, explanation, noise, alpha):
+    """Observation as measured and as explained, and the fit, without a spurious memory of noise.
+
+    What a wrong measurement leaves looks like noise with a memory, as a missing force does: if
+    it leaves no trace of one when it is put right, there is none.
+    """
+    seen, fit = explanation.observation, explanation.fit
+    if noise is None or not (seen.memory and seen.may_have_memory):
+        return observation, seen, fit
+    factor = float(np.nanmean(np.array(noise.sigma) / np.array(observation.noise.sigma)))
+    white = with_memory(seen, 0.0, factor)
+    bounds = sign_bounds(white, fit.law)
+    new = white.fit(fit.law, bounds, start=fit.law, states=states_of_fit(fit))
+    if examine_residual(white, new, alpha).is_missing:
+        return observation, seen, fit
+    return with_memory(observation, 0.0, factor), white, new
+
+
+def _verdict(observation, seen, model, best, after, names, floor, ratio, p_value, alpha):
     n_eff = _rows_that_count(best.fit)
     gain = model.fit.bic(n_eff) - best.bic(n_eff)
     if p_value > alpha:
@@ -285,8 +308,7 @@ def _verdict(observation, model, best, after, names, floor, ratio, p_value, alph
             f"{best.name} explains it better than any law (BIC lower by {gain:.1f} than without), "
             f"and so does {' or '.join(names)}: these data cannot tell them apart"
         )  # fmt: skip
-    seen = best.observation
-    if examine_residual(seen, best.fit, alpha).is_missing:
+    if examine_residual(seen, after.fit, alpha).is_missing:
         # A law may be rough and of use; a measurement that is put right leaves noise.
         return False, "seen, not adopted", (
             f"{best.name} fits better than any law, but leaves more than noise: the cause is not "

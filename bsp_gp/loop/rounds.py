@@ -116,7 +116,10 @@ def run_round(
     winner = winner_of(model, laws, others)
     if winner is not None:
         told = (number, missing, proposals, attempts, trace, guidance, started)
-        return _round_of_rival(search, model, winner, others, significance, alpha, ratio_rng, told)
+        noise = complete[0].observation.noise
+        return _round_of_rival(
+            search, model, winner, others, significance, alpha, ratio_rng, noise, told
+        )
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
         ranked, ruled_out = rival_rows(model, model.fit, others)
@@ -151,7 +154,8 @@ def run_round(
         effect = effect_of(observation, chosen, attempts, p_value)
     effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
     effect, undecided = told_beside(observation, effect, shown, others)
-    if undecided and adopted:
+    if undecided and adopted:  # of use for predictions, but no name to be sure of
+        verdict = "cannot tell"
         reason += f"; {' and '.join(undecided)} would explain these data as well"
     ranked, ruled_out = rival_rows(model, shown.fit, others)
     rivals = [
@@ -189,7 +193,7 @@ def run_round(
     return done, *_without_spurious_memory(after, search)
 
 
-def _round_of_rival(search, model, winner, others, significance, alpha, rng, told):
+def _round_of_rival(search, model, winner, others, significance, alpha, rng, noise, told):
     """A round whose effect is no force between visible bodies."""
     number, missing, proposals, attempts, trace, guidance, started = told
     observation = search.observation
@@ -198,7 +202,7 @@ def _round_of_rival(search, model, winner, others, significance, alpha, rng, tol
     p_value, how = proposals.p_value, ""
     if "p_value" not in winner.details:  # else the chance of it is known from its own likelihood
         p_value, how = significance((model.fit.bic(n_eff) - counted.fit.bic(n_eff)) / 2)
-    judged = judge(observation, model, winner, others, p_value, alpha, rng)
+    judged = judge(observation, model, winner, others, p_value, alpha, rng, noise)
     ranked, ruled_out = rival_rows(model, counted.fit, others, but=winner)
     rivals = [
         *rivals_of(observation, model, counted, attempts), *ranked,
@@ -216,7 +220,7 @@ def _round_of_rival(search, model, winner, others, significance, alpha, rng, tol
     search = search.whole or search
     if not judged.adopted:
         return done, model, search
-    return done, *_without_spurious_memory(judged.after, search.on(winner.observation))
+    return done, *_without_spurious_memory(judged.after, search.on(judged.observation))
 
 
 def _without_spurious_memory(model, search):

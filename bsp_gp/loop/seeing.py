@@ -165,6 +165,8 @@ class Linearised:
         whole : ndarray, shape (k,)
             Length of each before that.
         """
+        # At zero the tracks themselves are corrected: noise that is turned along is no signal.
+        source = self._without_noise() if values is None else self.measured
         values = np.zeros(len(correction)) if values is None else np.array(values, dtype=float)
         beside, whole = [], []
         for k, size in enumerate(correction.sizes):
@@ -172,7 +174,8 @@ class Linearised:
             for sign in (1, -1):
                 moved = values.copy()
                 moved[k] += sign * STEP * size
-                ends.append(self._residual_under(correction, moved))
+                changed = corrected_train(source, correction, moved, self.tracks)
+                ends.append(self._residual_of(changed, self.fit.law))
             slope = [(up - down) / (2 * STEP * size) for up, down in zip(*ends, strict=True)]
             whole.append(float(np.sqrt(sum(np.square(part).sum() for part in slope))))
             beside.append(self._beside(self._joined(slope)))
@@ -187,10 +190,19 @@ class Linearised:
         slope = [(up - down) / (2 * STEP * value) for up, down in zip(*ends, strict=True)]
         return self._beside(self._joined(slope))
 
-    def _residual_under(self, correction, values):
-        return self._residual_of(
-            corrected_train(self.measured, correction, values, self.tracks), self.fit.law
-        )
+    def _without_noise(self):
+        """The observation with the predicted positions of the training scenes, gaps kept."""
+        if not self.tracks:
+            return self.measured
+        scenes = []
+        for scene in self.measured.train:
+            if scene.name in self.tracks:
+                positions = np.array(scene.positions)
+                seen = np.isfinite(positions[:, scene.dynamic])
+                positions[:, scene.dynamic] = np.where(seen, self.tracks[scene.name], np.nan)
+                scene = replace(scene, positions=positions)
+            scenes.append(scene)
+        return replace(self.measured, train=tuple(scenes))
 
     def _residual_of(self, observation, law):
         """Whitened residual at the states of the fit, one array (S, n) per batch."""
