@@ -13,8 +13,9 @@ from functools import partial
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
+from bsp_gp.loop.correcting import states_of_fit
 from bsp_gp.loop.effects import sign_bounds
-from bsp_gp.loop.measurement import measurement_rivals, states_of_fit
+from bsp_gp.loop.measurement import measurement_rivals
 from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.outcome import Effect, Rival
