@@ -16,6 +16,7 @@ from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.guide import check_guide
+from bsp_gp.loop.measurement import parted_by
 from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.preparing import observe
@@ -318,8 +319,8 @@ def _one_and_the_same(observation, fit):
         if alike:
             yield (
                 f"{' and '.join(alike)} cannot be told from another number in {text}: under this "
-                "law they do exactly the same to the tracks; a known length and a known time in "
-                "the same recording would tell them apart"
+                "law they do exactly the same to the tracks; "
+                + parted_by(observation, fit, text, alike)
             )
 
 

@@ -22,9 +22,10 @@ from bsp_gp.loop.explanation import MEASUREMENT, Explanation
 from bsp_gp.loop.naming import fresh_name
 from bsp_gp.loop.outcome import ConstantEstimate
 from bsp_gp.loop.seeing import Linearised
+from bsp_gp.loop.separating import symmetry_text
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["measurement_rivals", "same_numbers"]
+__all__ = ["measurement_rivals", "parted_by", "same_numbers"]
 
 PARALLEL = 1e-6
 """One minus the cosine up to which two changes of the data are one and the same."""
@@ -187,16 +188,44 @@ def same_numbers(observation, fit):
     return out
 
 
+def parted_by(observation, fit, text, names):
+    """Which further recording would part a declared number from errors that do the same.
+
+    Parameters
+    ----------
+    observation : Observation
+    fit : Fit
+    text : str
+        Of the declared term.
+    names : sequence of str
+        Of corrections, as `same_numbers` gives them.
+
+    Returns
+    -------
+    str
+    """
+    (changed, name) = next(law for t, *law in _freed_laws(fit.law) if t == text)
+    corrections = [c for c in corrections_of(observation) if c.name in names]
+    return symmetry_text(
+        observation, fit, corrections, lambda linear: linear.column_of_law(changed, name)
+    )
+
+
 def _declared_columns(linear, law):
     """Text of every declared term with a fixed number, and what a factor on it does."""
+    for text, changed, name in _freed_laws(law):
+        yield text, linear.column_of_law(changed, name)
+
+
+def _freed_laws(law):
+    """Text of every declared term with a fixed number, the law with a factor on it, its name."""
     for index, term in enumerate(law.terms):
         if not term.is_declared or term.formula.constants:
             continue
         name = fresh_name(law, "s")
         scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
         terms = (*law.terms[:index], scaled, *law.terms[index + 1 :])
-        changed = ForceLaw(terms, {**law.constants, name: 1.0})
-        yield to_text(term.formula), linear.column_of_law(changed, name)
+        yield to_text(term.formula), ForceLaw(terms, {**law.constants, name: 1.0}), name
 
 
 def _same_as(observation, model, linear, screened):

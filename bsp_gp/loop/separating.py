@@ -12,15 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.errors import BspError
+from bsp_gp.loop.seeing import Linearised
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.shooting import fit_rollout
 
-__all__ = ["Member", "separating_text", "separations"]
+__all__ = ["Member", "separating_text", "separations", "symmetry_text"]
 
 TOLD = 5.0
 """Standard deviations at which two explanations count as told apart."""
 LIKE_THESE = "one more recording like these"
+BELIEVED = 0.05
+"""An error of a scale or a clock that may well be: by it is told what a recording would show."""
 TURNS = 30
 """Iterations from true to measured positions; corrections are near the identity."""
 
@@ -107,6 +110,69 @@ def separating_text(observation, members):
         )
     text = f"{best}: predictions differ by {least[best]:.3g} sigma there"
     return text if again is None else f"{text} ({again:.2g} in {LIKE_THESE})"
+
+
+def symmetry_text(observation, fit, corrections, column):
+    """Which further recording would part errors of the measurement from another number.
+
+    Parameters
+    ----------
+    observation : Observation
+    fit : Fit
+        Of the law under which they do the same to the present tracks.
+    corrections : sequence of Correction
+        Of one number each.
+    column : callable
+        ``column(linear)`` -> derivative of the residual by the number, see `Linearised`.
+
+    Returns
+    -------
+    str
+    """
+    cure = "a known length and a known time in the same recording would tell them apart"
+    if fit.whole is None:
+        return cure
+    scene = max(observation.train, key=lambda s: len(s.times))
+    found = {}
+    for words, plan in _plans(observation, scene).items():
+        further = _predicted(observation, plan, Member("", fit))
+        if further is None:
+            continue
+        start = _start_of(fit.whole, plan.source)
+        start = plan.start(*start) if plan.start else start
+        seen = replace(observation, train=(further,), segments=(further,), segment_rows=None)
+        whole = fit_rollout(
+            [further],
+            fit.law,
+            seen.sigma,
+            integrator=seen.integrator,
+            substeps=seen.substeps,
+            up=seen.dataset.up,
+            memory=seen.memory,
+            states={further.name: start},
+            max_iterations=0,
+        )
+        linear = Linearised(seen, replace(fit, whole=whole))
+        number = column(linear)
+        number = number / max(float(np.linalg.norm(number)), 1e-300)
+        sizes = []
+        for c in corrections:
+            (change,), _ = linear.columns(c)
+            sizes.append(BELIEVED * float(np.linalg.norm(change - (change @ number) * number)))
+        found[words] = min(sizes)
+    found.pop(LIKE_THESE, None)
+    if not found:
+        return cure
+    best = max(found, key=lambda words: (found[words], words))
+    if found[best] < TOLD:
+        return (
+            f"none of the further recordings that were tried would part them ({', '.join(found)}: "
+            f"an error of {BELIEVED:.0%} shows by {found[best]:.1g} sigma at most); {cure}"
+        )
+    return (
+        f"{best} would tell them apart: an error of {BELIEVED:.0%} shows by {found[best]:.3g} "
+        "sigma there"
+    )
 
 
 @dataclass(frozen=True, eq=False)
