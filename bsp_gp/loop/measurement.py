@@ -33,6 +33,8 @@ ROUNDING = 1e-4
 """Part of a change that is left beside initial states and constants by rounding alone."""
 WORTH = 0.25
 """Part of what the best law or correction explains that one must explain, to first order."""
+LITTLE = 2.0
+"""Fall of chi-squared, in variances of the noise, of what explains nothing."""
 MOST_FITTED = 5
 Z90 = 1.6448536269514722
 
@@ -87,7 +89,7 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     target = min([model.fit.chisqr, *(e.fit.chisqr for e in defects if not e.reason)])
     target = target if to_beat is None else min(to_beat, target)
     misfit = max(target / max(model.fit.n_rows, 1), 1.0)
-    least = max(WORTH * (model.fit.chisqr - target), misfit * _chance(1, len(screened)))
+    least = max(WORTH * (model.fit.chisqr - target), misfit * LITTLE)
     least = max([least, *(WORTH * s.gain for s in screened)])
     screened.sort(key=lambda s: -s.gain)
     worth = [s for s in screened if s.gain >= least][:MOST_FITTED]
@@ -101,13 +103,6 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     out += defects
     n_eff = model.fit.n_effective
     return sorted(out, key=lambda e: (bool(e.reason), e.bic(n_eff)))
-
-
-def _chance(k, n_tested):
-    """Fall of chi-squared that the best of `n_tested` would reach by chance once in 20 times."""
-    from scipy import stats
-
-    return float(stats.chi2.isf(0.05 / max(n_tested, 1), k))
 
 
 def _screen(linear, correction):

@@ -13,10 +13,8 @@ from functools import partial
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
-from bsp_gp.loop.correcting import states_of_fit
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.measurement import measurement_rivals
-from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.outcome import Effect, Rival
 from bsp_gp.loop.residual import examine_residual
@@ -26,7 +24,7 @@ from bsp_gp.loop.verdict import MIN_BIC_GAIN, MIN_SHARE, explained_share
 
 __all__ = [
     "Judged", "as_attempt", "explanations", "in_class", "judge", "rival_rows", "told_beside",
-    "winner_of",
+    "winner_of", "without_memory",
 ]  # fmt: skip
 
 
@@ -90,6 +88,46 @@ def winner_of(model, laws, found):
     if any(law.bic(n_eff) - best.bic(n_eff) < CLASS_BIC for law in laws):
         return None
     return best
+
+
+def without_memory(search, model, shown, rng, alpha, workers=None):
+    """The explanation that makes a memory of the noise needless, and what it is weighed with.
+
+    What a wrong measurement leaves looks like noise with a memory, as a missing force does, and
+    under such noise it is hard to see. So where a memory was found, explanations are sought
+    under white noise as well: one that leaves nothing but that is simpler.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        On the observation before a memory was estimated.
+    model : Model
+        The one entering the round, under white noise.
+    shown : Attempt or None
+        The law that the round would tell of.
+    rng : numpy.random.Generator
+    alpha : float
+    workers : concurrent.futures.Executor, optional
+
+    Returns
+    -------
+    winner : Explanation or None
+    found : list of Explanation
+    laws : list of Attempt
+        The law under white noise.
+    """
+    observation = search.observation
+    laws = []
+    if shown is not None:
+        bounds = sign_bounds(observation, shown.law)
+        fit = observation.fit(shown.law, bounds, start=shown.law)
+        laws = [replace(shown, law=fit.law, fit=fit)]
+    least = min((a.fit.chisqr for a in laws), default=None)
+    found = explanations(observation, model, rng, workers, least)
+    winner = winner_of(model, [a.fit for a in laws], found)
+    if winner is None or examine_residual(winner.observation, winner.fit, alpha).is_missing:
+        return None, found, laws
+    return winner, found, laws
 
 
 def in_class(fit, found, n_free=0):
@@ -208,8 +246,6 @@ class Judged:
     adopted : bool
     verdict, reason : str
     effect : Effect
-    observation : Observation
-        To go on with.
     after : Model
         Under the explanation; its errors are those of positions as they were by it.
     floor, ratio
@@ -220,13 +256,12 @@ class Judged:
     verdict: str
     reason: str
     effect: Effect
-    observation: object
     after: object
     floor: object
     ratio: object
 
 
-def judge(observation, model, best, found, p_value, alpha, rng, noise=None):
+def judge(observation, model, best, found, p_value, alpha, rng):
     """Adopt an explanation, or say why not: no test is easier than that of a law.
 
     Parameters
@@ -242,15 +277,13 @@ def judge(observation, model, best, found, p_value, alpha, rng, noise=None):
         Of the search of the round; that of the explanation counts if it is greater.
     alpha : float
     rng : numpy.random.Generator
-    noise : NoiseEstimate, optional
-        As it was taken for white, before a memory was estimated on what the laws leave.
 
     Returns
     -------
     Judged
     """
-    base, seen, fit = _settled(observation, best, noise, alpha)
-    after = evaluate(seen, fit.law, fit)
+    seen = best.observation
+    after = evaluate(seen, best.fit.law, best.fit)
     floor_rng, ratio_rng = rng.spawn(2)
     floor, copies = seen.floor(after.law, floor_rng)
     ratio = seen.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
@@ -263,7 +296,7 @@ def judge(observation, model, best, found, p_value, alpha, rng, noise=None):
         if freed.fit.bic(n_eff) < best.bic(n_eff) + CLASS_BIC:
             names.append(freed.name)
     adopted, verdict, reason = _verdict(
-        base, seen, model, best, after, names, floor, ratio, p_value, alpha
+        observation, model, best, after, names, floor, ratio, p_value, alpha
     )
     separated_by = best.separated_by
     if names:
@@ -275,28 +308,10 @@ def judge(observation, model, best, found, p_value, alpha, rng, noise=None):
         best.name, best.kind, best.text, best.latex, (), best.constants, p_value,
         tuple(names), separated_by,
     )  # fmt: skip
-    return Judged(adopted, verdict, reason, effect, seen, after, floor, ratio)
+    return Judged(adopted, verdict, reason, effect, after, floor, ratio)
 
 
-def _settled(observation, explanation, noise, alpha):
-    """Observation as measured and as explained, and the fit, without a spurious memory of noise.
-
-    What a wrong measurement leaves looks like noise with a memory, as a missing force does: if
-    it leaves no trace of one when it is put right, there is none.
-    """
-    seen, fit = explanation.observation, explanation.fit
-    if noise is None or not (seen.memory and seen.may_have_memory):
-        return observation, seen, fit
-    factor = float(np.nanmean(np.array(noise.sigma) / np.array(observation.noise.sigma)))
-    white = with_memory(seen, 0.0, factor)
-    bounds = sign_bounds(white, fit.law)
-    new = white.fit(fit.law, bounds, start=fit.law, states=states_of_fit(fit))
-    if examine_residual(white, new, alpha).is_missing:
-        return observation, seen, fit
-    return with_memory(observation, 0.0, factor), white, new
-
-
-def _verdict(observation, seen, model, best, after, names, floor, ratio, p_value, alpha):
+def _verdict(observation, model, best, after, names, floor, ratio, p_value, alpha):
     n_eff = _rows_that_count(best.fit)
     gain = model.fit.bic(n_eff) - best.bic(n_eff)
     if p_value > alpha:
@@ -309,7 +324,8 @@ def _verdict(observation, seen, model, best, after, names, floor, ratio, p_value
             f"{best.name} explains it better than any law (BIC lower by {gain:.1f} than without), "
             f"and so does {' or '.join(names)}: these data cannot tell them apart"
         )  # fmt: skip
-    left = examine_residual(seen, after.fit, alpha)
+    seen = best.observation
+    left = examine_residual(seen, best.fit, alpha)
     # Differences of measured velocities are alike from row to row by themselves.
     if left.tests["size"] <= alpha if seen.is_exact else left.is_missing:
         # A law may be rough and of use; a measurement that is put right leaves noise.

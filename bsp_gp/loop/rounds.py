@@ -11,7 +11,15 @@ from bsp_gp.loop.guide import guided, ordered
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
-from bsp_gp.loop.rivals import as_attempt, explanations, judge, rival_rows, told_beside, winner_of
+from bsp_gp.loop.rivals import (
+    as_attempt,
+    explanations,
+    judge,
+    rival_rows,
+    told_beside,
+    winner_of,
+    without_memory,
+)
 from bsp_gp.loop.telling import (
     effect_of,
     freed_attempt,
@@ -64,7 +72,7 @@ def run_round(
     """
     started = time.perf_counter()
     observation = search.observation
-    search_rng, floor_rng, ratio_rng, trace_rng, bootstrap_rng, rival_rng = rng.spawn(6)
+    search_rng, floor_rng, ratio_rng, trace_rng, bootstrap_rng, *rival_rngs = rng.spawn(7)
     progress(f"round {number}: testing the residual against noise")
     missing = examine_residual(observation, model.fit, alpha)
     if not missing.is_missing:
@@ -74,6 +82,7 @@ def run_round(
     trace = trace_residual(observation, model.fit, trace_rng)
     # The choice of channels has looked at the data: what tests a finding knows nothing of it.
     complete = (search, model.fit)
+    entering = model
     search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
     search, fit, proposals = search_with_memory(search, model.fit, search_rng)
@@ -97,6 +106,7 @@ def run_round(
     )
     shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
     progress(f"round {number}: weighing errors of the measurement")
+    rival_rng, memory_rng = rival_rngs
     laws = [a.fit for a in (shown, *attempts) if a is not None]
     least = min((fit.chisqr for fit in laws), default=None)
     others = explanations(observation, model, rival_rng, workers, least)
@@ -113,12 +123,19 @@ def run_round(
         )
         return found.p_value, found.text()
 
+    told = (number, missing, proposals, trace, guidance, started)
+    if observation is not complete[0].observation and not observation.is_exact:
+        simpler, seen, weighed = without_memory(
+            complete[0], entering, shown, memory_rng, alpha, workers
+        )
+        if simpler is not None:
+            return _round_of_rival(
+                complete[0], entering, simpler, seen, weighed, significance, alpha, ratio_rng, told
+            )
     winner = winner_of(model, laws, others)
     if winner is not None:
-        told = (number, missing, proposals, attempts, trace, guidance, started)
-        noise = complete[0].observation.noise
         return _round_of_rival(
-            search, model, winner, others, significance, alpha, ratio_rng, noise, told
+            search, model, winner, others, attempts, significance, alpha, ratio_rng, told
         )
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
@@ -193,16 +210,16 @@ def run_round(
     return done, *_without_spurious_memory(after, search)
 
 
-def _round_of_rival(search, model, winner, others, significance, alpha, rng, noise, told):
+def _round_of_rival(search, model, winner, others, attempts, significance, alpha, rng, told):
     """A round whose effect is no force between visible bodies."""
-    number, missing, proposals, attempts, trace, guidance, started = told
+    number, missing, proposals, trace, guidance, started = told
     observation = search.observation
     counted = as_attempt(winner)
     n_eff = counted.fit.n_effective
     p_value, how = proposals.p_value, ""
     if "p_value" not in winner.details:  # else the chance of it is known from its own likelihood
         p_value, how = significance((model.fit.bic(n_eff) - counted.fit.bic(n_eff)) / 2)
-    judged = judge(observation, model, winner, others, p_value, alpha, rng, noise)
+    judged = judge(observation, model, winner, others, p_value, alpha, rng)
     ranked, ruled_out = rival_rows(model, counted.fit, others, but=winner)
     rivals = [
         *rivals_of(observation, model, counted, attempts), *ranked,
@@ -220,7 +237,7 @@ def _round_of_rival(search, model, winner, others, significance, alpha, rng, noi
     search = search.whole or search
     if not judged.adopted:
         return done, model, search
-    return done, *_without_spurious_memory(judged.after, search.on(judged.observation))
+    return done, *_without_spurious_memory(judged.after, search.on(winner.observation))
 
 
 def _without_spurious_memory(model, search):
