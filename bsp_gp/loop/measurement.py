@@ -90,7 +90,8 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     target = target if to_beat is None else min(to_beat, target)
     misfit = max(target / max(model.fit.n_rows, 1), 1.0)
     least = max(WORTH * (model.fit.chisqr - target), misfit * LITTLE)
-    least = max([least, *(WORTH * s.gain for s in screened)])
+    if to_beat is None:
+        least = max([least, *(WORTH * s.gain for s in screened)])
     screened.sort(key=lambda s: -s.gain)
     worth = [s for s in screened if s.gain >= least][:MOST_FITTED]
     rest = [s for s in screened if s not in worth]
