@@ -89,8 +89,18 @@ def run_round(
     if search.observation is not observation:
         observation = search.observation
         model = evaluate(observation, fit.law, fit)
-        missing = examine_residual(observation, fit, alpha)
+        entered, missing = missing, examine_residual(observation, fit, alpha)
         if not missing.is_missing:
+            if observation.memory:  # but what was measured wrongly looks like that, too
+                simpler, seen, _ = without_memory(
+                    complete[0], entering, None, rival_rngs[1], alpha, workers
+                )
+                if simpler is not None:
+                    told = (number, entered, proposals, trace, guidance, started)
+                    return _round_of_rival(
+                        complete[0], entering, simpler, seen, [],
+                        lambda evidence: (proposals.p_value, ""), alpha, ratio_rng, told,
+                    )  # fmt: skip
             floor, _ = observation.floor(model.law, floor_rng)
             if observation.memory:
                 done = _noise_round(number, observation, missing, model, floor, started)
