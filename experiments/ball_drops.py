@@ -47,6 +47,9 @@ def main():
         for rival in report.rounds[0].rivals:
             if rival.kind == "declared_term_change":
                 print(f"    rival: {rival.name}: {rival.reason}")
+        for note in report.notes:
+            if "cannot be told from" in note:
+                print(f"    {note}")
     for label in ("declared", "adopted"):
         errors = [row["endpoint_m"] for row in rows if row["model"] == label]
         print(

@@ -14,11 +14,14 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.effects import EffectSearch
+from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.guide import check_guide
+from bsp_gp.loop.measurement import parted_by
+from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.rounds import run_round
-from bsp_gp.loop.telling import constant_estimates
+from bsp_gp.loop.telling import alike_numbers, constant_estimates
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.evaluation import unknown_receivers
 from bsp_gp.physics.force import ForceLaw, Term
@@ -173,11 +176,31 @@ def close_loop(
         if not done.adopted:
             break
     progress("writing up")
-    if search.observation is not observation:  # the noise was found to have a memory
+    measured = _as_measured(observation, search.observation, rounds)
+    if measured is not observation:  # the noise was found to have a memory
         is_same = not any(done.adopted for done in rounds)
-        first = model if is_same else evaluate(search.observation, law)
+        first = model if is_same else evaluate(measured, law)
     return _report(
-        search, law, first, model, rounds, grammar, alpha, seed, final_rng, started
+        search, measured, law, first, model, rounds, grammar, alpha, seed, final_rng, started
+    )
+
+
+def _as_measured(observation, final, rounds):
+    """The observation as measured, under the noise that was found in the end."""
+    if not _corrections(rounds):
+        return final
+    if final.memory == observation.memory:
+        return observation
+    factor = float(np.nanmean(np.array(final.noise.sigma) / np.array(observation.noise.sigma)))
+    return with_memory(observation, final.memory, factor)
+
+
+def _corrections(rounds):
+    """What was adopted and is no force between visible bodies."""
+    return tuple(
+        {"name": e.name, "kind": e.kind, "text": e.law, "constants": e.constants}
+        for e in (r.effect for r in rounds if r.adopted)
+        if e.kind in (HIDDEN_BODY, MEASUREMENT)
     )
 
 
@@ -215,7 +238,7 @@ def _check_masses(observation, law):
                 )
 
 
-def _report(search, law, first, model, rounds, grammar, alpha, seed, rng, started):
+def _report(search, measured, law, first, model, rounds, grammar, alpha, seed, rng, started):
     observation = search.observation
     floor_rng, ratio_rng = rng.spawn(2)
     dataset = observation.dataset
@@ -225,9 +248,11 @@ def _report(search, law, first, model, rounds, grammar, alpha, seed, rng, starte
     verdict = next(v for v in VERDICTS if v in verdicts)
     if verdict == "nothing missing" and "seen, not adopted" in verdicts:
         verdict = "seen, not adopted"
+    if any(r.adopted for r in rounds) and "effect adopted" not in verdicts:
+        verdict = "cannot tell"  # all that was adopted has a rival that explains as much
     units = {c.name: c.unit for c in constant_estimates(observation, model.fit) if not c.entity}
     return LoopReport(
-        dataset=_about(observation),
+        dataset=_about(measured),
         declared=tuple(
             {"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in law.terms
         ),
@@ -253,10 +278,13 @@ def _report(search, law, first, model, rounds, grammar, alpha, seed, rng, starte
         stop_reason=_stop_reason(rounds),
         versions=_versions(),
         wall_s=time.perf_counter() - started,
-        overlays=tuple(_overlays(observation, first.law, model.law)),
-        residuals=_residual_table(observation, first.law, model.law),
+        overlays=tuple(_overlays(measured, observation, first.law, model.law)),
+        residuals=_residual_table(measured, observation, first.law, model.law),
+        corrections=_corrections(rounds),
         notes=(
             *_effective(rounds),
+            *_corrected(rounds),
+            *_one_and_the_same(observation, model.fit),
             *dataset.notes,
             observation.split_note,
             *_caveats(observation, search),
@@ -273,6 +301,27 @@ def _effective(rounds):
             f"{last.missing.statistic:.3g} times the variance of the noise, so its form and its "
             "constants hold for this recording and are no discovery about nature"
         )
+
+
+def _corrected(rounds):
+    """What the errors after a correction are errors of."""
+    for correction in _corrections(rounds):
+        if correction["kind"] == MEASUREMENT:
+            yield (
+                f"the measurement was put right before laws were fitted and scored: "
+                f"{correction['text']}"
+            )
+
+
+def _one_and_the_same(observation, fit):
+    """Declared numbers that these data cannot tell from errors of the measurement."""
+    for text, alike in alike_numbers(observation, fit).items():
+        if alike:
+            yield (
+                f"{' and '.join(alike)} cannot be told from another number in {text}: under this "
+                "law they do exactly the same to the tracks; "
+                + parted_by(observation, fit, text, alike)
+            )
 
 
 def _stop_reason(rounds):
@@ -354,39 +403,43 @@ def _versions():
     return out
 
 
-def _overlays(observation, declared, adopted, most=12):
-    before = observation.predictions(declared)
+def _overlays(measured, observation, declared, adopted, most=12):
+    before = measured.predictions(declared)
     after = observation.predictions(adopted)
     count = 0
-    for scene, b, a in zip(observation.test, before, after, strict=True):
+    for scene, seen, b, a in zip(measured.test, observation.test, before, after, strict=True):
+        own = {seen.names[index]: (r, index) for r, index in enumerate(seen.dynamic)}
         for r, index in enumerate(scene.dynamic):
             if count < most:
                 count += 1
+                row, other = own[scene.names[index]]
+                # Drawn where it would have been measured.
+                shift = scene.positions[:, index] - seen.positions[:, other]
                 yield Overlay(
                     scene.name,
                     scene.names[index],
                     scene.times,
                     scene.positions[:, index],
                     b[:, r],
-                    a[:, r],
-                    observation.n_initial(scene),
+                    a[:, row] + (shift if seen is not scene else 0.0),
+                    measured.n_initial(scene),
                 )
 
 
-def _residual_table(observation, declared, adopted):
+def _residual_table(measured, observation, declared, adopted):
     columns = {
         name: []
         for name in ("t", "speed", "distance", "before", "after", "before_along", "after_along")
     }
     labels = {"scene": [], "entity": [], "split": []}
-    for split, regression in (
-        ("train", observation.train_regression),
-        ("test", observation.test_regression),
+    for split, first, last in (
+        ("train", measured.train_regression, observation.train_regression),
+        ("test", measured.test_regression, observation.test_regression),
     ):
         raw = zip(
-            regression.batches,
-            regression.raw_residuals(declared),
-            regression.raw_residuals(adopted),
+            first.batches,
+            first.raw_residuals(declared),
+            last.raw_residuals(adopted),
             strict=True,
         )
         for batch, before, after in raw:

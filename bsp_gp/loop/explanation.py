@@ -44,7 +44,12 @@ class Explanation:
     separated_by : str
         Which further measurement would.
     details : dict
-        For the report, JSON-able: posterior draws of a place and a mass, and the like.
+        For the report, JSON-able: posterior draws of a place and a mass, and the like. A
+        `p_value` with the selection among rivals counted is weighed with that of the round.
+    view : callable or None
+        ``view(scene, track) -> Scene``: any measured scene as the explanation has it, from
+        which is told what a further recording would show. `track` are the true positions of the
+        receivers, shape (T, R, d).
     """
 
     kind: str
@@ -59,6 +64,7 @@ class Explanation:
     equivalents: tuple = ()
     separated_by: str = ""
     details: dict = field(default_factory=dict)
+    view: object = None
 
     def bic(self, n_effective):
         """BIC with the explanation's own numbers counted, comparable to `Fit.bic`."""

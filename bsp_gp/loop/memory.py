@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.loop.effects import sign_bounds
+
 __all__ = ["NoiseFit", "estimate_memory", "search_with_memory", "with_memory"]
 
 STEPS = (0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 25.0)
@@ -155,7 +157,7 @@ def search_with_memory(search, fit, rng, **options):
             break
         observation = with_memory(search.observation, noise.memory, noise.factor)
         search = search.on(observation)
-        fit = observation.fit(fit.law)
+        fit = observation.fit(fit.law, sign_bounds(observation, fit.law))
         proposals = search.propose(fit, rng, **options)
     return search, fit, proposals
 

@@ -57,11 +57,20 @@ class Observation:
 
     # --- fitting ---------------------------------------------------------------------------------
 
-    def fit(self, law, bounds=None, start=None):
+    def fit(self, law, bounds=None, start=None, states=None):
         """Fit the constants of a law to the training scenes.
 
         Noisy positions: regression first, then whole tracks with free initial states. Exact or
         measured-velocity data: the regression is the likelihood.
+
+        Parameters
+        ----------
+        law : ForceLaw
+        bounds : dict, optional
+        start : ForceLaw, optional
+            Constants that are surely near, in the place of those of the regression.
+        states : mapping, optional
+            Initial states to start from, as for `shooting.fit_rollout`.
         """
         first = fit_constants(self.train_regression, law)
         if self.is_exact:
@@ -83,7 +92,9 @@ class Observation:
                 first.residual,
                 True,
             )
-        whole = fit_tracks(self, start or first.law, bounds, is_sure=start is not None)
+        whole = fit_tracks(
+            self, start or first.law, bounds, is_sure=start is not None, states=states
+        )
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
         # Misfit beyond the noise counts against the constants, with as many independent rows
@@ -402,11 +413,15 @@ class Observation:
         ----------
         before, after : ForceLaw
         """
+        return self.held_out_chisqr(before) - self.held_out_chisqr(after)
+
+    def held_out_chisqr(self, law):
+        """Chi-squared of held-out tracks, their initial states fitted on all rows.
+
+        Laws keep their constants. Exact and measured-velocity data: nan.
+        """
         if self.is_exact or self.velocity == "measured":
             return float("nan")
-        return self._held_out_chisqr(before) - self._held_out_chisqr(after)
-
-    def _held_out_chisqr(self, law):
         kept = self.__dict__.setdefault("_held_out", {})
         if id(law) not in kept:
             fit = fit_rollout(

@@ -196,6 +196,9 @@ class Round:
         Where the residual is, and what it depends on.
     guidance : Guidance or None
         What of that guided the search.
+    undecided : tuple of str
+        Explanations that are no force law and fit as well as the effect: these data cannot tell.
+        A law may be adopted all the same, for predictions; the verdict is then "cannot tell".
     """
 
     number: int
@@ -216,6 +219,7 @@ class Round:
     noise_memory: float = 0.0
     trace: Trace | None = None
     guidance: Guidance | None = None
+    undecided: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,6 +301,10 @@ class LoopReport:
         What a reader must know: dropped rows, unknown masses, missing calibration, caveats.
     extras : tuple of dict
         Further sections for the page: ``{"title", "paragraphs": [str], "table": [[...]] or None}``.
+    corrections : tuple of dict
+        Explanations that were adopted and are no force between visible bodies: ``{"name", "kind",
+        "text", "constants"}``. Errors after, residuals and predictions are under them: what was
+        measured is put right, or a body is added, before a law is applied.
     """
 
     dataset: dict
@@ -319,6 +327,7 @@ class LoopReport:
     residuals: ResidualTable | None = None
     notes: tuple[str, ...] = ()
     extras: tuple = ()
+    corrections: tuple = ()
 
     def to_dict(self):
         """The contents of report.json: plain dicts, lists, numbers and None for nan."""
@@ -342,6 +351,7 @@ class LoopReport:
                 "stop_reason": self.stop_reason,
                 "notes": list(self.notes),
                 "extras": list(self.extras),
+                "corrections": list(self.corrections),
                 "versions": self.versions,
                 "wall_s": self.wall_s,
             }

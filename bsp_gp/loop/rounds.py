@@ -15,6 +15,15 @@ from bsp_gp.loop.known import joined, known_attempts, leaves_noise_alone
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
+from bsp_gp.loop.rivals import (
+    as_attempt,
+    explanations,
+    judge,
+    rival_rows,
+    told_beside,
+    winner_of,
+    without_memory,
+)
 from bsp_gp.loop.telling import (
     effect_of,
     freed_attempt,
@@ -67,7 +76,7 @@ def run_round(
     """
     started = time.perf_counter()
     observation = search.observation
-    search_rng, floor_rng, ratio_rng, trace_rng, bootstrap_rng = rng.spawn(5)
+    search_rng, floor_rng, ratio_rng, trace_rng, bootstrap_rng, *rival_rngs = rng.spawn(7)
     progress(f"round {number}: testing the residual against noise")
     missing = examine_residual(observation, model.fit, alpha)
     if not missing.is_missing:
@@ -77,6 +86,7 @@ def run_round(
     trace = trace_residual(observation, model.fit, trace_rng)
     # The choice of channels has looked at the data: what tests a finding knows nothing of it.
     complete = (search, model.fit)
+    entering = model
     search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
     known = known_attempts(observation, model, missing, alpha)
@@ -88,8 +98,18 @@ def run_round(
     if search.observation is not observation:
         observation = search.observation
         model = evaluate(observation, fit.law, fit)
-        missing = examine_residual(observation, fit, alpha)
+        entered, missing = missing, examine_residual(observation, fit, alpha)
         if not missing.is_missing:
+            if observation.memory:  # but what was measured wrongly looks like that, too
+                simpler, seen, _ = without_memory(
+                    complete[0], entering, None, rival_rngs[1], alpha, workers
+                )
+                if simpler is not None:
+                    told = (number, entered, proposals, trace, guidance, started)
+                    return _round_of_rival(
+                        complete[0], entering, simpler, seen, [],
+                        lambda evidence: (proposals.p_value, ""), alpha, ratio_rng, told,
+                    )  # fmt: skip
             floor, _ = observation.floor(model.law, floor_rng)
             if observation.memory:
                 done = _noise_round(number, observation, missing, model, floor, started)
@@ -106,25 +126,50 @@ def run_round(
         observation, model, search, chosen, attempts, search_rng, workers
     )
     shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
+    progress(f"round {number}: weighing errors of the measurement")
+    rival_rng, memory_rng = rival_rngs
+    laws = [a.fit for a in (shown, *attempts) if a is not None]
+    least = min((fit.chisqr for fit in laws), default=None)
+    others = explanations(observation, model, rival_rng, workers, least)
+
+    def significance(evidence):
+        """p-value of a finding of this evidence, nats, and how it came about."""
+        is_weak = evidence < STRONG * max(proposals.null_evidence, 0.0)
+        is_open = proposals.p_value <= alpha and is_weak and n_bootstrap
+        if not is_open or observation.is_exact:
+            return proposals.p_value, ""
+        progress(f"round {number}: the same search on simulated data")
+        found = bootstrap(
+            *complete, evidence, bootstrap_rng, alpha=alpha, n_max=n_bootstrap, workers=workers
+        )
+        return found.p_value, found.text()
+
+    told = (number, missing, proposals, trace, guidance, started)
+    if observation is not complete[0].observation and not observation.is_exact:
+        simpler, seen, weighed = without_memory(
+            complete[0], entering, shown, memory_rng, alpha, workers
+        )
+        if simpler is not None:
+            return _round_of_rival(
+                complete[0], entering, simpler, seen, weighed, significance, alpha, ratio_rng, told
+            )
+    winner = winner_of(model, laws, others)
+    if winner is not None:
+        return _round_of_rival(
+            search, model, winner, others, attempts, significance, alpha, ratio_rng, told
+        )
     if shown is None:
         floor, _ = observation.floor(model.law, floor_rng)
-        rivals = freed_numbers(observation, model)
+        ranked, ruled_out = rival_rows(model, model.fit, others)
+        rivals = [*ranked, *freed_numbers(observation, model), *ruled_out]
         empty = _empty_round(number, missing, model, floor, proposals, attempts, rivals, started)
         return replace(empty, trace=trace, guidance=guidance), model, search.whole or search
     is_freed = shown is not chosen
     p_value, how = proposals.p_value, ""
-    is_weak = strength(proposals) < STRONG * max(proposals.null_evidence, 0.0)
     if np.isfinite(shown.p_value):  # it was tested by itself, beside the search
-        own = min(1.0, 2 * min(p_value, shown.p_value))
-        is_weak = is_weak and own > alpha
-        p_value = own
-    if p_value <= alpha and is_weak and n_bootstrap and not observation.is_exact and not is_freed:
-        progress(f"round {number}: the same search on simulated data")
-        significance = bootstrap(
-            *complete, strength(proposals), bootstrap_rng, alpha=alpha, n_max=n_bootstrap,
-            workers=workers,
-        )  # fmt: skip
-        p_value, how = significance.p_value, significance.text()
+        p_value = min(1.0, 2 * min(p_value, shown.p_value))
+    elif not is_freed:
+        p_value, how = significance(strength(proposals))
     progress(f"round {number}: weighing {shown.name} on held-out data")
     after = evaluate(observation, shown.law, shown.fit)
     floor, copies = observation.floor(after.law, floor_rng)
@@ -151,7 +196,14 @@ def run_round(
             after, ratio = refuted.after, refuted.ratio
         effect = effect_of(observation, chosen, attempts, p_value, near)
     effect, rivals = ordered(effect, rivals_of(observation, model, shown, attempts), guidance)
-    rivals = [*rivals, *freed_numbers(observation, model, chosen, is_freed)]
+    effect, undecided = told_beside(observation, effect, shown, others)
+    if undecided and adopted:  # of use for predictions, but no name to be sure of
+        verdict = "cannot tell"
+        reason += f"; {' and '.join(undecided)} would explain these data as well"
+    ranked, ruled_out = rival_rows(model, shown.fit, others)
+    rivals = [
+        *rivals, *ranked, *freed_numbers(observation, model, chosen, is_freed), *ruled_out
+    ]  # fmt: skip
     if not is_freed and refuted is not None:
         rivals.insert(0, refuted.rival)
     done = Round(
@@ -176,11 +228,42 @@ def run_round(
         noise_memory=observation.memory,
         trace=trace,
         guidance=guidance,
+        undecided=undecided,
     )
     search = search.whole or search
     if not adopted:
         return done, model, search
     return done, *_without_spurious_memory(after, search)
+
+
+def _round_of_rival(search, model, winner, others, attempts, significance, alpha, rng, told):
+    """A round whose effect is no force between visible bodies."""
+    number, missing, proposals, trace, guidance, started = told
+    observation = search.observation
+    counted = as_attempt(winner)
+    n_eff = counted.fit.n_effective
+    p_value, how = proposals.p_value, ""
+    if "p_value" not in winner.details:  # else the chance of it is known from its own likelihood
+        p_value, how = significance((model.fit.bic(n_eff) - counted.fit.bic(n_eff)) / 2)
+    judged = judge(observation, model, winner, others, p_value, alpha, rng)
+    ranked, ruled_out = rival_rows(model, counted.fit, others, but=winner)
+    rivals = [
+        *rivals_of(observation, model, counted, attempts), *ranked,
+        *freed_numbers(observation, model, against=counted.fit), *ruled_out,
+    ]  # fmt: skip
+    done = Round(
+        number=number, missing=missing, effect=judged.effect, rivals=tuple(rivals),
+        adopted=judged.adopted, reason=judged.reason, before=model.errors,
+        after=judged.after.errors, floor=judged.floor, ratio=judged.ratio,
+        held_out=tuple(held_out_rows(model.rows, judged.after.rows)),
+        certificate="; ".join(proposals.certificates), seconds=time.perf_counter() - started,
+        verdict=judged.verdict, significance=how, noise_memory=observation.memory, trace=trace,
+        guidance=guidance,
+    )  # fmt: skip
+    search = search.whole or search
+    if not judged.adopted:
+        return done, model, search
+    return done, *_without_spurious_memory(judged.after, search.on(winner.observation))
 
 
 def _without_spurious_memory(model, search):

@@ -9,6 +9,7 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import CLASS_BIC, TIE_BIC
 from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.measurement import same_numbers
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
 from bsp_gp.loop.outcome import ConstantEstimate, Effect, Rival
@@ -16,6 +17,8 @@ from bsp_gp.loop.planning import MOST_EQUALS
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
 
 __all__ = [
+    "CLASS_BIC",
+    "alike_numbers",
     "constant_estimates",
     "effect_of",
     "freed_attempt",
@@ -180,7 +183,33 @@ def _freed_fits(observation, base, contained):
         yield term, scaled, name, fit
 
 
-def freed_numbers(observation, model, chosen=None, wins=False):
+def alike_numbers(observation, fit):
+    """Which errors of the measurement look exactly like another number in a declared term.
+
+    Found from the derivatives of the tracks; where these say nothing, from the form of the law.
+
+    Parameters
+    ----------
+    observation : Observation
+    fit : Fit
+
+    Returns
+    -------
+    dict of str to tuple of str
+        By the text of every declared term with a fixed number.
+    """
+    out = {}
+    for text, names in same_numbers(observation, fit).items():
+        if names is None:
+            names = ALIKE if _is_only_number(fit.law) else ()
+        out[text] = names
+    return out
+
+
+ALIKE = ("a length scale that is off", "a clock that is off")
+
+
+def freed_numbers(observation, model, chosen=None, wins=False, against=None):
     """What freeing each declared number would do, alone and beside the chosen effect.
 
     Parameters
@@ -192,19 +221,24 @@ def freed_numbers(observation, model, chosen=None, wins=False):
         The best new term; without one the numbers are weighed against the model itself.
     wins : bool
         Whether a freed number, not the chosen term, is the effect of the round.
+    against : Fit, optional
+        Of an effect that is no term of a law; the numbers are weighed against it.
 
     Returns
     -------
     list of Rival
     """
     out = []
-    best = chosen.fit if chosen else model.fit
+    best = against or (chosen.fit if chosen else model.fit)
     effect = "the effect" if not wins else chosen.name if chosen else "a new term"
     bases = [(model.law, model.fit, f"instead of {effect}" if chosen else "alone")]
     if chosen:
         bases.append((chosen.fit.law, chosen.fit, f"beside {effect}"))
+    if against is not None:
+        bases = [(model.law, model.fit, "instead of the effect")]
     for base, contained, label in bases:
-        for _, scaled, name, fit in _freed_fits(observation, base, contained):
+        alike = alike_numbers(observation, contained)
+        for term, scaled, name, fit in _freed_fits(observation, base, contained):
             factor, half = _scale_of(fit, name)
             delta = fit.bic(best.n_effective) - best.bic()
             out.append(
@@ -217,7 +251,7 @@ def freed_numbers(observation, model, chosen=None, wins=False):
                     float(1 - (fit.chisqr / model.fit.chisqr)),
                     _ratio_of(observation, fit.law, model.errors),
                     0.0,
-                    _freed_reason(factor, half, delta, _is_only_number(base)),
+                    _freed_reason(factor, half, delta, alike[to_text(term.formula)]),
                 )
             )
     return out
@@ -274,9 +308,7 @@ def freed_effect(observation, model, freed, p_value):
     declared, unit = (number.value, number.type.unit) if number else (1.0, None)
     low, high = sorted((declared * (factor - half), declared * (factor + half)))
     text = "" if unit is None or unit.is_dimensionless else observation.dataset.units.text(unit)
-    alike = ()
-    if _is_only_number(model.law):
-        alike = ("a length scale that is off", "a clock that is off")
+    alike = alike_numbers(observation, model.fit)[to_text(model.law.terms[index].formula)]
     return Effect(
         name=freed.name,
         kind=freed.kind,
@@ -297,8 +329,8 @@ def _is_only_number(law):
     return len(fixed) == 1 and not any(term.formula.inputs & own_lengths for term in law.terms)
 
 
-def _freed_reason(factor, half, delta, is_alone):
-    """What freeing a declared number says; the same is said of the length scale and the clock."""
+def _freed_reason(factor, half, delta, alike):
+    """What freeing a declared number says, and of which errors of the measurement it says it."""
     size = f"{100 * (factor - 1):.4g}% ± {100 * half:.2g}% of its value"
     text = f"the declared number would have to be off by {size}"
     if delta < -TIE_BIC:
@@ -307,11 +339,16 @@ def _freed_reason(factor, half, delta, is_alone):
         text += ", and that fits as well"
     else:
         text += f"; BIC higher by {delta:.1f}"
-    if is_alone:
+    if set(alike) == set(ALIKE):
         # The constants of the other terms take up any rescaling of length and time.
         text += (
             "; a length scale or a clock that is off looks exactly like a wrong number: these "
             "data cannot tell the three apart"
+        )
+    elif alike:
+        text += (
+            f"; {' or '.join(alike)} looks exactly like a wrong number: these data cannot tell "
+            "them apart"
         )
     return text
 

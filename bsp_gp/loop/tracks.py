@@ -20,7 +20,7 @@ SHORTEST_PIECE = 16
 SURELY_LESS = 0.99
 
 
-def fit_tracks(observation, law, bounds=None, is_sure=False):
+def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
     """Fit constants and initial states to the training tracks.
 
     Started from a wrong period, an oscillation that is fitted over many periods stays out of step
@@ -37,6 +37,8 @@ def fit_tracks(observation, law, bounds=None, is_sure=False):
     bounds : dict of str to (float, float), optional
     is_sure : bool
         The start values are those of a fit already: the first fit counts.
+    states : mapping, optional
+        Initial states to start from, as for `fit_rollout`.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def fit_tracks(observation, law, bounds=None, is_sure=False):
             states=states,
         )
 
-    whole = fit(observation.segments, law)
+    whole = fit(observation.segments, law, states)
     if is_sure or not _is_lost(whole):
         return whole
     longest = max(len(scene.times) for scene in observation.segments)

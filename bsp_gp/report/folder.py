@@ -184,8 +184,9 @@ def _json(value):
 
 
 def _law_text(report):
-    """The law on the first line, its constants as comments below."""
+    """The law on the first line; what it was fitted under and its constants as comments below."""
     lines = [" ".join(report.law_text.split())]
+    lines += [f"# with {c['name']}: {' '.join(c['text'].split())}" for c in report.corrections]
     for c in report.constants:
         name = f"{c.name} of {c.entity}" if c.entity else c.name
         lines.append(f"# {' '.join(name.split())} = {format_value(c.value, c.low, c.high, c.unit)}")

@@ -108,6 +108,7 @@ def render_html(report, run_info=None, figures=None):
         law_text=report.law_text,
         law_latex=report.law_latex,
         law_title=_law_title(report),
+        corrections=report.corrections,
         declared=report.declared,
         constants=[_constant(c) for c in shared],
         own=[(group_range(*g), g[0], pretty_unit(g[1]), [_constant(c) for c in g[2]]) for g in own],

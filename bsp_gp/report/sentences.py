@@ -63,17 +63,18 @@ _FINDINGS = {
 }
 
 
-def _findings(effects):
+def _findings(rounds):
     """What was found, effects of one kind told together."""
     groups = {}
-    for effect in effects:
-        groups.setdefault(_FINDINGS.get(effect.kind, "the declared model lacks {}"), []).append(
-            effect
-        )
-    return _joined(
-        sentence.format(_joined(effect.name for effect in members))
-        for sentence, members in groups.items()
-    )
+    for r in rounds:
+        sentence = _FINDINGS.get(r.effect.kind, "the declared model lacks {}")
+        groups.setdefault(sentence, []).append(_either(r))
+    return _joined(sentence.format(_joined(names)) for sentence, names in groups.items())
+
+
+def _either(round_):
+    """The effect of a round, and what these data cannot tell from it that is no law."""
+    return " or ".join([round_.effect.name, *round_.undecided])
 
 
 def verdict_sentence(report):
@@ -92,7 +93,7 @@ def verdict_parts(report):
     adopted = adopted_rounds(report)
     last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:
-        text = _findings([r.effect for r in adopted])
+        text = _findings(adopted)
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "nothing missing":
         text = "Nothing is missing from the declared model: what it leaves unexplained is noise."
@@ -101,6 +102,11 @@ def verdict_parts(report):
         seen = [r.effect.name for r in report.rounds if r.effect is not None]
         text = "The declared model leaves more than noise, but nothing was good enough to adopt."
         return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
+    if report.verdict == "cannot tell" and adopted:
+        text = "Something is missing from the declared model, but these data cannot tell whether "
+        which = "; ".join(f"to tell: {r.effect.separated_by}" for r in adopted if r.undecided)
+        detail = _ended(f"The law was taken up for predictions; {which}")
+        return f"{text}it is {_joined(_either(r) for r in adopted)}.", detail
     if report.verdict == "cannot tell":
         if last is not None and last.missing.is_missing:
             text = "Something is missing from the declared model, but these data cannot tell what."
@@ -146,6 +152,11 @@ def outcome_sentence(round_):
     name = round_.effect.name
     p = round_.effect.p_value
     significance = format_p(p) + (", selection included" if is_number(p) else "")
+    if round_.adopted and round_.undecided:
+        return (
+            f"Taken up for predictions: {name} ({significance}). {reason} "
+            f"These data cannot tell which it is: {_either(round_)}."
+        )
     if round_.adopted:
         return f"Adopted: {name} ({significance}). {reason}".strip()
     return f"Seen, not adopted: {name} ({significance}). {reason}".strip()

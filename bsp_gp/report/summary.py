@@ -111,8 +111,12 @@ def _ties(report):
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
                 f"the simplest {r.effect.equivalents[0]}"
             )
-            if r.effect.kind == "declared_term_change":
+            if r.effect.kind not in ("pair", "field"):
                 text = f"Not separable on these data: {' and '.join(r.effect.equivalents)}"
+            elif r.undecided:
+                text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
+                more = n - len(r.undecided)
+                text += f" and {more} other law{'s' if more > 1 else ''}" if more > 0 else ""
             if r.effect.separated_by:
                 text += f"; to tell: {r.effect.separated_by}"
             return _wrapped(text, 2, indent="  ")

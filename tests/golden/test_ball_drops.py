@@ -73,6 +73,9 @@ def test_number_scale_and_clock_are_named_together(reports):
         text = " ".join(r.reason for r in freed)
         for word in ("number", "length scale", "clock", "of its value"):
             assert word in text
+        (note,) = [n for n in report.notes if "cannot be told from another number" in n]
+        for words in ("length scale", "clock", "none of the further recordings", "a known length"):
+            assert words in note
 
 
 def test_the_unknown_mass_is_said(reports):

@@ -126,7 +126,6 @@ def tilted(t, p, angle=0.05):
     return t, p @ np.array([[c, s], [-s, c]])
 
 
-@pytest.mark.xfail(reason="a tilted camera is no rival: the push along x is named alone")
 def test_a_tilted_camera_is_a_rival_of_a_sideways_push():
     report = close(flights(0, worlds.nothing, warp=tilted), [WEIGHT])
     said = " ".join(r.name + r.reason for done in report.rounds for r in done.rivals)
