@@ -1,0 +1,188 @@
+"""An unseen source fitted by the same likelihood as a law: it stands among the sources.
+
+The view of the search is linearised anew about the fit that has the source, and asked where the
+source had better be, until chi-squared falls no further. Place, velocity and strength are then
+those of the joint optimum with the initial states and the constants of the law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+
+from bsp_gp.errors import DataError, EvaluationError
+from bsp_gp.loop.hidden_place import Found, refine
+from bsp_gp.loop.hidden_pull import hidden_entity, hidden_name
+from bsp_gp.loop.hidden_view import view_of
+from bsp_gp.physics.shooting import cut_segments
+
+__all__ = ["Polished", "in_pieces", "polish", "with_hidden"]
+
+MOST_STEPS = 8
+LEAST_FALL = 0.02
+"""A fit is done when chi-squared falls by less."""
+LOST = 4.0
+"""Chi-squared per degree of freedom above which tracks are fitted in pieces first."""
+SHORTEST_PIECE = 16
+"""Rows."""
+
+
+def with_hidden(observation, pull, motion, parameters, strength):
+    """The observation with the unseen source among the bodies of every scene.
+
+    Parameters
+    ----------
+    observation : Observation
+    pull : Pull
+    motion : Motion
+    parameters : ndarray, shape (k,)
+    strength : float
+
+    Returns
+    -------
+    Observation
+    """
+    scenes = (*observation.train, *observation.test)
+    entity = hidden_entity(pull, strength, hidden_name(scenes))
+
+    def extended(scene):
+        places, velocities = (x[0][:, None] for x in motion(parameters, scene.times))
+        grown = {
+            "positions": np.concatenate([scene.positions, places], axis=1),
+            "entities": (*scene.entities, entity),
+        }
+        if scene.velocities is not None:
+            grown["velocities"] = np.concatenate([scene.velocities, velocities], axis=1)
+        if scene.sigma is not None:
+            unquoted = np.full(places.shape, np.nan)
+            grown["sigma"] = np.concatenate([scene.sigma, unquoted], axis=1)
+        return replace(scene, **grown)
+
+    train, test = (tuple(map(extended, part)) for part in (observation.train, observation.test))
+    return replace(
+        observation, train=train, test=test, segments=tuple(map(extended, observation.segments)),
+        train_regression=observation.regression(train),
+        test_regression=observation.regression(test) if test else observation.test_regression,
+    )  # fmt: skip
+
+
+def in_pieces(observation, fit):
+    """Where the law lost the tracks: the observation with shorter segments, and its fit.
+
+    Along a short piece a push still changes the track by little, which the linear view asks for.
+
+    Returns
+    -------
+    list of (Observation, Fit)
+        The roughest first; the given ones last.
+    """
+    stages = [(observation, fit)]
+    while not observation.is_exact and _is_lost(fit):
+        longest = max(len(scene.times) for scene in observation.segments)
+        if longest // 2 < SHORTEST_PIECE:
+            break
+        pieces = tuple(cut_segments(observation.train, longest // 2))
+        observation = replace(observation, segments=pieces, segment_rows=longest // 2)
+        try:
+            fit = observation.fit(fit.law, start=fit.law)
+        except EvaluationError:
+            break
+        stages.insert(0, (observation, fit))
+    return stages
+
+
+def _is_lost(fit):
+    return fit.whole is not None and not fit.chisqr <= LOST * max(fit.n_rows, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Polished:
+    """An unseen source at the optimum of the likelihood.
+
+    Attributes
+    ----------
+    found : Found
+    observation : Observation
+        With the source in it.
+    fit : Fit
+    view : View
+        About this fit; its y is what the whole source is to explain.
+    """
+
+    found: Found
+    observation: object
+    fit: object
+    view: object
+
+    def bic(self, n_effective):
+        """With the source's own numbers counted."""
+        return self.fit.bic(n_effective) + self.found.n_free * log(max(n_effective, 2.0))
+
+
+def polish(stages, law, pull, found, stage, most_steps=MOST_STEPS):
+    """Bring a source that was found on a view to the optimum of the likelihood.
+
+    Parameters
+    ----------
+    stages : list of (Observation, Fit)
+        Of `in_pieces`: the law without the source.
+    law : ForceLaw
+        Start values in its constants.
+    pull : Pull
+    found : Found
+    stage : Stage
+    most_steps : int
+
+    Returns
+    -------
+    Polished or None
+        None where the law has no finite fit with a source there.
+    """
+    for observation, _ in stages:
+        best = _fitted(observation, law, pull, found)
+        if best is None:
+            return None
+        for _ in range(most_steps):
+            better = _stepped(observation, best, pull, stage)
+            if better is None:
+                break
+            fall = best.fit.chisqr - better.fit.chisqr
+            best = better
+            if fall < LEAST_FALL + 1e-6 * best.fit.chisqr:
+                break
+        found, law = best.found, best.fit.law
+    motion, strength = found.motion, found.strength
+    pull = pull.under(best.fit.law)
+    view = view_of(
+        best.observation, best.fit, pull, (motion, found.parameters, strength), stride=False
+    )
+    return replace(best, view=view)
+
+
+def _fitted(observation, law, pull, found):
+    try:
+        grown = with_hidden(observation, pull, found.motion, found.parameters, found.strength)
+        fit = grown.fit(law, start=law)
+    except (DataError, EvaluationError):
+        return None
+    return Polished(found, grown, fit, None) if np.isfinite(fit.chisqr) else None
+
+
+def _stepped(observation, best, pull, stage):
+    """The fit with the source moved to where the view would have it, or part of the way."""
+    now = best.found
+    view = view_of(
+        best.observation, best.fit, pull.under(best.fit.law),
+        (now.motion, now.parameters, now.strength), stride=False,
+    )  # fmt: skip
+    wanted = refine(view, now.motion, now.parameters, stage)
+    for part in (1.0, 0.5, 0.2):
+        parameters = now.parameters + part * (wanted.parameters - now.parameters)
+        strength = now.strength + part * (wanted.strength - now.strength)
+        moved = Found(now.motion, parameters, strength, wanted.gain)
+        tried = _fitted(observation, best.fit.law, pull, moved)
+        if tried is not None and tried.fit.chisqr < best.fit.chisqr:
+            return tried
+    return None
