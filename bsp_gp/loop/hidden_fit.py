@@ -16,6 +16,7 @@ from bsp_gp.errors import DataError, EvaluationError
 from bsp_gp.loop.hidden_place import Found, refine
 from bsp_gp.loop.hidden_pull import hidden_entity, hidden_name
 from bsp_gp.loop.hidden_view import view_of
+from bsp_gp.loop.tracks import starts_of
 from bsp_gp.physics.shooting import cut_segments
 
 __all__ = ["Polished", "in_pieces", "polish", "with_hidden"]
@@ -23,7 +24,7 @@ __all__ = ["Polished", "in_pieces", "polish", "with_hidden"]
 MOST_STEPS = 8
 LEAST_FALL = 0.02
 """A fit is done when chi-squared falls by less."""
-LOST = 4.0
+LOST = 1.5
 """Chi-squared per degree of freedom above which tracks are fitted in pieces first."""
 SHORTEST_PIECE = 16
 """Rows."""
@@ -140,8 +141,9 @@ def polish(stages, law, pull, found, stage, most_steps=MOST_STEPS):
     Polished or None
         None where the law has no finite fit with a source there.
     """
-    for observation, _ in stages:
-        best = _fitted(observation, law, pull, found)
+    near = None
+    for observation, fit in stages:
+        best = _fitted(observation, law, pull, found, near or fit)
         if best is None:
             return None
         for _ in range(most_steps):
@@ -152,7 +154,7 @@ def polish(stages, law, pull, found, stage, most_steps=MOST_STEPS):
             best = better
             if fall < LEAST_FALL + 1e-6 * best.fit.chisqr:
                 break
-        found, law = best.found, best.fit.law
+        found, law, near = best.found, best.fit.law, best.fit
     motion, strength = found.motion, found.strength
     pull = pull.under(best.fit.law)
     view = view_of(
@@ -161,10 +163,12 @@ def polish(stages, law, pull, found, stage, most_steps=MOST_STEPS):
     return replace(best, view=view)
 
 
-def _fitted(observation, law, pull, found):
+def _fitted(observation, law, pull, found, near):
+    """The fit with the source there, its tracks started from those of a fit near by."""
     try:
         grown = with_hidden(observation, pull, found.motion, found.parameters, found.strength)
-        fit = grown.fit(law, start=law)
+        states = starts_of(near.whole, grown.segments) if near.whole is not None else None
+        fit = grown.fit(law, start=law, states=states)
     except (DataError, EvaluationError):
         return None
     return Polished(found, grown, fit, None) if np.isfinite(fit.chisqr) else None
@@ -182,7 +186,7 @@ def _stepped(observation, best, pull, stage):
         parameters = now.parameters + part * (wanted.parameters - now.parameters)
         strength = now.strength + part * (wanted.strength - now.strength)
         moved = Found(now.motion, parameters, strength, wanted.gain)
-        tried = _fitted(observation, best.fit.law, pull, moved)
+        tried = _fitted(observation, best.fit.law, pull, moved, best.fit)
         if tried is not None and tried.fit.chisqr < best.fit.chisqr:
             return tried
     return None

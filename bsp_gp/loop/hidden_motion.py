@@ -7,7 +7,7 @@ can share a place only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ __all__ = ["ORBIT", "REST", "UNIFORM", "Motion", "motions_of"]
 REST, UNIFORM, ORBIT = "at rest", "moving straight on", "moving under the declared law"
 WIDEST_GAP = 10
 """Gap between stretches of one clock, in rows, over which sources are interpolated."""
-STEPS = 200
+FIRST_STEPS, MOST_STEPS = 25, 400
 """Steps of the integration over the whole clock."""
 
 
@@ -53,6 +53,23 @@ class Motion:
     def n_parameters(self):
         return self.n_dims if self.kind == REST else 2 * self.n_dims
 
+    def settled(self, parameters, tolerance):
+        """The motion with as few steps of integration as keep to the tolerance, metres."""
+        if self.field is None:
+            return self
+        times = self.field.scene.times
+        n_steps, tracks = FIRST_STEPS, None
+        while n_steps < MOST_STEPS:
+            motion = replace(self, field=replace(self.field, n_steps=n_steps, _made={}))
+            before, (tracks, _) = tracks, motion(parameters, times)
+            if before is not None:
+                with np.errstate(invalid="ignore"):
+                    change = np.nanmax(np.abs(tracks - before), axis=(1, 2))
+                if np.nanmedian(change) < tolerance:
+                    return motion
+            n_steps *= 2
+        return motion
+
     def __call__(self, parameters, times):
         """Places and velocities, (C, n, d) each."""
         parameters = np.atleast_2d(parameters)
@@ -75,8 +92,7 @@ class _Field:
     scene: object
     hidden: object
     up: str | None
-    first: float
-    last: float
+    n_steps: int = 4 * FIRST_STEPS
     _made: dict = field(default_factory=dict, repr=False)
 
     def circular(self, centre, offsets, normal, time):
@@ -170,14 +186,12 @@ class _Field:
 
     def _grid(self, epoch):
         """Steps with the epoch among them, and the sources at steps and half-steps."""
-        step = (self.last - self.first) / STEPS
-        before = max(int(np.ceil((epoch - self.first) / step)), 1)
-        after = max(int(np.ceil((self.last - epoch) / step)), 1)
+        first, last = self.scene.times[0], self.scene.times[-1]
+        step = (last - first) / self.n_steps
+        before = max(int(np.ceil((epoch - first) / step)), 1)
+        after = max(int(np.ceil((last - epoch) / step)), 1)
         steps = np.concatenate(
-            [
-                np.linspace(self.first, epoch, before + 1)[:-1],
-                np.linspace(epoch, self.last, after + 1),
-            ]
+            [np.linspace(first, epoch, before + 1)[:-1], np.linspace(epoch, last, after + 1)]
         )
         halves = np.interp(np.arange(2 * len(steps) - 1) / 2, np.arange(len(steps)), steps)
         return steps, *self._sources(halves)
@@ -230,9 +244,7 @@ def _orbit_field(observation, model, pull):
     constants = {n: model.law.constants[n] for t in terms for n in t.formula.constants}
     hidden = hidden_entity(pull, 1.0, "the unseen body itself")
     up = observation.dataset.up
-    return _Field(
-        ForceLaw(tuple(terms), constants), clock, hidden, up, clock.times[0], clock.times[-1]
-    )
+    return _Field(ForceLaw(tuple(terms), constants), clock, hidden, up)
 
 
 def _moves_anything(term, law):

@@ -24,6 +24,8 @@ FARTHEST = 30.0
 N_STARTS = 5
 ALIKE = 0.9
 """Correlation of responses above which two candidates are one."""
+EXACT_ORBIT, NOISY_ORBIT = 1e-6, 1e-3
+"""Error of an integrated orbit, as a part of the size of the data."""
 RULES = 5.0
 """A body this many times as strong as every other is the centre of orbits."""
 
@@ -195,6 +197,9 @@ def search(view, motions, stage, rng, n_null=N_NULL):
         elif starts:
             still = np.zeros(motion.n_parameters - len(starts[0]))
             starts = [np.concatenate([place, still]) for place in starts]
+        if len(starts) and motion.kind == ORBIT:
+            fine = EXACT_ORBIT if view.is_exact else NOISY_ORBIT
+            motion = motion.settled(np.array(starts), fine * stage.size)
         refined = [refine(view, motion, start, stage) for start in starts]
         found += _best_of([f for f in refined if f.gain > 0], 1 if motion.kind != REST else 3)
     p_value = float((1 + np.sum(worst >= best)) / (1 + n_null)) if best > 0 else 1.0

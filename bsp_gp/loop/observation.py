@@ -57,11 +57,12 @@ class Observation:
 
     # --- fitting ---------------------------------------------------------------------------------
 
-    def fit(self, law, bounds=None, start=None):
+    def fit(self, law, bounds=None, start=None, states=None):
         """Fit the constants of a law to the training scenes.
 
         Noisy positions: regression first, then whole tracks with free initial states. Exact or
-        measured-velocity data: the regression is the likelihood.
+        measured-velocity data: the regression is the likelihood. `start` has the constants of a
+        fit already, and `states` its initial states (`tracks.starts_of`).
         """
         first = fit_constants(self.train_regression, law)
         if self.is_exact:
@@ -83,7 +84,7 @@ class Observation:
                 first.residual,
                 True,
             )
-        whole = fit_tracks(self, start or first.law, bounds, is_sure=start is not None)
+        whole = fit_tracks(self, start or first.law, bounds, start is not None, states)
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
         # Misfit beyond the noise counts against the constants, with as many independent rows
