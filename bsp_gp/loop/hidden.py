@@ -13,7 +13,7 @@ import numpy as np
 from bsp_gp.loop.explanation import HIDDEN_BODY, Explanation
 from bsp_gp.loop.hidden_fit import in_pieces, polish
 from bsp_gp.loop.hidden_motion import REST, motions_of
-from bsp_gp.loop.hidden_place import Stage, search
+from bsp_gp.loop.hidden_place import Stage, search, survey
 from bsp_gp.loop.hidden_posterior import draw_posterior
 from bsp_gp.loop.hidden_pull import pulls_of
 from bsp_gp.loop.hidden_view import view_of
@@ -62,39 +62,52 @@ def hidden_body(observation, model, rng, *, workers=None):
     if not pulls:
         return None
     stages = in_pieces(observation, model.fit)
-    fits = []
-    p_values = []
+    fits, p_values = [], []
     for pull, child in zip(pulls, search_rng.spawn(len(pulls)), strict=True):
-        found, p_value, stage = _searched(stages[0], model, pull, child)
-        p_values.append(p_value)
-        # The choice among several properties is part of the search.
-        if min(len(pulls) * p_value, 1.0) > HOPELESS:
-            continue
-        for candidate in found:
-            done = polish(stages, model.law, pull, candidate, stage)
-            if done is not None and done.found.strength:
-                fits.append((done, pull, stage))
+        candidates, grid, stage = _candidates(observation, model, stages, pull, len(pulls), child)
+        done = [polish(stages, model.law, pull, c, stage) for c in candidates]
+        done = [polished for polished in done if polished is not None and polished.found.strength]
+        fits += [(polished, pull, stage) for polished in done]
+        share = 0.0
+        if len(stages) > 1 and done:
+            # Along a track that is lost the view is rough: what the fit explains counts.
+            share = 1 - min(polished.fit.chisqr for polished in done) / model.fit.chisqr
+        p_values.append(grid.p_value(share))
     if not fits:
         return None
     n_effective = min(fits, key=lambda f: f[0].fit.chisqr)[0].fit.n_effective
     fits.sort(key=lambda f: f[0].bic(n_effective))
+    # The choice among several properties is part of the search.
     p_value = min(len(pulls) * min(p_values), 1.0)
     return _explained(observation, fits, n_effective, p_value, draw_rng)
 
 
-def _searched(rough, model, pull, rng):
-    """Candidates worth a fit, the p-value, and the scales of the search."""
-    observation, fit = rough
-    view = view_of(observation, fit, pull.under(fit.law))
+def _candidates(observation, model, stages, pull, n_pulls, rng):
+    """Candidates worth a fit; the grid on the whole tracks; the scales of the search."""
+    view = view_of(observation, model.fit, pull)
     stage = Stage.of(observation, pull, view)
     motions = motions_of(observation, model, pull)
-    found, p_value = search(view, motions, stage, rng)
+    grid_rng, rough_rng = rng.spawn(2)
+    grid = survey(view, motions, stage, grid_rng)
+    if len(stages) == 1 and n_pulls * grid.p_value() > HOPELESS:
+        return [], grid, stage
+    found = _nearest(view, search(view, grid, stage))
+    if len(stages) > 1:
+        rough, fit = stages[0]
+        view = view_of(rough, fit, pull.under(fit.law))
+        rough_grid = survey(view, motions, stage, rough_rng, n_null=1)
+        found += _nearest(view, search(view, rough_grid, stage))
+    return found, grid, stage
+
+
+def _nearest(view, found):
+    """The best candidate at rest, and all whose evidence is not far from the best of all."""
     if not found:
-        return [], p_value, stage
+        return []
     least = found[0].cost(view)
     near = [f for f in found if f.cost(view) < least + NEAR][:MOST_FITTED]
     rest = [f for f in found if f.motion.kind == REST][:1]
-    return [*near, *(f for f in rest if f not in near)], p_value, stage
+    return [*near, *(f for f in rest if f not in near)]
 
 
 def _explained(observation, fits, n_effective, p_value, rng):

@@ -24,8 +24,9 @@ __all__ = ["Polished", "in_pieces", "polish", "with_hidden"]
 MOST_STEPS = 8
 LEAST_FALL = 0.02
 """A fit is done when chi-squared falls by less."""
-LOST = 1.5
-"""Chi-squared per degree of freedom above which tracks are fitted in pieces first."""
+LOST, FAR = 1.5, 0.01
+"""Chi-squared per row, and error of the tracks as a part of their extent, above which tracks are
+fitted in pieces first."""
 SHORTEST_PIECE = 16
 """Rows."""
 
@@ -95,7 +96,14 @@ def in_pieces(observation, fit):
 
 
 def _is_lost(fit):
-    return fit.whole is not None and not fit.chisqr <= LOST * max(fit.n_rows, 1)
+    if fit.chisqr <= LOST * max(fit.n_rows, 1):
+        return False
+    squares, extent = [], 0.0
+    for batch, predicted in zip(fit.whole.batches, fit.whole.predicted, strict=True):
+        seen = batch.positions[:, :, batch.bodies.receivers]
+        extent = max(extent, float(np.nanmax(seen) - np.nanmin(seen)))
+        squares.append(np.square(seen - predicted).ravel())
+    return not np.nanmean(np.concatenate(squares)) < (FAR * extent) ** 2
 
 
 @dataclass(frozen=True, eq=False)

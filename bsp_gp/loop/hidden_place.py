@@ -15,7 +15,7 @@ import numpy as np
 
 from bsp_gp.loop.hidden_motion import ORBIT, REST
 
-__all__ = ["Found", "Stage", "refine", "search"]
+__all__ = ["Found", "Grid", "Stage", "refine", "search", "survey"]
 
 N_NULL = 199
 """Simulated residuals behind the p-value."""
@@ -163,8 +163,32 @@ class Found:
         return view.dof * np.log(per_row) + self.n_free * np.log(view.dof)
 
 
-def search(view, motions, stage, rng, n_null=N_NULL):
-    """Search all motions and refine the best of each.
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """What the candidates on the grid explain, and what they would explain of noise.
+
+    Attributes
+    ----------
+    starts : list of (Motion, ndarray)
+        Motions with the best candidates (n, k) of each, as far as they differ.
+    share : float
+        Of the sum of squares, explained by the best candidate.
+    null : ndarray, shape (B,)
+        The same for simulated noise.
+    """
+
+    starts: list
+    share: float
+    null: np.ndarray
+
+    def p_value(self, share=0.0):
+        """Chance that noise alone has a place that explains this share, or the grid's."""
+        share = max(share, self.share)
+        return float((1 + np.sum(self.null >= share)) / (1 + len(self.null)))
+
+
+def survey(view, motions, stage, rng, n_null=N_NULL):
+    """Try every candidate, on the residual and on noise.
 
     Parameters
     ----------
@@ -176,34 +200,50 @@ def search(view, motions, stage, rng, n_null=N_NULL):
 
     Returns
     -------
-    found : list of Found
-        The best first; empty if no candidate explains anything.
-    p_value : float
-        Chance that noise alone has a place on the same grid that explains as great a share.
+    Grid
     """
     targets, totals = view.null(rng, n_null)
-    best, worst = 0.0, np.zeros(n_null)
-    found = []
+    share, null, starts = 0.0, np.zeros(n_null), []
     for motion in motions:
         candidates = stage.candidates(motion)
-        starts = [f.parameters for f in found if f.motion.kind == REST]
+        chosen = np.zeros((0, motion.n_parameters))
         if len(candidates):
             response = view.response(motion, candidates)
             _, gain = view.strengths(response)
-            best = max(best, float(gain.max()) / view.total)
             _, by_chance = view.strengths(response, targets)
-            worst = np.maximum(worst, by_chance.max(axis=0) / totals)
-            starts = candidates[_distinct(response, gain)]
-        elif starts:
-            still = np.zeros(motion.n_parameters - len(starts[0]))
-            starts = [np.concatenate([place, still]) for place in starts]
+            share = max(share, float(gain.max()) / view.total)
+            null = np.maximum(null, by_chance.max(axis=0) / totals)
+            chosen = candidates[_distinct(response, gain)]
+        starts.append((motion, chosen))
+    return Grid(starts, share, null)
+
+
+def search(view, grid, stage):
+    """Refine the best candidates of a grid.
+
+    Parameters
+    ----------
+    view : View
+    grid : Grid
+    stage : Stage
+
+    Returns
+    -------
+    list of Found
+        The best first; empty if no candidate explains anything.
+    """
+    found = []
+    for motion, starts in grid.starts:
+        resting = [f.parameters for f in found if f.motion.kind == REST]
+        if not len(starts) and resting:
+            still = np.zeros(motion.n_parameters - len(resting[0]))
+            starts = np.array([np.concatenate([place, still]) for place in resting])
         if len(starts) and motion.kind == ORBIT:
             fine = EXACT_ORBIT if view.is_exact else NOISY_ORBIT
-            motion = motion.settled(np.array(starts), fine * stage.size)
+            motion = motion.settled(starts, fine * stage.size)
         refined = [refine(view, motion, start, stage) for start in starts]
-        found += _best_of([f for f in refined if f.gain > 0], 1 if motion.kind != REST else 3)
-    p_value = float((1 + np.sum(worst >= best)) / (1 + n_null)) if best > 0 else 1.0
-    return sorted(found, key=lambda f: f.cost(view)), p_value
+        found += _best_of([f for f in refined if f.gain > 0], 3 if motion.kind == REST else 1)
+    return sorted(found, key=lambda f: f.cost(view))
 
 
 def _best_of(found, most):
