@@ -41,8 +41,7 @@ def discs(seed, hidden=True, *, noise=0.01, n_times=100, duration=4.0, n_dims=2)
             break
     p = p + noise * np.ptp(p, axis=(0, 1)).max() * rng.standard_normal(p.shape)
     entities = [
-        Entity(f"disc{k}", "disc", radius=0.1, properties={"mass": m})
-        for k, m in enumerate(masses)
+        Entity(f"disc{k}", "disc", radius=0.1, properties={"mass": m}) for k, m in enumerate(masses)
     ]
     return Dataset(f"discs {seed}", (Scene("film", times, p, entities),), units=SI), place
 
@@ -57,7 +56,8 @@ def _tracks(start, place, pulls, times):
     def motion(t, state):
         p, v = state.reshape(start.shape)
         gap, r = gaps(p)
-        return np.concatenate([v.ravel(), np.einsum("j,ijd->id", pulls, gap / r[..., None] ** 3).ravel()])
+        a = np.einsum("j,ijd->id", pulls, gap / r[..., None] ** 3)
+        return np.concatenate([v.ravel(), a.ravel()])
 
     def nearness(t, state):
         _, r = gaps(state.reshape(start.shape)[0])

@@ -122,11 +122,12 @@ def _explained(observation, fits, n_effective, p_value, rng):
         for c in estimates[: found.motion.n_dims]
     )
     strength = estimates[-1]
+    when = f" at t = {found.motion.epoch:.6g} {units.text(Unit.of(s=1))}"
     text = (
         f"a body that is not seen, {found.motion.kind}, of {pull.column} {strength.value:.4g} "
         f"({strength.low:.4g} to {strength.high:.4g}) {strength.unit}".rstrip()
         + f", at {said}"
-        + ("" if found.motion.kind == REST else f" at t = {found.motion.epoch:.6g} {units.text(Unit.of(s=1))}")
+        + ("" if found.motion.kind == REST else when)
     )
     place = ",\\ ".join(f"{c.value:.4g}" for c in estimates[: found.motion.n_dims])
     symbol = {"mass": "m", "charge": "q"}.get(pull.column, rf"\mathrm{{{pull.column}}}")

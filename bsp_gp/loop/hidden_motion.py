@@ -14,7 +14,7 @@ import numpy as np
 from bsp_gp.language.inputs import property_of
 from bsp_gp.loop.denoise import states_of
 from bsp_gp.loop.hidden_pull import TOUCHING, hidden_entity
-from bsp_gp.loop.hidden_view import curve_of
+from bsp_gp.loop.hidden_response import curve_of
 from bsp_gp.physics.bodies import Bodies, stack
 from bsp_gp.physics.dynamics import rollout, step_rk4
 from bsp_gp.physics.evaluation import PreparedLaw

@@ -109,9 +109,7 @@ class Stage:
             one /= np.linalg.norm(one)
             planes = [circle @ np.stack([one, np.cross(self.normal, one)])]
         offsets = (radii[:, None, None] * planes[0]).reshape(-1, len(self.middle))
-        places, velocities = motion.field.circular(
-            self.centre, offsets, self.normal, motion.epoch
-        )
+        places, velocities = motion.field.circular(self.centre, offsets, self.normal, motion.epoch)
         found = np.concatenate([places, velocities], axis=1)
         if len(self.middle) == 2:  # either sense
             back = np.concatenate([places, 2 * velocities.mean(axis=0) - velocities], axis=1)

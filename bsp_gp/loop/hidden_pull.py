@@ -179,9 +179,7 @@ def _is_linear(pull, observation):
         hidden = hidden_entity(pull, strength)
         bodies = _one_source(receivers, hidden, scene.n_dims, observation.dataset.up)
         states = np.concatenate([p, place[None]])[None]
-        found.append(
-            pull.law.acceleration(bodies, states, np.ones_like(states), scene.times[:1])
-        )
+        found.append(pull.law.acceleration(bodies, states, np.ones_like(states), scene.times[:1]))
     one, two = found
     size = np.abs(one).max()
     return bool(np.isfinite(two).all() and size > 0 and np.allclose(two, 2 * one, atol=SAME * size))
