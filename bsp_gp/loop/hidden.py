@@ -8,6 +8,8 @@ search finds in noise.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.loop.explanation import HIDDEN_BODY, Explanation
@@ -62,6 +64,8 @@ def hidden_body(observation, model, rng, *, workers=None):
     if not pulls:
         return None
     stages = in_pieces(observation, model.fit)
+    alone = stages[-1][1]
+    model = replace(model, law=alone.law, fit=alone)
     fits, p_values = [], []
     for pull, child in zip(pulls, search_rng.spawn(len(pulls)), strict=True):
         candidates, grid, stage = _candidates(observation, model, stages, pull, len(pulls), child)
@@ -79,7 +83,10 @@ def hidden_body(observation, model, rng, *, workers=None):
     fits.sort(key=lambda f: f[0].bic(n_effective))
     # The choice among several properties is part of the search.
     p_value = min(len(pulls) * min(p_values), 1.0)
-    return _explained(observation, fits, n_effective, p_value, draw_rng)
+    found = _explained(observation, fits, n_effective, p_value, draw_rng)
+    if not found.reason and alone.bic(n_effective) <= found.bic(n_effective):
+        return replace(found, reason="the law alone explains as much, for fewer numbers")
+    return found
 
 
 def _candidates(observation, model, stages, pull, n_pulls, rng):

@@ -71,14 +71,16 @@ def with_hidden(observation, pull, motion, parameters, strength):
 
 
 def in_pieces(observation, fit):
-    """Where the law lost the tracks: the observation with shorter segments, and its fit.
+    """Where the law lost the tracks: the observation with shorter segments, and its fits.
 
     Along a short piece a push still changes the track by little, which the linear view asks for.
+    And a fit to whole tracks that went astray is no measure of a law: it is tried again from the
+    states of the pieces.
 
     Returns
     -------
     list of (Observation, Fit)
-        The roughest first; the given ones last.
+        The roughest first; the given observation last, with the better of its fits.
     """
     stages = [(observation, fit)]
     while not observation.is_exact and _is_lost(fit):
@@ -92,7 +94,22 @@ def in_pieces(observation, fit):
         except EvaluationError:
             break
         stages.insert(0, (observation, fit))
-    return stages
+    for k in range(1, len(stages)):
+        stages[k] = (stages[k][0], _better(*stages[k], stages[k - 1][1]))
+        if not _is_lost(stages[k][1]):
+            stages[:k] = [stages[k]] * k
+    return [stage for k, stage in enumerate(stages) if k == 0 or stage is not stages[k - 1]]
+
+
+def _better(observation, fit, near):
+    """A fit, or the one that starts from the states of a fit to pieces, whichever is better."""
+    try:
+        again = observation.fit(
+            near.law, start=near.law, states=starts_of(near.whole, observation.segments)
+        )
+    except EvaluationError:
+        return fit
+    return again if again.chisqr < fit.chisqr else fit
 
 
 def _is_lost(fit):
