@@ -24,7 +24,7 @@ from bsp_gp.units import Unit
 
 __all__ = ["hidden_body"]
 
-HOPELESS = 0.2
+HOPELESS = 0.1
 """p-value above which the source is not fitted: noise would show one as strong."""
 NEAR = 12.0
 """Candidates whose BIC on the view is within this of the best are fitted to the tracks."""
@@ -36,6 +36,8 @@ OPEN = 10.0
 WIDE = 30.0
 """Degrees; a direction that is known no better is not determined."""
 SHOWN_ROWS = 60
+LEAST_ROWS = 4
+"""Independent rows of a track, however smooth its residual."""
 WELL_FITTED = 1.5
 """Chi-squared per degree of freedom above which what is left is misfit, and no noise."""
 
@@ -57,7 +59,7 @@ def hidden_body(observation, model, rng, *, workers=None):
     -------
     Explanation or None
         None where no law says how a source would act, or where noise alone shows one as strong
-        in more than a fifth of all cases. `details["p_value"]` is the chance of that.
+        in more than a tenth of all cases. `details["p_value"]` is the chance of that.
     """
     search_rng, draw_rng = rng.spawn(2)
     pulls = pulls_of(observation, model.law)
@@ -177,14 +179,16 @@ def _inflation(polished):
         return misfit * (max(fit.n_rows / fit.n_effective, 1.0) if misfit > WELL_FITTED else 1.0)
     view = polished.view
     left = view.y - found.strength * view.response(found.motion, found.parameters)[0]
-    start, tops = 0, 0.0
+    start, tops, n_tracks = 0, 0.0, 0
     for part in view.parts:
         stop = start + part.positions.size
         rows = left[start:stop].reshape(len(part.times), -1)
         tops, start = tops + float((rows[1:] * rows[:-1]).sum()), stop
+        n_tracks += part.positions.shape[1]
     power = float(left @ left)
-    rho = min(max(tops / power, 0.0), 0.99) if power > 0 else 0.0
-    return power / max(len(left) - free, 1) * (1 + rho) / (1 - rho)
+    rho = max(tops / power, 0.0) if power > 0 else 0.0
+    independent = max(len(left) * (1 - rho) / (1 + rho), LEAST_ROWS * n_tracks)
+    return power / max(len(left) - free, 1) * len(left) / independent
 
 
 def _estimates(observation, polished, pull, draws, unit):

@@ -50,6 +50,8 @@ def draw_hidden_map(details, truth=None):
             _draw_plane(axes, plane, visible, own, draws, details, truth, factor)
             axes.set_xlabel(axis_label("xyz"[plane[0]], unit))
             axes.set_ylabel(axis_label("xyz"[plane[1]], unit))
+        title = f"{details['motion']}; p = {details['p_value']:.2g}"
+        panels[0].set_title(plain(title, 60), loc="left")
         _draw_strength(panels[-1], draws[:, -1], details)
         _add_key(figure, truth is not None)
 
@@ -122,7 +124,6 @@ def _draw_strength(axes, values, details):
     axes.set_yticks([])
     tidied(axes, 3)
     axes.spines["left"].set_visible(False)
-    axes.set_title(plain(f"p = {details['p_value']:.2g}; {details['motion']}", 60))
     axes.set_yticks([])
 
 
