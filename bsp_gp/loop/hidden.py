@@ -20,7 +20,7 @@ from bsp_gp.loop.hidden_posterior import draw_posterior
 from bsp_gp.loop.hidden_pull import pulls_of
 from bsp_gp.loop.hidden_view import view_of
 from bsp_gp.loop.outcome import ConstantEstimate
-from bsp_gp.units import Unit
+from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = ["hidden_body"]
 
@@ -31,6 +31,8 @@ NEAR = 12.0
 MOST_FITTED = 3
 CLASS_BIC = 6.0
 """Motions whose BIC is higher by less than this are not ruled out."""
+SAME_PLACE = 0.02
+"""Distance, in sizes of the scene, within which two candidates are one."""
 OPEN = 10.0
 """Factor between the ends of the interval of a strength beyond which it is not determined."""
 WIDE = 30.0
@@ -105,8 +107,22 @@ def _candidates(observation, model, stages, pull, n_pulls, rng):
         rough, fit = stages[0]
         view = view_of(rough, fit, pull.under(fit.law))
         rough_grid = survey(view, motions, stage, rough_rng, n_null=1)
-        found += _nearest(view, search(view, rough_grid, stage))
+        known = list(found)
+        found += [
+            f
+            for f in _nearest(view, search(view, rough_grid, stage))
+            if not any(_is_same(f, g, stage) for g in known)
+        ]
     return found, grid, stage
+
+
+def _is_same(one, other, stage):
+    """Whether two candidates lead to one optimum."""
+    if one.motion.kind != other.motion.kind:
+        return False
+    n_dims = one.motion.n_dims
+    gap = one.parameters[:n_dims] - other.parameters[:n_dims]
+    return bool(np.linalg.norm(gap) < SAME_PLACE * stage.size)
 
 
 def _nearest(view, found):
@@ -124,7 +140,7 @@ def _explained(observation, fits, n_effective, p_value, rng):
     draws = draw_posterior(best, pull, stage, rng, _inflation(best))
     found = best.found
     units = observation.dataset.units
-    unit = units.text(observation.dataset.property_units[pull.column])
+    unit = units.text(observation.dataset.property_units.get(pull.column, DIMENSIONLESS))
     estimates = _estimates(observation, best, pull, draws, unit)
     said = ", ".join(
         f"{c.value:.4g} ({c.low:.4g} to {c.high:.4g}) {c.unit}".strip()
