@@ -79,7 +79,7 @@ def draw_posterior(polished, pull, stage, rng, inflation):
     """
     found, view = polished.found, polished.view
     motion = found.motion
-    unit = np.append(scales(motion, stage), max(found.strength, 1e-12 * pull.most))
+    unit = np.append(scales(motion, stage), max(abs(found.strength), 1e-12 * pull.most))
     mode = np.append(found.parameters, found.strength) / unit
     middle = np.zeros(len(unit))
     middle[: motion.n_dims] = stage.middle / unit[: motion.n_dims]
@@ -111,7 +111,9 @@ def draw_posterior(polished, pull, stage, rng, inflation):
         start = np.unique(x[pick], axis=0)
     else:
         start = mode[None]
-    names = tuple(f"x{k}" for k in range(len(unit)))
+    axes = "xyz"[: motion.n_dims]
+    moving = [f"v{axis}" for axis in axes] if len(unit) > motion.n_dims + 1 else []
+    names = (*axes, *moving, pull.column)
     posterior = sample_ensemble(
         log_prob, names, start, rng=walk_rng, n_eff=400,
         max_steps=400 if motion.kind == ORBIT else 3000,
