@@ -14,6 +14,7 @@ import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
 from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.hidden import hidden_body
 from bsp_gp.loop.measurement import measurement_rivals
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.outcome import Effect, Rival
@@ -48,7 +49,7 @@ def explanations(observation, model, rng, workers=None, to_beat=None):
     """
     finders = (
         partial(measurement_rivals, to_beat=to_beat),
-        # A hidden body is to be added here: bsp_gp.loop.hidden.hidden_body.
+        partial(hidden_body, to_beat=to_beat),
     )
     out = []
     for finder, child in zip(finders, rng.spawn(len(finders)), strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 from bsp_gp.loop.fitted import clipped
 from bsp_gp.physics.shooting import cut_segments, fit_rollout
 
-__all__ = ["fit_tracks"]
+__all__ = ["fit_tracks", "starts_of"]
 
 LOST = 4.0
 """Chi-squared per degree of freedom above which a fit may have gone astray."""
@@ -70,13 +70,13 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
         if near is whole:
             closer = fit(pieces, law)
         else:
-            closer = fit(pieces, near.law, _starts(near, pieces))
+            closer = fit(pieces, near.law, starts_of(near, pieces))
         if not np.isfinite(closer.chisqr) or _is_lost(closer):
             break
         near = closer
     if near is whole:
         return whole
-    again = fit(observation.segments, near.law, _starts(near, observation.segments))
+    again = fit(observation.segments, near.law, starts_of(near, observation.segments))
     return again if again.chisqr < SURELY_LESS * whole.chisqr else whole
 
 
@@ -84,8 +84,19 @@ def _is_lost(fit):
     return not fit.chisqr <= LOST * max(fit.n_rows - fit.n_free, 1)
 
 
-def _starts(fit, scenes):
-    """Initial states of scenes or pieces from a fit to other pieces that start at the same row."""
+def starts_of(fit, scenes):
+    """Initial states of scenes or pieces from a fit to other pieces that start at the same row.
+
+    Parameters
+    ----------
+    fit : RolloutFit
+    scenes : sequence of Scene
+
+    Returns
+    -------
+    dict of str to (ndarray, ndarray)
+        Scene name -> positions and velocities (R, d); scenes without such a piece are missing.
+    """
     found = {}
     for batch, p, v in zip(fit.batches, fit.positions, fit.velocities, strict=True):
         for s, scene in enumerate(batch.scenes):
