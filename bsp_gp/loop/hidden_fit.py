@@ -19,7 +19,7 @@ from bsp_gp.loop.hidden_view import view_of
 from bsp_gp.loop.tracks import starts_of
 from bsp_gp.physics.shooting import cut_segments
 
-__all__ = ["is_lost", "Polished", "in_pieces", "polish", "with_hidden"]
+__all__ = ["Polished", "in_pieces", "is_lost", "polish", "with_hidden"]
 
 MOST_STEPS = 8
 LEAST_FALL = 0.02
@@ -113,6 +113,7 @@ def _better(observation, fit, near):
 
 
 def is_lost(fit):
+    """Whether a fit to whole tracks follows them no longer: far off by noise and by their size."""
     if fit.chisqr <= LOST * max(fit.n_rows, 1):
         return False
     squares, extent = [], 0.0
