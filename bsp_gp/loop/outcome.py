@@ -169,6 +169,8 @@ class Effect:
         Laws that these data cannot tell from it, simplest first.
     separated_by : str
         Which measurement would tell them apart.
+    details : dict
+        Of a hidden body: draws of its place and strength, and the tracks to draw them among.
     """
 
     name: str
@@ -180,6 +182,7 @@ class Effect:
     p_value: float
     equivalents: tuple[str, ...] = ()
     separated_by: str = ""
+    details: dict = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)

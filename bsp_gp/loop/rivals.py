@@ -14,6 +14,7 @@ import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
 from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.explanation import HIDDEN_BODY
 from bsp_gp.loop.hidden import hidden_body
 from bsp_gp.loop.measurement import measurement_rivals
 from bsp_gp.loop.models import Attempt
@@ -307,7 +308,7 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         separated_by = "; ".join(filter(None, (separated_by, which)))
     effect = Effect(
         best.name, best.kind, best.text, best.latex, (), best.constants, p_value,
-        tuple(names), separated_by,
+        tuple(names), separated_by, best.details if best.kind == HIDDEN_BODY else {},
     )  # fmt: skip
     return Judged(adopted, verdict, reason, effect, after, floor, ratio)
 

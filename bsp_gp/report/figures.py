@@ -23,6 +23,7 @@ from bsp_gp.report.drawing import (
     tidy,
     time_scaled,
 )
+from bsp_gp.report.hidden_map import draw_hidden_map
 from bsp_gp.report.sentences import adopted_rounds
 from bsp_gp.report.traces import trace_figure
 from bsp_gp.report.tracks import draw_errors, draw_tracks, pick_overlays, wants_errors
@@ -73,7 +74,8 @@ def build_figures(report):
     -------
     dict of str to ReportFigure
         Names among tracks, track_errors, constants, rounds, residuals and trace_1, trace_2, …
-        for the rounds whose residual was traced, in this order.
+        for the rounds whose residual was traced, hidden_1, … for those that tell of an unseen
+        body, in this order.
     """
     makers = {
         "tracks": _tracks,
@@ -84,7 +86,19 @@ def build_figures(report):
     }
     made = {name: make(report) for name, make in makers.items()}
     made |= {f"trace_{r.number}": trace_figure(r) for r in report.rounds}
+    made |= {f"hidden_{r.number}": _hidden(r) for r in report.rounds}
     return {name: ReportFigure(name, *parts) for name, parts in made.items() if parts is not None}
+
+
+def _hidden(done):
+    """Where the unseen body of a round must be."""
+    if done.effect is None or not done.effect.details.get("draws"):
+        return None
+    caption = (
+        "Where the unseen body must be: regions that hold half and nine tenths of the posterior "
+        "draws, among the tracks of the bodies that are seen; beside it, how strong it is."
+    )
+    return caption, draw_hidden_map(done.effect.details)
 
 
 def _units(report):

@@ -28,6 +28,7 @@ from bsp_gp.report.sentences import (
     headline,
     missing_sentence,
     outcome_sentence,
+    overturned_by,
     ratio_caution,
     verdict_parts,
 )
@@ -230,7 +231,7 @@ def _round(r, report):
         "state": ("adopted" if r.adopted else "not adopted") if effect is not None else "",
         "missing": missing_sentence(r, report.alpha),
         "tests": [
-            (_TESTS.get(k, k.replace("_", " ")), format_p(p)) for k, p in r.missing.tests.items()
+            (_TESTS.get(k, k), format_p(p)) for k, p in r.missing.tests.items()
         ],
         "trace": trace_section(r),
         "outcome": outcome_sentence(r),
@@ -242,6 +243,7 @@ def _round(r, report):
         "rivals": rivals,
         "n_rivals_left": max(len(r.rivals) - _MAX_RIVALS, 0),
         "held_out": _table_of_dicts(r.held_out),
+        "overturned_by": overturned_by(r),
         "certificate": r.certificate,
         "seconds": format_number(r.seconds, 2),
     }

@@ -24,6 +24,7 @@ __all__ = [
     "headline",
     "missing_sentence",
     "outcome_sentence",
+    "overturned_by",
     "ratio_caution",
     "verdict_parts",
     "verdict_sentence",
@@ -160,6 +161,45 @@ def outcome_sentence(round_):
     if round_.adopted:
         return f"Adopted: {name} ({significance}). {reason}".strip()
     return f"Seen, not adopted: {name} ({significance}). {reason}".strip()
+
+
+def overturned_by(round_):
+    """What would change the verdict of a round, one sentence each.
+
+    Parameters
+    ----------
+    round_ : Round
+
+    Returns
+    -------
+    list of str
+    """
+    effect = round_.effect
+    if effect is None:
+        return []
+    out = []
+    fitted = [v for v in round_.rivals if is_number(v.delta_bic) and v.delta_bic > 0]
+    nearest = min(fitted, key=lambda v: v.delta_bic, default=None)
+    if nearest is not None:
+        out.append(
+            f"Data in which the nearest rival, {nearest.name}, does better: here its BIC is higher "
+            f"by {format_number(nearest.delta_bic)}, and evidence of this kind grows with the "
+            "number of rows."
+        )
+    if effect.separated_by:
+        out.append(f"What would part it from those that fit as well: {effect.separated_by}.")
+    if round_.adopted:
+        out.append(
+            "A new recording whose held-out error is no smaller with it than without, or that "
+            "asks for constants outside of the intervals given here: then it is no law, but "
+            "something about this recording."
+        )
+    else:
+        out.append(
+            "A recording that shows more of it (longer, with less noise, with more of what it "
+            "depends on) and in which it passes the test that it failed here."
+        )
+    return out
 
 
 def headline(report):
