@@ -3,7 +3,12 @@
 The 12-frame protocol: both directions, ten balls (one drop of the bowling ball is too short), 20
 predictions. The form of the missing force is chosen on the training drops alone; the start of a
 predicted drop is fitted on its first 12 rows; scored is the height error at row 42.
+
+And one law for all balls whose mass and radius are known: drag by their cross-section, and which of
+them depart from it.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from common import options, reference_data, write_table
@@ -14,6 +19,9 @@ from bsp_gp.loop.preparing import observe
 
 DECLARED = "9.81 [m/s^2] * m_i * down"
 LEFT_OUT = "bowling_ball"
+HALF_DENSITY = 0.5 * 1.2 * np.pi
+"""Half the density of air, kg/m^3, times pi: drag is this times C_d R^2 |v| v."""
+Z_90 = 1.645
 
 
 def run(train, test, seed):
@@ -34,6 +42,45 @@ def run(train, test, seed):
     return rows, report
 
 
+def pooled(seed):
+    """One drag law for all balls of known mass and radius, and each ball's own coefficient."""
+    folder = reference_data("measured", "ball_drops")
+    dataset = load_dataset(folder, train="*_drop1", test="*_drop2")
+    balls = {
+        e.name: e for s in dataset.scenes for e in s.entities
+        if np.isfinite(e.mass) and np.isfinite(e.radius)
+    }  # fmt: skip
+    known = [s for s in dataset.scenes if s.names[s.dynamic[0]] in balls]
+    fits = {}
+    for power, form in ((1, "v_i"), (2, "norm(v_i) * v_i")):
+        law = declared_law(dataset, [DECLARED, f"-d1 * R_i^2 * {form}"])
+        part = replace(dataset, scenes=tuple(known), train=(), test=())
+        observation = observe(part, law, np.random.default_rng(seed), sources=False)
+        scenes = (*observation.train, *observation.test)
+        fit = observation.with_train(scenes).fit(law)
+        own = law.with_constants({"d1": dict.fromkeys(balls, 1.0)})
+        fits[power] = fit, observation.with_train(scenes).fit(own, start=own)
+    return fits
+
+
+def told_of_pooled(fits):
+    """Lines about the pooled law."""
+    n_eff = fits[1][0].n_effective
+    power = min(fits, key=lambda p: fits[p][0].bic(n_eff))
+    common, own = fits[power]
+    value, half = common.values[0], common.intervals[0]
+    unit, form = {1: ("kg/(m^2 s)", ""), 2: ("kg/m^3", "|v|")}[power]
+    yield f"one law for all: -{value:.3g} ± {half:.2g} {unit} * R^2 * {form}v"
+    if power == 2:
+        yield f"    drag coefficient {value / HALF_DENSITY:.2f} ± {half / HALF_DENSITY:.2f}"
+    gain = common.bic(n_eff) - own.bic(n_eff)
+    yield f"    with a coefficient for each ball BIC falls by {gain:.0f}"
+    for (_, ball), v, h in zip(own.parameters, own.values, own.intervals, strict=True):
+        off = (v - value) / np.hypot(h, half) * Z_90
+        verdict = "  departs" if abs(off) > 3 else ""
+        yield f"    {ball:20s} {v:8.3g} ± {h:.2g}  {off:+.1f} sd{verdict}"
+
+
 def main():
     args = options(__doc__.splitlines()[0])
     rows = []
@@ -42,6 +89,8 @@ def main():
         rows += more
         found = [r.effect.name for r in report.rounds if r.adopted]
         print(f"trained on {train}: {report.verdict}: {', '.join(found)}; {report.law_text}")
+        watson = [f"{r.missing.durbin_watson:.2f}" for r in report.rounds]
+        print(f"    Durbin-Watson of the whitened residual, round by round: {', '.join(watson)}")
         signs = [c.value for c in report.constants]
         print(f"    {sum(v > 0 for v in signs)} of {len(signs)} coefficients push forward")
         for rival in report.rounds[0].rivals:
@@ -56,6 +105,8 @@ def main():
             f"{label:9s} {len(errors)} predictions: end point median {np.median(errors):.2f} m, "
             f"mean {np.mean(errors):.2f} m"
         )
+    for line in told_of_pooled(pooled(args.seed)):
+        print(line)
     write_table(rows, args.out / "results.csv")
     print(f"table: {args.out / 'results.csv'}")
 

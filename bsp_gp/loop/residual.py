@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
 from bsp_gp.units import ACCELERATION
 
-__all__ = ["LAGS", "examine_residual", "ljung_box"]
+__all__ = ["LAGS", "durbin_watson", "examine_residual", "ljung_box"]
 
 LAGS = 8
 DEGREES = (2, 3, 6)
@@ -78,6 +79,7 @@ def examine_residual(observation, fit, alpha):
         is_missing=bool(p_value <= alpha),
         rhythm=rhythm,
         directions=directions,
+        durbin_watson=math.nan if fit.whole is None else durbin_watson(fit.whole.whitened),
     )
 
 
@@ -126,6 +128,27 @@ def _noise_dof(observation):
         return np.inf
     counts = [n for n in observation.noise.n_effective if np.isfinite(n)]
     return float(sum(counts)) if counts else np.inf
+
+
+def durbin_watson(parts):
+    """Statistic of Durbin and Watson (1950), pooled over tracks.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray, shape (T, ...)
+        Whitened residuals, time first; 0 where nothing was seen.
+
+    Returns
+    -------
+    float
+    """
+    steps = squares = 0.0
+    for part in parts:
+        both = (part[1:] != 0) & (part[:-1] != 0)
+        steps += float(np.square(np.diff(part, axis=0))[both].sum())
+        # A step has two ends: half of the squares of each, so that white noise gives 2.
+        squares += float((np.square(part[1:]) + np.square(part[:-1]))[both].sum()) / 2
+    return steps / squares if squares > 0 else math.nan
 
 
 def ljung_box(regression, residual, lags=LAGS):

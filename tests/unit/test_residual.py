@@ -8,7 +8,7 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.close import declared_law
 from bsp_gp.loop.preparing import observe
-from bsp_gp.loop.residual import examine_residual, ljung_box
+from bsp_gp.loop.residual import durbin_watson, examine_residual, ljung_box
 from bsp_gp.physics.likelihood import build_regression
 from tests.throws import GRAVITY, SI
 
@@ -183,3 +183,14 @@ def test_too_few_rows_say_nothing():
     regression = replace(TEMPLATE.train_regression, batches=(short,))
     assert ljung_box(regression, np.ones(short.target.size)) == 1.0
     assert ljung_box(TEMPLATE.train_regression, np.zeros(batch.target.size)) == 1.0
+
+
+def test_durbin_watson_is_two_without_correlation():
+    rng = np.random.default_rng(9)
+    z = rng.standard_normal((4000, 2))
+    assert durbin_watson([z]) == pytest.approx(2, abs=0.1)
+    for k in range(1, len(z)):
+        z[k] += 0.5 * z[k - 1]
+    assert durbin_watson([z]) == pytest.approx(2 * (1 - 0.5), abs=0.1)
+    z[1::2] = 0.0  # never two rows in turn
+    assert np.isnan(durbin_watson([z]))
