@@ -121,11 +121,10 @@ def _attempt(observation, model, index, base, power, with_number):
     if not np.isfinite(fit.chisqr):
         return None
     k = [n for n, _ in fit.parameters].index(name)
-    value, half = power + fit.values[k], fit.intervals[k]
     return Attempt(
         fit.law, fit, PRIOR_NATS,
-        f"exponent of {to_text(base)} in a declared term: {value:.6g} ± {half:.1g}, "
-        f"not {power:g}" + (", and its number" if with_number else ""),
+        f"exponent of {to_text(base)} in a declared term: {power:g} {fit.values[k]:+.3g} ± "
+        f"{fit.intervals[k]:.1g}" + (", and its number" if with_number else ""),
         to_text(freed.formula), to_latex(freed.formula), "declared_term_change",
         share=float(1 - fit.chisqr / model.fit.chisqr) if model.fit.chisqr > 0 else 0.0,
         replaces=(f"the declared {to_text(term.formula)}",), freed=tuple(start),

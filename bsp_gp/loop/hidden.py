@@ -76,10 +76,11 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
     stages = in_pieces(observation, model.fit)
     alone = stages[-1][1]
     model = replace(model, law=alone.law, fit=alone)
-    fits, p_values = [], []
+    fits, p_values, promised = [], [], 0.0
     for pull, child in zip(pulls, search_rng.spawn(len(pulls)), strict=True):
         candidates, grid, stage = _candidates(observation, model, stages, pull, len(pulls), child)
         if len(stages) == 1 and to_beat is not None:
+            promised = max([promised, *(c.gain for c in candidates)])
             needed = WORTH * (model.fit.chisqr - to_beat)
             candidates = [c for c in candidates if c.gain >= needed]
         done = [polish(stages, model.law, pull, c, stage) for c in candidates]
@@ -91,7 +92,7 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
             share = 1 - min(polished.fit.chisqr for polished in done) / model.fit.chisqr
         p_values.append(grid.p_value(share))
     if not fits:
-        return None
+        return _beaten(observation, model.fit, promised) if promised else None
     n_effective = min(fits, key=lambda f: f[0].fit.chisqr)[0].fit.n_effective
     fits.sort(key=lambda f: f[0].bic(n_effective))
     # The choice among several properties is part of the search.
@@ -100,6 +101,16 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
     if not found.reason and alone.bic(n_effective) <= found.bic(n_effective):
         return replace(found, reason="the law alone explains as much, for fewer numbers")
     return found
+
+
+def _beaten(observation, fit, promised):
+    """The best source, not worth a fit beside a law that explains more."""
+    return Explanation(
+        HIDDEN_BODY, "an unseen body", "a body that is not seen", r"\text{a body that is not seen}",
+        observation, fit, observation.dataset.n_dims + 1,
+        reason=f"in its best place it would explain {promised / fit.chisqr:.2g} of what is left, to "
+        "first order; a law explains more than twice that",
+    )  # fmt: skip
 
 
 def _is_hopeless_beside(fit, to_beat):

@@ -114,7 +114,7 @@ def _better(observation, fit, near):
 
 def is_lost(fit):
     """Whether a fit to whole tracks follows them no longer: far off by noise and by their size."""
-    if fit.chisqr <= LOST * max(fit.n_rows, 1):
+    if fit.whole is None or fit.chisqr <= LOST * max(fit.n_rows, 1):
         return False
     squares, extent = [], 0.0
     for batch, predicted in zip(fit.whole.batches, fit.whole.predicted, strict=True):

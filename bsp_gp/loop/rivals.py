@@ -160,6 +160,9 @@ def told_beside(observation, effect, shown, found):
         Of those explanations.
     """
     alike = in_class(shown.fit, found)
+    if shown.fit.is_exact:
+        # A declared number is believed, and what does the same as another one falls with it.
+        alike = [e for e in alike if not any("another number" in text for text in e.equivalents)]
     if not alike:
         return effect, ()
     members = [Member(shown.name, shown.fit), *_members(alike)]

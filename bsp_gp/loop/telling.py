@@ -81,7 +81,7 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
             a.fit.bic(n_eff) - chosen.fit.bic(n_eff), a.score(n_eff) - chosen.score(n_eff)
         )
         for a in attempts
-        if (not a.reason or a.freed) and a.text != chosen.text
+        if (not a.reason or (a.freed and not a.fit.is_exact)) and a.text != chosen.text
     }
     as_good = sorted((t for t, delta in fitted.items() if delta < CLASS_BIC), key=fitted.get)
     searched = [a for a in attempts if not a.freed]
