@@ -105,11 +105,12 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
 
 def _beaten(observation, fit, promised):
     """The best source, not worth a fit beside a law that explains more."""
+    share = promised / fit.chisqr
     return Explanation(
         HIDDEN_BODY, "an unseen body", "a body that is not seen", r"\text{a body that is not seen}",
         observation, fit, observation.dataset.n_dims + 1,
-        reason=f"in its best place it would explain {promised / fit.chisqr:.2g} of what is left, to "
-        "first order; a law explains more than twice that",
+        reason=f"in its best place it would explain {100 * share:.2g} % of what is left, to first "
+        "order; a law explains more than twice as much",
     )  # fmt: skip
 
 
