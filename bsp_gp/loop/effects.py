@@ -161,6 +161,11 @@ class EffectSearch:
         narrow.whole, narrow._pools = self, {}
         return narrow
 
+    def usable_inputs(self):
+        """Names of the inputs that laws may have, a set."""
+        rules = self.masked.rules_of.values()
+        return {name for rule in rules for r in rule for name in r.inputs}
+
     def _unknown_inputs(self, dataset):
         """Properties that some source lacks: a law for all bodies cannot name them as ``_j``."""
         sources = [e for scene in dataset.scenes for e in _sources_of(scene)]

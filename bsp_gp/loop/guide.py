@@ -104,8 +104,7 @@ def guided(search, trace, guide):
     if guide == "off" or trace is None:
         note = "" if guide == "off" else "nothing was traced, so that the search was not guided"
         return search, Guidance("off", (), note)
-    usable = {name for rule in search.masked.rules_of.values() for r in rule for name in r.inputs}
-    left_out = inputs_left_out(trace, sorted(usable))
+    left_out = inputs_left_out(trace, sorted(search.usable_inputs()))
     if guide == "order":
         return search, Guidance("order", left_out, "the whole grammar was searched")
     narrow = search.without_inputs(left_out) if left_out else search

@@ -11,13 +11,18 @@ from bsp_gp.loop.residual import examine_residual
 
 __all__ = ["joined", "known_attempts", "leaves_noise_alone"]
 
+DECLARED = "declared_term_change"
 
-def known_attempts(observation, model, missing, alpha):
+
+def known_attempts(search, model, missing, alpha):
     """Attempts at what was named before the data were seen and stands out in the residual.
+
+    Only with inputs that the search may use; time is left to a period, which is no input.
 
     Parameters
     ----------
-    observation : Observation
+    search : EffectSearch
+        With the observation.
     model : Model
     missing : Missing
         Of the model.
@@ -27,9 +32,11 @@ def known_attempts(observation, model, missing, alpha):
     -------
     list of Attempt
     """
+    observation, usable = search.observation, search.usable_inputs() | {"t"}
     out = exponent_attempts(observation, model)
     out += periodic_attempts(observation, model, missing.rhythm)
-    return directed_attempts(observation, model, missing.directions, out, alpha)
+    out = directed_attempts(observation, model, missing.directions, out, alpha)
+    return [a for a in out if a.kind == DECLARED or a.law.terms[-1].formula.inputs <= usable]
 
 
 def leaves_noise_alone(observation, attempts, alpha):

@@ -89,7 +89,7 @@ def run_round(
     entering = model
     search, guidance = guided(search, trace, guide)
     progress(f"round {number}: searching for what is missing")
-    known = known_attempts(observation, model, missing, alpha)
+    known = known_attempts(search, model, missing, alpha)
     fit = model.fit
     if leaves_noise_alone(observation, known, alpha):
         proposals = search.propose(fit, search_rng)
@@ -116,7 +116,7 @@ def run_round(
             else:
                 done = _quiet_round(number, missing, model, floor, started)
             return replace(done, trace=trace), model, search.whole or search
-        known = known_attempts(observation, model, missing, alpha)
+        known = known_attempts(search, model, missing, alpha)
     progress(f"round {number}: fitting {len(proposals.shortlist)} proposals jointly")
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
