@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from common import options, reference_data, run_jobs, save_figure, write_text
+from common import options, reference_data, run_jobs, write_study
 from data_efficiency import (
     BUDGETS,
     COLLIDING,
@@ -326,11 +326,7 @@ def write_all(table, out):
     """Summary and figure of a table."""
     rank = {method: k for k, method in enumerate((*SYMBOLIC, *NEURAL))}
     table = table.sort_values("method", key=lambda column: column.map(rank), kind="stable")
-    text = summary(table)
-    print(text)
-    write_text(text, out / "summary.md")
-    save_figure(figure(table), out / "neural_efficiency.png")
-    print(f"table, figure and summary: {out}")
+    write_study(summary(table), figure(table), out, "neural_efficiency")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-from common import options, run_jobs, save_figure, write_text
+from common import options, run_jobs, write_study
 from peers_tasks import (
     N_FRAMES,
     N_SCENES,
@@ -390,11 +390,7 @@ def main():
     args = options(__doc__.splitlines()[0])
     jobs = jobs_of(args.quick, args.seed)
     found = run_jobs(jobs, work, args.out, args.workers)
-    text = summary(found, jobs[0][-1])
-    print(text)
-    write_text(text, args.out / "summary.md")
-    save_figure(figure(found), args.out / "peers.png")
-    print(f"table, figure and summary: {args.out}")
+    write_study(summary(found, jobs[0][-1]), figure(found), args.out, "peers")
 
 
 if __name__ == "__main__":
