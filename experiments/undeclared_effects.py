@@ -28,13 +28,13 @@ OTHER = ("another law", "another measurement")
 FAMILIES = (
     (r"drag, linear", "linear drag"),
     (r"drag, quadratic", "quadratic drag"),
-    (r"uniform push", "uniform wind"),
+    (r"uniform push along .$", "uniform wind"),
     (r"force across the velocity", "magnetic"),
-    (r"spring|line to the other body, as distance$|other body, as distance$", "spring to a point"),
+    (r"spring|the other body, as distance$", "spring to a point"),
     (r"a push with a period", "periodic push"),
     (r"friction", "friction on a mat"),
     (r"exponent of", "changed exponent"),
-    (r"(push|pull|force).* the other body", "pair force"),
+    (r"the other body, as distance\^-2$", "pair force"),
     (r"an unseen body", "hidden body"),
     (r"a length scale", "length scale"),
     (r"a camera that is tilted", "tilted camera"),
@@ -116,7 +116,8 @@ def score(referee, report):
     ]  # fmt: skip
     return {
         "verdict": report.verdict, "adopted": any(done.adopted for done in report.rounds),
-        "told": first.name if first else "", "told_law": first.law if first else "",
+        "told": first.name if first else "", "told_kind": first.kind if first else "",
+        "told_law": first.law if first else "",
         "n_class": len(dict.fromkeys(others)) + 1 if first else 0,
         "named": is_named, "in_class": is_in_class,
         "wrong_confident": any(not referee.is_named(e) for e in alone) and not is_named,
@@ -127,14 +128,14 @@ def family(row):
     """The column of a row in the confusion matrix."""
     if row["named"]:
         return row["effect"]
-    if not isinstance(row["told"], str) or not row["told"]:
+    is_told = isinstance(row["told"], str) and (row["adopted"] or row["in_class"])
+    if not is_told:
         return NOT_TOLD[row["verdict"] == "nothing missing"]
     for pattern, name in FAMILIES:
         if re.search(pattern, row["told"]):
-            # A name of many words may fit a law whose form is another one.
-            is_own = name == row["effect"] and not KINDS[name].names
-            return OTHER[0] if is_own else name
-    return OTHER[row["told"].startswith(("a ", "positions", "one ", "an "))]
+            # In words alike, and yet of another form.
+            return OTHER[0] if name == row["effect"] and not KINDS[name].names else name
+    return OTHER[row["told_kind"] == MEASUREMENT]
 
 
 def work(name, engine, snr, seed):
