@@ -26,8 +26,8 @@ FORCES = (
 TIED = {**SPRING, "n_scenes": 10}
 FAR = (35.0, 50.0)
 """Distance of the hidden body from the middle, m: beyond the orbits, which end at 30 m."""
-WIND_OF_DRAG = 2.0
-"""Wind in N per drag in kg/s where both act: as large as the drag at 2 m/s."""
+WIND_OF_DRAG = 4.0
+"""Wind in N per drag in kg/s where both act, m/s: each is then as well seen beside the other."""
 SWAPPED_ROWS = (10, 30)
 LATE = "2"
 """Name of the light body that is shown late."""
