@@ -50,13 +50,12 @@ class Referee:
 
     def __init__(self, name, exact):
         self.kind = KINDS[name]
-        truth = exact.truth
+        dataset, truth = exact.dataset, exact.truth
 
         def judge(*effects):
             settings = replace(truth.settings, effects=effects)
-            return Judge(exact_scenes, replace(truth, settings=settings), exact.declared)
+            return Judge(dataset, replace(truth, settings=settings), exact.declared)
 
-        exact_scenes = exact.dataset
         parts = () if self.kind.names else truth.effects
         self.parts = [judge(part) for part in parts]
         self.whole = judge(*parts) if parts else None
@@ -73,13 +72,14 @@ class Referee:
         known = {c.name: c.value for c in effect.constants}
         if self.whole is None or effect.kind in (MEASUREMENT, HIDDEN_BODY):
             return set()
-        if self.whole.is_form(effect.law, known):
+        found = {k for k, part in enumerate(self.parts) if part.is_form(effect.law, known)}
+        if not found and len(self.parts) > 1 and self.whole.is_form(effect.law, known):
             return set(range(len(self.parts)))
-        return {k for k, part in enumerate(self.parts) if part.is_form(effect.law, known)}
+        return found
 
     def is_right_text(self, text):
-        """Whether a law or a name is right, or does the same; of two forces, one will do."""
-        judges = [*self.same, *self.parts, *([self.whole] if self.parts else [])]
+        """Whether a law or a name is right, or does the same."""
+        judges = [*self.same, *self.parts]
         return text in self.kind.names or any(judge.is_form(text) for judge in judges)
 
     def is_law(self, report):
@@ -89,10 +89,10 @@ class Referee:
         return not report.corrections and self.whole.refitted(report.law) is not None
 
 
-def told_in(done, alpha=ALPHA):
+def told_in(done):
     """The effect that a round tells of; None if it tells of none, or of one that noise shows."""
     effect = done.effect
-    return effect if effect is not None and effect.p_value <= alpha else None
+    return effect if effect is not None and effect.p_value <= ALPHA else None
 
 
 def score(referee, report):
