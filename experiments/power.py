@@ -122,16 +122,28 @@ def seen_against(dataset, declared, extra, sigma):
     return float(np.sqrt(fit.chisqr))
 
 
-def tuned(case, snr, seed, engine):
-    """Strength at which the exact data of a case differ from the declared model by `snr`."""
-    strength, sigma = CASES[case][3], CASES[case][1]["noise"]
+def strength_at(snr, strength, seen):
+    """Strength at which something is seen at this SNR, and the SNR found; `seen` of a strength."""
     for _ in range(4):
-        dataset, truth = data_set(case, strength, seed, engine, noise=0.0)
-        found = seen_against(dataset, declared_of(case, truth), "", sigma)
+        found = seen(strength)
         if abs(found / snr - 1) < 0.01:
             break
         strength *= snr / found
-    return strength, found, dataset, truth
+    return strength, found
+
+
+def tuned(case, snr, seed, engine):
+    """Strength at which the exact data of a case differ from the declared model by `snr`."""
+    sigma = CASES[case][1]["noise"]
+    made = []
+
+    def seen(strength):
+        made[:] = data_set(case, strength, seed, engine, noise=0.0)
+        dataset, truth = made
+        return seen_against(dataset, declared_of(case, truth), "", sigma)
+
+    strength, found = strength_at(snr, CASES[case][3], seen)
+    return strength, found, *made
 
 
 def rival_of(case, dataset, truth, tried=()):
@@ -191,14 +203,18 @@ class Judge:
             found, size = law.with_values(parameters, fit.x), 2 * fit.cost
         return found if size < SAME_FORM * (self.missing @ self.missing) else None
 
-    def is_form(self, text):
-        """Whether the declared law and a further one, or that one in its place, is the truth."""
+    def is_form(self, text, known=()):
+        """Whether the declared law and a further one, or that one in its place, is the truth.
+
+        `known` has values of constants to begin with, by name.
+        """
         try:
             formula = parse_formula(text, dataset_types(self.dataset), units=self.dataset.units)
         except BspError:
             return False
         own = set(formula.constants)
         start = {n: 0.0 if n.startswith("n") else 1.0 for n in own}
+        start.update((n, value) for n, value in dict(known).items() if n in own)
         alone = ForceLaw((Term(formula),), start)
         beside = self.declared.plus(Term(formula), start)
         return any(self.refitted(law) is not None for law in (alone, beside))

@@ -391,8 +391,11 @@ class _Problem:
         stored = []
         for flat, jc, js in blocks:
             for s in range(len(flat)):
-                hcc, hcs, hss = jc[s] @ jc[s].T, jc[s] @ js[s].T, js[s] @ js[s].T
-                gc, gs = jc[s] @ flat[s], js[s] @ flat[s]
+                with np.errstate(over="ignore", invalid="ignore"):
+                    hcc, hcs, hss = jc[s] @ jc[s].T, jc[s] @ js[s].T, js[s] @ js[s].T
+                    gc, gs = jc[s] @ flat[s], js[s] @ flat[s]
+                if not all(np.isfinite(part).all() for part in (hcc, hcs, hss, gc, gs)):
+                    raise np.linalg.LinAlgError("slopes of a rollout that runs away")
                 hss = hss + damping * np.diag(np.diag(hss)) + _tiny(hss)
                 solved = np.zeros((0, n_c + 1))
                 if len(gs):

@@ -160,6 +160,17 @@ def test_gaps_and_lost_first_rows_do_not_bias():
     np.testing.assert_allclose(fit.values, [-0.3, 9.81], rtol=1e-6)
 
 
+def test_slopes_beyond_all_numbers_stop_a_fit_without_a_warning():
+    """A body at rest under a force that drives it off: finite track, slopes whose squares are not.
+
+    A warning is an error here.
+    """
+    times = np.linspace(0, 6, 61)
+    scene = Scene("run", times, np.zeros((61, 1, 2)), (ball("b"),))
+    fit = fit_rollout([scene], law_of("c1 * v_i", c1=400.0), [1e-3, 1e-3], up="y", free=())
+    assert fit.chisqr == 0.0
+
+
 def test_segments_share_constants_and_have_states_of_their_own():
     """Multiple shooting: the same constants from a chaotic-length track cut in pieces."""
     scenes = thrown(times=np.linspace(0, 4, 41))
