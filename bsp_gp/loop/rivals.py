@@ -8,7 +8,6 @@ stands beside the law as a member of its class.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -48,15 +47,13 @@ def explanations(observation, model, rng, workers=None, to_beat=None):
     -------
     list of Explanation
     """
-    finders = (
-        partial(measurement_rivals, to_beat=to_beat),
-        partial(hidden_body, to_beat=to_beat),
+    measurement_rng, hidden_rng = rng.spawn(2)
+    out = measurement_rivals(observation, model, measurement_rng, workers=workers, to_beat=to_beat)
+    least = [e.fit.chisqr for e in _able(out)] + ([] if to_beat is None else [to_beat])
+    found = hidden_body(
+        observation, model, hidden_rng, workers=workers, to_beat=min(least, default=None)
     )
-    out = []
-    for finder, child in zip(finders, rng.spawn(len(finders)), strict=True):
-        found = finder(observation, model, child, workers=workers)
-        out += found if isinstance(found, list) else [found] if found is not None else []
-    return out
+    return out if found is None else [*out, found]
 
 
 def _rows_that_count(*fits):

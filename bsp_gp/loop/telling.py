@@ -29,6 +29,8 @@ __all__ = [
 ]
 
 MAX_RIVALS = 8
+MOST_NEAR = 60
+"""Laws named at most as not ruled out, of those that were not fitted to whole tracks."""
 
 
 def constant_estimates(observation, fit):
@@ -88,7 +90,7 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
     further = []
     if any(a.text == chosen.text or fitted.get(a.text, np.inf) < CLASS_BIC for a in searched):
         further = [text for text in near if text != chosen.text and text not in fitted]
-    equivalents = (*as_good, *chosen.equivalents, *further[:MOST_EQUALS], *chosen.ties)
+    equivalents = (*as_good, *chosen.equivalents, *further[:MOST_NEAR], *chosen.ties)
     return Effect(
         name=chosen.name,
         kind=chosen.kind,
@@ -97,7 +99,7 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
         entities=tuple(e for e in entities if e not in zero),
         constants=estimates,
         p_value=p_value,
-        equivalents=tuple(dict.fromkeys(equivalents))[: 2 * MOST_EQUALS],
+        equivalents=tuple(dict.fromkeys(equivalents))[: MOST_NEAR + MOST_EQUALS],
         separated_by=_separated_by(chosen.text, equivalents),
     )
 
