@@ -35,7 +35,7 @@ test: $(VENV)/.ok  ## run the default tests
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
 
-EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101
+EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 power undeclared_effects
 
 quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
 	@mkdir -p runs/quick
