@@ -9,19 +9,15 @@ import numpy as np
 from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, factors, product
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.models import Attempt, Model, is_property
 from bsp_gp.loop.naming import describe, fresh_name, rename_constant
 from bsp_gp.loop.planning import plan_ahead
 from bsp_gp.physics.force import Term, split_linear
 
-__all__ = ["CLASS_BIC", "TIE_BIC", "attempt_of", "attempts_of", "choose", "evaluate", "named"]
+__all__ = ["TIE_BIC", "attempt_of", "attempts_of", "choose", "evaluate", "named"]
 
 TIE_BIC = 2.0
-
-
-CLASS_BIC = 10.0
-"""Laws whose BIC is higher by less than this are not ruled out: a wrong name is worse than two."""
 
 
 def evaluate(observation, law, fit=None):

@@ -32,7 +32,7 @@ MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
 
 
-def exponent_attempts(observation, model):
+def exponent_attempts(observation, model, p_values=None):
     """The model with one exponent of a declared term free, for each of them.
 
     Parameters
@@ -40,6 +40,8 @@ def exponent_attempts(observation, model):
     observation : Observation
     model : Model
         The one entering the round.
+    p_values : dict of str to float, optional
+        By the text of what is raised to the power, where that was tested by itself.
 
     Returns
     -------
@@ -51,8 +53,11 @@ def exponent_attempts(observation, model):
         if term.is_declared:
             for base, power in _powers(term.formula):
                 for with_number in (False,) if term.formula.constants else (False, True):
-                    out.append(_attempt(observation, model, index, base, power, with_number))
-    return [attempt for attempt in out if attempt is not None]
+                    attempt = _attempt(observation, model, index, base, power, with_number)
+                    if attempt is not None:
+                        p = (p_values or {}).get(to_text(base), float("nan"))
+                        out.append(replace(attempt, p_value=p))
+    return out
 
 
 def changed_exponents(observation, law):

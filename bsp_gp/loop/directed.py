@@ -38,7 +38,6 @@ ACROSS = "c1 * ({0}_i * norm(v_i) * perp(normalize(v_i)))"
 PAIR = "c1 * ({0}_i * {0}_j * inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j))"
 PRIOR_NATS = 4.0
 """Complexity of a common effect, as that of the shortest laws of a grammar."""
-MOST = 3
 START = 1e-5
 """Strength at which derivatives are taken, in parts of what moves a body across its track."""
 BEYOND = 1e-6
@@ -56,12 +55,15 @@ class Direction(NamedTuple):
     p_value : float
         With the number of effects that were tried counted.
     n_tried : int
+    base : str
+        Whose exponent it is; "" for a force.
     """
 
     name: str
     law: str
     p_value: float
     n_tried: int
+    base: str = ""
 
 
 def directed_test(observation, fit, blocks, p_of_size):
@@ -86,7 +88,7 @@ def directed_test(observation, fit, blocks, p_of_size):
     if not effects:
         return ()
     law = fit.whole.law
-    for k, (_, _, term) in enumerate(effects):
+    for k, (*_, term) in enumerate(effects):
         law = law.plus(term, {f"d{k}": START})
     extra = tuple((f"d{k}", "") for k in range(len(effects)))
     whole = replace(
@@ -109,16 +111,17 @@ def directed_test(observation, fit, blocks, p_of_size):
     q = orthonormal_rows(np.concatenate(taken, axis=1))
     rows = rows - (rows @ q.T) @ q
     found = []
-    for (name, text, _), row, size in zip(effects, rows, sizes, strict=True):
+    for (name, text, base, _), row, size in zip(effects, rows, sizes, strict=True):
         beyond = float(row @ row)
         if np.isfinite(beyond) and beyond > BEYOND * size > 0:
-            found.append((name, text, p_of_size(float(row @ residual) ** 2 / beyond, 1)))
-    found.sort(key=lambda item: item[2])
-    return tuple(Direction(n, t, min(1.0, len(found) * p), len(found)) for n, t, p in found)
+            found.append((name, text, base, p_of_size(float(row @ residual) ** 2 / beyond, 1)))
+    found.sort(key=lambda item: item[-1])
+    n = len(found)
+    return tuple(Direction(name, text, min(1.0, n * p), n, base) for name, text, base, p in found)
 
 
-def directed_attempts(observation, model, directions, attempts, alpha):
-    """Attempts at the significant common effects, added to others.
+def directed_attempts(observation, model, directions):
+    """Attempts at common effects that are forces.
 
     They were named before the data were seen, so that each has a p-value of its own, which need
     not count all laws of a grammar.
@@ -128,33 +131,26 @@ def directed_attempts(observation, model, directions, attempts, alpha):
     observation : Observation
     model : Model
     directions : sequence of Direction
-    attempts : list of Attempt
-        Those at another exponent get the p-value of its direction.
-    alpha : float
 
     Returns
     -------
     list of Attempt
     """
-    out, types = list(attempts), dataset_types(observation.dataset)
-    for name, law, p, _ in [d for d in directions if d.p_value <= alpha][:MOST]:
-        if not law:
-            out = [
-                replace(a, p_value=p) if a.freed and name.split(" of ")[1] in a.name else a
-                for a in out
-            ]
+    out, types = [], dataset_types(observation.dataset)
+    for direction in directions:
+        if not direction.law:
             continue
-        formula = parse_formula(law, types, units=observation.dataset.units)
+        formula = parse_formula(direction.law, types, units=observation.dataset.units)
         kind = Term(formula).kind
         proposal = Proposal(formula, kind, "c1", False, PRIOR_NATS, float("nan"), float("nan"))
         attempt = attempt_of((observation, model.fit, proposal))
         if attempt is not None:
-            out.append(replace(attempt, p_value=p))
+            out.append(replace(attempt, p_value=direction.p_value))
     return out
 
 
 def _effects(observation, law):
-    """Effects that these data can speak of: (name, text, term of typical size)."""
+    """Effects that these data can speak of: (name, text, base, term of typical size)."""
     dataset = observation.dataset
     types = dataset_types(dataset)
     texts = dict(FIELD)
@@ -172,16 +168,16 @@ def _effects(observation, law):
             formula = parse_formula(text, types, units=dataset.units)
         except BspError:
             continue  # what it names is not in these data
-        found.append((name, text, Term(split_linear(formula)[1])))
+        found.append((name, text, "", Term(split_linear(formula)[1])))
     for base, term in changed_exponents(observation, law):
-        found.append((f"another exponent of {base}", "", term))
+        found.append((f"another exponent of {base}", "", base, term))
     scale, out = _typical_acceleration(observation), []
-    for name, text, term in found:
+    for *names, term in found:
         size = _size(observation, term, law)
         if np.isfinite(size) and size > 0:
             unit = Call("mul", Number(scale / size), term.formula)
             formula = Call("mul", Constant(f"d{len(out)}"), unit)
-            out.append((name, text, Term(formula, term.kind)))
+            out.append((*names, Term(formula, term.kind)))
     return out
 
 

@@ -15,14 +15,14 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.exhaustive import law_pool, search_exhaustive
 
-__all__ = ["EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
+__all__ = ["CLASS_BIC", "EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
 
 SHORTLIST = 6
 TOP_K = 40
 
 
-CLASS_NATS = 5.0
-"""Half of `attempts.CLASS_BIC`: laws whose evidence is less by no more are not ruled out."""
+CLASS_BIC = 10.0
+"""Laws whose BIC is higher by less than this are not ruled out: a wrong name is worse than two."""
 
 
 SHORTLIST_NATS = 12.0
@@ -90,7 +90,7 @@ class Proposals:
     null_evidence : float
         Greatest evidence on a simulated residual, nats.
     near : tuple of Proposal
-        All whose evidence is within `CLASS_NATS` of the best, simplest first.
+        All that are not ruled out beside the best, simplest first.
     """
 
     shortlist: tuple[Proposal, ...]
@@ -399,10 +399,11 @@ def _unit(column):
 def _near(proposals):
     """Proposals not ruled out beside the best, by evidence or as simpler, simplest first."""
     able = [p for p in proposals if not p.redoes_declared]
+    nats = CLASS_BIC / 2
     near = [
         p
         for p in able
-        if p.evidence - able[0].evidence + CLASS_NATS >= min(p.complexity - able[0].complexity, 0)
+        if p.evidence - able[0].evidence + nats >= min(p.complexity - able[0].complexity, 0)
     ]
     return tuple(sorted(near, key=lambda p: p.complexity))
 

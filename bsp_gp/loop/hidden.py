@@ -29,7 +29,7 @@ HOPELESS = 0.1
 NEAR = 12.0
 """Candidates whose BIC on the view is within this of the best are fitted to the tracks."""
 MOST_FITTED = 3
-CLASS_BIC = 6.0
+MOTION_BIC = 6.0
 """Motions whose BIC is higher by less than this are not ruled out."""
 SAME_PLACE = 0.02
 """Distance, in sizes of the scene, within which two candidates are one."""
@@ -191,7 +191,7 @@ def _explained(observation, fits, n_effective, p_value, rng):
     others = dict.fromkeys(
         f"an unseen body {f.found.motion.kind}"
         for f, _, _ in fits[1:]
-        if f.bic(n_effective) - best.bic(n_effective) < CLASS_BIC
+        if f.bic(n_effective) - best.bic(n_effective) < MOTION_BIC
         and f.found.motion.kind != found.motion.kind
     )
     spread = _spread(best, stage, draws)

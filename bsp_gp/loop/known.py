@@ -11,7 +11,7 @@ from bsp_gp.loop.residual import examine_residual
 
 __all__ = ["joined", "known_attempts", "leaves_noise_alone"]
 
-DECLARED = "declared_term_change"
+MOST_DIRECTIONS = 3
 
 
 def known_attempts(search, model, missing, alpha):
@@ -33,10 +33,12 @@ def known_attempts(search, model, missing, alpha):
     list of Attempt
     """
     observation, usable = search.observation, search.usable_inputs() | {"t"}
-    out = exponent_attempts(observation, model)
+    clear = [d for d in missing.directions if d.p_value <= alpha][:MOST_DIRECTIONS]
+    out = exponent_attempts(observation, model, {d.base: d.p_value for d in clear if d.base})
     out += periodic_attempts(observation, model, missing.rhythm)
-    out = directed_attempts(observation, model, missing.directions, out, alpha)
-    return [a for a in out if a.kind == DECLARED or a.law.terms[-1].formula.inputs <= usable]
+    out += directed_attempts(observation, model, clear)
+    n_own = len(model.law.terms)
+    return [a for a in out if all(t.formula.inputs <= usable for t in a.law.terms[n_own:])]
 
 
 def leaves_noise_alone(observation, attempts, alpha):

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
-from bsp_gp.language.formula import Call, Constant, Input, product
-from bsp_gp.language.operators import Type
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.arcs import orthonormal_rows, polynomials
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
+from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term
 from bsp_gp.physics.noise import TrackNoise
 from bsp_gp.units import Unit
@@ -79,23 +79,19 @@ def rhythm_of(observation, whole, blocks, p_of_size):
     frequencies = _frequencies(whole.batches)
     if not len(frequencies):
         return None
-    residual, taken, waves = _stacked(observation, whole, blocks, frequencies)
-    if len(taken):
-        _, values, q = np.linalg.svd(taken, full_matrices=False)
-        q = q[values > 1e-10 * max(values[0], 1e-300)]
-        residual = residual - (q @ residual) @ q
-        waves = waves - (waves @ q.T) @ q
+    tracks = _Tracks(observation, whole, blocks)
     best = None
-    for k, frequency in enumerate(frequencies):
-        square, dof, amplitudes = _explained(waves[k].reshape(-1, len(residual)), residual)
+    for frequency in frequencies:
+        waves = tracks.waves(frequency)
+        square, dof, amplitudes = _explained(np.concatenate(waves), tracks.residual)
         p = p_of_size(square, dof) if dof else 1.0
         if best is None or p < best[0]:
-            best = (p, k, frequency, amplitudes)
-    p, k, frequency, amplitudes = best
+            best = (p, frequency, waves, amplitudes)
+    p, frequency, waves, amplitudes = best
     axes = []
-    for axis, wave in enumerate(waves[k]):
-        square, dof, _ = _explained(wave, residual)
-        if dof and p_of_size(square, dof) <= AXIS_LEVEL / len(waves[k]):
+    for axis, wave in enumerate(waves):
+        square, dof, _ = _explained(wave, tracks.residual)
+        if dof and p_of_size(square, dof) <= AXIS_LEVEL / len(waves):
             axes.append(axis)
     # Positions swing against the push: x = -a / w^2.
     amplitudes = -frequency**2 * amplitudes.reshape(-1, 2)
@@ -117,28 +113,47 @@ def _frequencies(batches):
     return 2 * np.pi * numbers / longest
 
 
-def _stacked(observation, whole, blocks, frequencies):
-    """Residual (n,), what constants do to it (k, n) and waves (F, d, 2, n), states taken out."""
-    residuals, constants, waves = [], [], []
-    for batch, (flat, by_constant, by_state) in zip(whole.batches, blocks, strict=True):
-        noise = TrackNoise(batch, observation.sigma, observation.memory)
-        n_dims = noise.seen.shape[-1]
-        phase = np.multiply.outer(frequencies, np.nan_to_num(batch.times))  # (F, T, S)
-        moved = np.zeros((len(frequencies), n_dims, 2, *noise.seen.shape))
-        for axis in range(n_dims):
-            moved[:, axis, 0, ..., axis] = np.cos(phase)[..., None]
-            moved[:, axis, 1, ..., axis] = np.sin(phase)[..., None]
-        moved = noise.whiten(moved.reshape(-1, *noise.seen.shape))
-        arcs = polynomials(batch, noise, ARC)
-        for s in range(len(flat)):
-            q = orthonormal_rows(np.concatenate([by_state[s], arcs[:, s]]))
-            mine = np.ascontiguousarray(moved[:, :, s]).reshape(len(moved), -1)
-            residuals.append(flat[s] - (q @ flat[s]) @ q)
-            constants.append(by_constant[s] - (by_constant[s] @ q.T) @ q)
-            waves.append(mine - (mine @ q.T) @ q)
-    waves = np.concatenate(waves, axis=1)
-    shape = (len(frequencies), -1, 2, waves.shape[1])
-    return np.concatenate(residuals), np.concatenate(constants, axis=1), waves.reshape(shape)
+class _Tracks:
+    """The residual of whole tracks without what initial states, arcs and constants can take up.
+
+    One frequency at a time, so that memory grows with the rows alone.
+    """
+
+    def __init__(self, observation, whole, blocks):
+        self.parts, residuals, constants = [], [], []
+        for batch, (flat, by_constant, by_state) in zip(whole.batches, blocks, strict=True):
+            noise = TrackNoise(batch, observation.sigma, observation.memory)
+            arcs = polynomials(batch, noise, ARC)
+            bases = [
+                orthonormal_rows(np.concatenate([by_state[s], arcs[:, s]]))
+                for s in range(len(flat))
+            ]
+            self.parts.append((np.nan_to_num(batch.times), noise, bases))
+            residuals += [_without(q, rows) for q, rows in zip(bases, flat, strict=True)]
+            constants += [_without(q, rows) for q, rows in zip(bases, by_constant, strict=True)]
+        self.taken = orthonormal_rows(np.concatenate(constants, axis=1))
+        self.residual = _without(self.taken, np.concatenate(residuals))
+
+    def waves(self, frequency):
+        """What cos and sin in every coordinate leave beside all that, shape (d, 2, n)."""
+        out = []
+        for times, noise, bases in self.parts:
+            n_dims = noise.seen.shape[-1]
+            moved = np.zeros((n_dims, 2, *noise.seen.shape))
+            for axis in range(n_dims):
+                moved[axis, 0, ..., axis] = np.cos(frequency * times)[..., None]
+                moved[axis, 1, ..., axis] = np.sin(frequency * times)[..., None]
+            moved = noise.whiten(moved.reshape(-1, *noise.seen.shape))
+            for s, q in enumerate(bases):
+                mine = np.ascontiguousarray(moved[:, :, s]).reshape(len(moved), -1)
+                out.append(_without(q, mine))
+        waves = _without(self.taken, np.concatenate(out, axis=1))
+        return waves.reshape(-1, 2, waves.shape[1])
+
+
+def _without(basis, rows):
+    """Rows (n,) or (k, n) less their part in the span of an orthonormal basis (m, n)."""
+    return rows - (rows @ basis.T) @ basis
 
 
 def _explained(rows, residual):
@@ -166,31 +181,32 @@ def periodic_attempts(observation, model, rhythm):
     """
     if rhythm is None or not rhythm.axes:
         return []
-    out = [_attempt(observation, model, rhythm, per_mass) for per_mass in (False, True)]
+    masses = [e.mass for s in observation.train for e in s.entities if not e.is_static]
+    mass = float(np.median(masses))
+    if not np.isfinite(mass):
+        return []
+    out = [_attempt(observation, model, rhythm, "", mass)]
+    if len(set(masses)) > 1:
+        out.append(_attempt(observation, model, rhythm, "m_i * ", 1.0))
     return [attempt for attempt in out if attempt is not None]
 
 
-def _attempt(observation, model, rhythm, per_mass):
-    mass = _masses(observation)
-    if not np.isfinite(mass) or (per_mass and not _differ(observation)):
-        return None
-    law, terms, start = model.law, [], {}
+def _attempt(observation, model, rhythm, factor, size):
+    """A push of `factor` times a wave; `size` is the typical strength for unit acceleration."""
+    law, dataset = model.law, observation.dataset
+    types, n_own = dataset_types(dataset), len(model.law.terms)
     frequency = fresh_name(law, "w")
-    start[frequency] = rhythm.frequency
     for axis in rhythm.axes:
         cosine, sine = rhythm.amplitudes[axis]
-        amplitude, phase = _free(law, start, "a"), _free(law, start, "f")
-        start[amplitude] = float(np.hypot(cosine, sine)) * (1.0 if per_mass else mass)
-        start[phase] = float(np.arctan2(-sine, cosine))
-        angle = Call("mul", Constant(frequency), Input("t", Type("scalar", Unit.of(s=1))))
-        wave = Call("cos", Call("add", angle, Constant(phase)))
-        parts = [Constant(amplitude), wave, Input("e_" + "xyz"[axis], Type("vector", Unit.of()))]
-        if per_mass:
-            parts.insert(1, Input("m_i", Type("scalar", Unit.of(kg=1))))
-        terms.append(Term(product(parts), "field"))
-    for term in terms:
-        law = law.plus(term)
-    law = law.with_constants(start)
+        amplitude, phase = fresh_name(law, "a"), fresh_name(law, "f")
+        text = f"{amplitude} * {factor}cos({frequency} * t + {phase}) * e_{'xyz'[axis]}"
+        term = Term(parse_formula(text, types, units=dataset.units), "field")
+        start = {
+            amplitude: float(np.hypot(cosine, sine)) * size,
+            phase: float(np.arctan2(-sine, cosine)),
+            frequency: rhythm.frequency,
+        }
+        law = law.plus(term, start)
     try:
         fit = observation.fit(law, sign_bounds(observation, law), start=law)
     except EvaluationError:
@@ -200,29 +216,11 @@ def _attempt(observation, model, rhythm, per_mass):
     period = 2 * np.pi / abs(fit.law.constants[frequency] or 1e-300)
     if not 0.5 < period / (2 * np.pi / rhythm.frequency) < 2:
         return None  # the fit has gone elsewhere: no push with the period that was seen
-    unit = observation.dataset.units.text(Unit.of(s=1))
+    formulas = [term.formula for term in law.terms[n_own:]]
     return Attempt(
-        fit.law, fit, PRIOR_NATS, f"a push with a period of {period:.3g} {unit}",
-        " + ".join(to_text(term.formula) for term in terms),
-        " + ".join(to_latex(term.formula) for term in terms), "field",
-        share=float(1 - fit.chisqr / model.fit.chisqr), freed=tuple(start),
-        p_value=rhythm.p_value,
+        fit.law, fit, PRIOR_NATS,
+        f"a push with a period of {period:.3g} {dataset.units.text(Unit.of(s=1))}",
+        " + ".join(map(to_text, formulas)), " + ".join(map(to_latex, formulas)), "field",
+        share=float(1 - fit.chisqr / model.fit.chisqr),
+        freed=tuple(n for n in law.names if n not in model.law.names), p_value=rhythm.p_value,
     )  # fmt: skip
-
-
-def _free(law, taken, stem):
-    k = 1
-    while f"{stem}{k}" in law.names or f"{stem}{k}" in taken:
-        k += 1
-    return f"{stem}{k}"
-
-
-def _masses(observation):
-    """Typical mass of what moves."""
-    values = [e.mass for s in observation.train for e in s.entities if not e.is_static]
-    return float(np.median(values)) if values else float("nan")
-
-
-def _differ(observation):
-    values = {e.mass for s in observation.train for e in s.entities if not e.is_static}
-    return len(values) > 1

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
-from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.explanation import HIDDEN_BODY
 from bsp_gp.loop.hidden import hidden_body
 from bsp_gp.loop.measurement import measurement_rivals
@@ -20,7 +20,7 @@ from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.outcome import Effect, Rival
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.separating import Member, separating_text
-from bsp_gp.loop.telling import CLASS_BIC, freed_attempt
+from bsp_gp.loop.telling import freed_attempt
 from bsp_gp.loop.verdict import MIN_BIC_GAIN, MIN_SHARE, explained_share
 
 __all__ = [

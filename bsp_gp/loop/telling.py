@@ -7,8 +7,8 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.loop.attempts import CLASS_BIC, TIE_BIC
-from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.loop.attempts import TIE_BIC
+from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.measurement import same_numbers
 from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.naming import fresh_name
@@ -17,7 +17,6 @@ from bsp_gp.loop.planning import MOST_EQUALS
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, split_linear
 
 __all__ = [
-    "CLASS_BIC",
     "alike_numbers",
     "constant_estimates",
     "effect_of",
