@@ -105,6 +105,7 @@ def score(referee, report):
         is_named = referee.is_law(report)
         told = set().union(*map(referee.parts_in, effects)) if effects else set()
         is_in_class = is_named or len(told) == len(referee.parts)
+        is_in_class |= any(map(referee.whole.is_form, others))
     else:
         is_named = first is not None and (referee.is_named(first) or referee.is_law(report))
         is_in_class = is_named or (
@@ -181,8 +182,9 @@ def summary(table):
         "# What a declared model does not know: named, in the class, wrong\n",
         "Named: the first effect that is told of, or the adopted law, is the right one; of two "
         "forces, both are in the adopted law. In class: it is among those that are said not to be "
-        "told apart; of two forces, each is told of in some round. Wrong and confident: one name "
-        "is adopted, nothing stands beside it, and it is not true. An effect that noise alone "
+        "told apart; of two forces, each is told of in some round, or both are among them. Wrong "
+        "and confident: one name is adopted, nothing stands beside it, and it is not true. An "
+        "effect that noise alone "
         f"might show (p > {ALPHA:g}) is not told of. Swapped tracks have no strength: they stand "
         f"at SNR {WANTED_SNR:g} with the one they have.\n",
         "| SNR | kind | sets | SNR found | adopted | named | named or in class "

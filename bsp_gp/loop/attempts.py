@@ -13,6 +13,7 @@ from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.models import Attempt, Model, is_property
 from bsp_gp.loop.naming import describe, fresh_name, rename_constant
 from bsp_gp.loop.planning import plan_ahead
+from bsp_gp.loop.residual import examine_residual
 from bsp_gp.physics.force import Term, split_linear
 
 __all__ = ["TIE_BIC", "attempt_of", "attempts_of", "choose", "evaluate", "named"]
@@ -40,45 +41,52 @@ def named(proposal, law):
 
 
 def attempt_of(job):
-    """A proposal fitted jointly with the law: of (observation, fit before, proposal); or None."""
-    observation, before, proposal = job
-    law = before.law
-    name = fresh_name(law)
-    formula = named(proposal, law)
-    start = 0.0
-    if proposal.per_entity:
-        start = dict.fromkeys(observation.train_regression.receiver_names(), 0.0)
-    new = law.plus(Term(formula, proposal.kind), {name: start})
-    bounds = sign_bounds(observation, new)
-    low, high = bounds.get(name, (-np.inf, np.inf))
+    """Proposals fitted jointly with the law: of (observation, fit before, *proposals); or None."""
+    observation, before, *proposals = job
+    law, terms = before.law, []
+    for proposal in proposals:
+        name, formula = fresh_name(law), named(proposal, law)
+        start = 0.0
+        if proposal.per_entity:
+            start = dict.fromkeys(observation.train_regression.receiver_names(), 0.0)
+        law = law.plus(Term(formula, proposal.kind), {name: start})
+        terms.append((name, formula))
+    bounds = sign_bounds(observation, law)
     try:
-        fit = observation.fit_beyond(new, before, bounds)
+        fit = observation.fit_beyond(law, before, bounds)
     except EvaluationError:
         return None  # no finite value at some instant of the training data; counted by the round
     if not np.isfinite(fit.chisqr):
         return None
-    reason = ""
-    values = np.array(
-        [v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name]
-    )
-    if observation.is_exact and not all(low <= v <= high for v in values):
-        reason = "it would push forward along the velocity: the sign of another cause"
-    elif not np.any(values):
-        reason = "its sign would push forward: held at zero"
-    if proposal.redoes_declared:
+    reason, words = "", []
+    for name, formula in terms:
+        values = [v for (n, _), v in zip(fit.parameters, fit.values, strict=True) if n == name]
+        low, high = bounds.get(name, (-np.inf, np.inf))
+        if observation.is_exact and not all(low <= v <= high for v in values):
+            reason = "it would push forward along the velocity: the sign of another cause"
+        elif not np.any(values):
+            reason = "its sign would push forward: held at zero"
+        words.append(describe(formula, _typical(values)))
+    if any(p.redoes_declared for p in proposals):
         reason = "it only changes the number of a declared term, which is declared as fixed"
+    kinds = {p.kind for p in proposals}
+    ties = ()
+    if len(proposals) == 1:
+        (proposal,), ((name, _),) = proposals, terms
+        ties = tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties)
     return Attempt(
         fit.law,
         fit,
-        proposal.complexity,
-        describe(formula, _typical(values)),
-        to_text(formula),
-        to_latex(formula),
-        proposal.kind,
-        proposal.share,
-        tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties),
+        sum(p.complexity for p in proposals),
+        " and ".join(words),
+        " + ".join(to_text(formula) for _, formula in terms),
+        " + ".join(to_latex(formula) for _, formula in terms),
+        kinds.pop() if len(kinds) == 1 else "pair",
+        proposals[0].share if len(proposals) == 1 else float("nan"),
+        ties,
         reason,
-        redoes_declared=proposal.redoes_declared,
+        redoes_declared=any(p.redoes_declared for p in proposals),
+        n_effects=len(proposals),
     )
 
 
@@ -86,15 +94,15 @@ def _typical(values):
     return float(np.median(values)) if len(values) else None
 
 
-def choose(observation, model, search, attempts):
+def choose(observation, model, search, attempts, alpha):
     """The attempt to adopt: best evidence and prior; then its nearest kin of the declared law."""
     able = [a for a in attempts if not a.reason]
     if not able:
         return None
     n_eff = min(attempts, key=lambda a: a.fit.chisqr).fit.n_effective
     best = min(able, key=lambda a: (a.score(n_eff), a.complexity))
-    best = _confirmed(observation, model, able, best, n_eff)
-    if best.freed:
+    best = _confirmed(observation, model, able, best, n_eff, alpha)
+    if best.freed or best.n_effects > 1:
         return best
     best = _like_declared(observation, model, best, n_eff)
     if observation.is_exact:
@@ -102,18 +110,21 @@ def choose(observation, model, search, attempts):
     return best
 
 
-def _confirmed(observation, model, able, best, n_eff):
-    """The best attempt, or where held-out tracks refute it, the next that they do not.
+def _confirmed(observation, model, able, best, n_eff, alpha):
+    """The best attempt, or where the data refute it, the next that they do not.
 
-    Only those are looked at that are not ruled out beside the best.
+    Only those are looked at that are not ruled out beside the best. Held-out tracks refute a law
+    under which they are less likely, and what is left refutes one beside others that leave noise.
     """
     if observation.is_exact or observation.velocity == "measured":
         return best
     near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
-    for attempt in sorted(near, key=lambda a: (a.score(n_eff), a.complexity)):
-        if observation.held_out_gain(model.law, attempt.fit.law) > 0:
+    near.sort(key=lambda a: (a.score(n_eff), a.complexity))
+    confirmed = [a for a in near if observation.held_out_gain(model.law, a.fit.law) > 0]
+    for attempt in confirmed or near:
+        if not examine_residual(observation, attempt.fit, alpha).is_missing:
             return attempt
-    return best
+    return confirmed[0] if confirmed else best
 
 
 def _declared_pair(law):

@@ -2,12 +2,14 @@
 
 Tests of the whole residual have to find an effect in hundreds of numbers. In the direction in which
 a known effect would move the tracks it stands in one number, so that much weaker ones are seen (Rao
-1948). What constants and initial states can take up is projected out.
+1948). What constants and initial states can take up is projected out. Two or three effects at once
+stand in the plane or space of their directions.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +19,18 @@ from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.inputs import SHORT
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.arcs import orthonormal_rows
-from bsp_gp.loop.attempts import attempt_of
 from bsp_gp.loop.declared_exponents import changed_exponents
-from bsp_gp.loop.effects import Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 
-__all__ = ["Direction", "directed_attempts", "directed_test"]
+__all__ = ["Direction", "directed_test"]
+
+MOST_AT_ONCE = 3
+"""Common effects that are looked for together."""
+MOST_TOLD = 8
+"""Sets of effects of a size that are kept, the most significant first."""
+INDEPENDENT = 1e-4
+"""Least eigenvalue, of 1 in all, at which directions are told apart."""
 
 FIELD = {
     "drag, linear in speed": "c1 * (norm(v_i) * normalize(v_i))",
@@ -36,8 +43,6 @@ FIELD = {
 """As the grammar writes them, so that one law has one text."""
 ACROSS = "c1 * ({0}_i * norm(v_i) * perp(normalize(v_i)))"
 PAIR = "c1 * ({0}_i * {0}_j * inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j))"
-PRIOR_NATS = 4.0
-"""Complexity of a common effect, as that of the shortest laws of a grammar."""
 START = 1e-5
 """Strength at which derivatives are taken, in parts of what moves a body across its track."""
 BEYOND = 1e-6
@@ -45,22 +50,23 @@ BEYOND = 1e-6
 
 
 class Direction(NamedTuple):
-    """A common effect and how much the residual speaks for it.
+    """A common effect, or several at once, and how much the residual speaks for it.
 
     Attributes
     ----------
     name : str
-    law : str
-        Of the effect as a force, with the constant c1; "" for another exponent of a declared term.
+    laws : tuple of str
+        Of the effects as forces, each with the constant c1; empty for another exponent of a
+        declared term.
     p_value : float
-        With the number of effects that were tried counted.
+        With the number of effects, or sets of as many effects, that were tried counted.
     n_tried : int
     base : str
         Whose exponent it is; "" for a force.
     """
 
     name: str
-    law: str
+    laws: tuple
     p_value: float
     n_tried: int
     base: str = ""
@@ -81,12 +87,14 @@ def directed_test(observation, fit, blocks, p_of_size):
 
     Returns
     -------
-    tuple of Direction
+    single : tuple of Direction
         Without those that these data cannot show.
+    together : tuple of Direction
+        Two forces at once, then three.
     """
     effects = _effects(observation, fit.whole.law)
     if not effects:
-        return ()
+        return (), ()
     law = fit.whole.law
     for k, (*_, term) in enumerate(effects):
         law = law.plus(term, {f"d{k}": START})
@@ -110,43 +118,36 @@ def directed_test(observation, fit, blocks, p_of_size):
     residual, rows = np.concatenate(residual), np.concatenate(rows, axis=1)
     q = orthonormal_rows(np.concatenate(taken, axis=1))
     rows = rows - (rows @ q.T) @ q
+    size_beyond = np.einsum("kn,kn->k", rows, rows)
+    seen = np.isfinite(size_beyond) & (size_beyond > BEYOND * sizes) & (sizes > 0)
+    effects = [effect for effect, is_seen in zip(effects, seen, strict=True) if is_seen]
+    rows = rows[seen] / np.sqrt(size_beyond[seen])[:, None]
+    scores, overlaps = rows @ residual, rows @ rows.T
+    single = _ranked(effects, [(k,) for k in range(len(effects))], scores, overlaps, p_of_size)
+    forces = [k for k, (_, text, *_) in enumerate(effects) if text]
+    together = ()
+    for n in range(2, MOST_AT_ONCE + 1):
+        sets = _ranked(effects, combinations(forces, n), scores, overlaps, p_of_size)
+        together += sets[:MOST_TOLD]
+    return single, together
+
+
+def _ranked(effects, sets, scores, overlaps, p_of_size):
+    """Sets of effects of one size as Directions, the most significant first."""
     found = []
-    for (name, text, base, _), row, size in zip(effects, rows, sizes, strict=True):
-        beyond = float(row @ row)
-        if np.isfinite(beyond) and beyond > BEYOND * size > 0:
-            found.append((name, text, base, p_of_size(float(row @ residual) ** 2 / beyond, 1)))
-    found.sort(key=lambda item: item[-1])
-    n = len(found)
-    return tuple(Direction(name, text, min(1.0, n * p), n, base) for name, text, base, p in found)
-
-
-def directed_attempts(observation, model, directions):
-    """Attempts at common effects that are forces.
-
-    They were named before the data were seen, so that each has a p-value of its own, which need
-    not count all laws of a grammar.
-
-    Parameters
-    ----------
-    observation : Observation
-    model : Model
-    directions : sequence of Direction
-
-    Returns
-    -------
-    list of Attempt
-    """
-    out, types = [], dataset_types(observation.dataset)
-    for direction in directions:
-        if not direction.law:
-            continue
-        formula = parse_formula(direction.law, types, units=observation.dataset.units)
-        kind = Term(formula).kind
-        proposal = Proposal(formula, kind, "c1", False, PRIOR_NATS, float("nan"), float("nan"))
-        attempt = attempt_of((observation, model.fit, proposal))
-        if attempt is not None:
-            out.append(replace(attempt, p_value=direction.p_value))
-    return out
+    for members in map(list, sets):
+        values, vectors = np.linalg.eigh(overlaps[np.ix_(members, members)])
+        if values[0] > INDEPENDENT:
+            square = float(np.sum((vectors.T @ scores[members]) ** 2 / values))
+            found.append((square, members))
+    found.sort(key=lambda item: -item[0])  # p-values of clear effects are all 0
+    out, n = [], len(found)
+    for square, members in found:
+        names, texts, bases, _ = zip(*(effects[k] for k in members), strict=True)
+        p_value = min(1.0, n * p_of_size(square, len(members)))
+        laws = tuple(text for text in texts if text)
+        out.append(Direction(" and ".join(names), laws, p_value, n, bases[0]))
+    return tuple(out)
 
 
 def _effects(observation, law):

@@ -45,6 +45,8 @@ class Attempt:
         Further constants that belong to it: not linear ones, and those added to a declared term.
     p_value : float
         With its own selection counted, where it is no law of the search; else nan.
+    n_effects : int
+        Common effects that it says are there at once.
     """
 
     law: ForceLaw
@@ -62,6 +64,7 @@ class Attempt:
     redoes_declared: bool = False
     freed: tuple = ()
     p_value: float = float("nan")
+    n_effects: int = 1
 
     def score(self, n_effective):
         """BIC plus twice the complexity (the prior of the grammar)."""

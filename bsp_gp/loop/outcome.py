@@ -109,6 +109,8 @@ class Missing:
         The frequency in which the residual stands out most.
     directions : tuple of Direction
         Common effects, the most significant first.
+    together : tuple of Direction
+        Two common forces at once, then three, the most significant of each first.
     durbin_watson : float
         Of the whitened residual along tracks: 2 = not correlated, 0 = the same from row to row.
     """
@@ -121,6 +123,7 @@ class Missing:
     is_missing: bool = True
     rhythm: object = field(default=None, repr=False, compare=False)
     directions: tuple = field(default=(), repr=False)
+    together: tuple = field(default=(), repr=False)
     durbin_watson: float = math.nan
 
 

@@ -60,11 +60,11 @@ def examine_residual(observation, fit, alpha):
     smooth = [] if fit.whole is None else _smooth_parts(observation, fit.whole, blocks)
     for degree, square, n in smooth:
         tests[f"smooth part, degree {degree}"] = _p_of_size(square, n, n_noise)
-    rhythm, directions = None, ()
+    rhythm, directions, together = None, (), ()
     if fit.whole is not None:
         p_of_size = partial(_p_of_size, n_noise=n_noise)
         rhythm = rhythm_of(observation, fit.whole, blocks, p_of_size)
-        directions = directed_test(observation, fit, blocks, p_of_size)
+        directions, together = directed_test(observation, fit, blocks, p_of_size)
         if directions:
             tests[f"common effects ({directions[0].name})"] = directions[0].p_value
     if rhythm is not None:
@@ -79,6 +79,7 @@ def examine_residual(observation, fit, alpha):
         is_missing=bool(p_value <= alpha),
         rhythm=rhythm,
         directions=directions,
+        together=together,
         durbin_watson=math.nan if fit.whole is None else durbin_watson(fit.whole.whitened),
     )
 

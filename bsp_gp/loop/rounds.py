@@ -11,7 +11,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.attempts import attempts_of, choose, evaluate, named
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.guide import guided, ordered
-from bsp_gp.loop.known import joined, known_attempts, leaves_noise_alone
+from bsp_gp.loop.known import joined, known_attempts, leaves_noise
 from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
 from bsp_gp.loop.outcome import Rival, Round
 from bsp_gp.loop.residual import examine_residual
@@ -91,7 +91,8 @@ def run_round(
     progress(f"round {number}: searching for what is missing")
     known = known_attempts(search, model, missing, alpha)
     fit = model.fit
-    if leaves_noise_alone(observation, known, alpha):
+    # Along tracks that lack a strong effect everything looks like noise with a memory.
+    if observation.may_have_memory and leaves_noise(observation, known, alpha):
         proposals = search.propose(fit, search_rng)
     else:
         search, fit, proposals = search_with_memory(search, fit, search_rng)
@@ -121,9 +122,9 @@ def run_round(
     attempts = attempts_of(observation, model, proposals, workers)
     n_failed = len(proposals.shortlist) - len(attempts)
     attempts = joined(attempts, known)
-    chosen = choose(observation, model, search, attempts)
+    chosen = choose(observation, model, search, attempts, alpha)
     chosen, attempts, near = _along_the_best(
-        observation, model, search, chosen, attempts, search_rng, workers
+        observation, model, search, chosen, attempts, alpha, search_rng, workers
     )
     shown = _told_of(observation, model, chosen, attempts, proposals.p_value, alpha)
     progress(f"round {number}: weighing errors of the measurement")
@@ -282,7 +283,7 @@ def _without_spurious_memory(model, search):
     return evaluate(search.observation, model.law), search
 
 
-def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
+def _along_the_best(observation, model, search, chosen, attempts, alpha, rng, workers):
     """Search again at the states of the best attempt, until it stays the best.
 
     A model that lacks much leads its tracks far astray; laws are then better told apart along
@@ -291,14 +292,14 @@ def _along_the_best(observation, model, search, chosen, attempts, rng, workers):
     """
     near = ()
     for _ in range(MOST_REFINEMENTS):
-        if chosen is None or observation.is_exact:
+        if chosen is None or observation.is_exact or chosen.n_effects > 1:
             break
         again = search.propose(model.fit, rng, along=chosen.fit, n_null=0)
         near = tuple(to_text(named(p, model.law)) for p in again.near)
         known = {attempt.text for attempt in attempts}
         fresh = [a for a in attempts_of(observation, model, again, workers) if a.text not in known]
         attempts = [*attempts, *fresh]
-        better = choose(observation, model, search, attempts)
+        better = choose(observation, model, search, attempts, alpha)
         if not fresh or better.text == chosen.text:
             break
         chosen = better

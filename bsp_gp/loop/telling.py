@@ -85,7 +85,7 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
         if (not a.reason or (a.freed and not a.fit.is_exact)) and a.text != chosen.text
     }
     as_good = sorted((t for t, delta in fitted.items() if delta < CLASS_BIC), key=fitted.get)
-    searched = [a for a in attempts if not a.freed]
+    searched = [a for a in attempts if not a.freed and a.n_effects == 1]
     further = []
     if any(a.text == chosen.text or fitted.get(a.text, np.inf) < CLASS_BIC for a in searched):
         further = [text for text in near if text != chosen.text and text not in fitted]

@@ -103,6 +103,16 @@ def verdict_of(observation, model, after, chosen, attempts, found, p_value, alph
         )
     if number_wins(model, chosen, attempts, p_value, alpha):
         return False, "cannot tell", FREED
+    if found.is_left and chosen.n_effects > 1:
+        return (
+            False,
+            "seen, not adopted",
+            (
+                f"{chosen.n_effects} effects at once remove {max(share, 0):.0%} of the held-out "
+                "error above the noise floor and leave more than noise: together they only imitate "
+                "a cause that is not among the laws tried"
+            ),
+        )
     if found.is_left and not share >= MIN_SHARE:
         rivals = [
             a

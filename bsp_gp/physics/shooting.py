@@ -26,6 +26,8 @@ MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
 UNDETERMINED = 1e-10
 """Eigenvalues of the scaled information below this part of the largest determine nothing."""
+_HUGE = 1e150
+"""Products of slopes beyond this are those of a rollout that runs away."""
 DESCENT = 1e-4
 """A fit has converged when chi-squared falls by less than this (a hundredth of a sigma), or by
 less than `TOLERANCE` of itself where the law does not fit."""
@@ -394,7 +396,8 @@ class _Problem:
                 with np.errstate(over="ignore", invalid="ignore"):
                     hcc, hcs, hss = jc[s] @ jc[s].T, jc[s] @ js[s].T, js[s] @ js[s].T
                     gc, gs = jc[s] @ flat[s], js[s] @ flat[s]
-                if not all(np.isfinite(part).all() for part in (hcc, hcs, hss, gc, gs)):
+                # Not a number is not within bounds either.
+                if not all((np.abs(part) < _HUGE).all() for part in (hcc, hcs, hss, gc, gs)):
                     raise np.linalg.LinAlgError("slopes of a rollout that runs away")
                 hss = hss + damping * np.diag(np.diag(hss)) + _tiny(hss)
                 solved = np.zeros((0, n_c + 1))

@@ -70,7 +70,6 @@ def test_properties_that_the_force_follows_are_named():
 
 UNSAYABLE = {
     "trap at an unseen place": (lambda s: flights(s, worlds.trap), [WEIGHT], 3),
-    "drag and wind at once": (lambda s: flights(s, worlds.head_wind), [WEIGHT], 3),
 }
 
 
@@ -83,6 +82,17 @@ def test_what_one_term_cannot_say_is_not_adopted(name, seed):
     assert not adopted(report)
     assert report.verdict in ("seen, not adopted", "cannot tell")
     assert report.rounds[0].missing.is_missing
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_effects_of_which_neither_explains_much_are_found_together(seed):
+    report = close(flights(seed, worlds.head_wind), [WEIGHT], seed)
+    (effect,) = adopted(report)
+    assert effect.name == "drag, linear in speed and uniform push along x"
+    for c, value in zip(effect.constants, (-0.3, 1.5), strict=True):
+        assert abs(c.value - value) < 4 * (c.high - c.low) / 2 / 1.645
+    assert report.rounds[-1].verdict == "nothing missing"
+    assert report.total["ratio"].high < 0.1
 
 
 @pytest.mark.parametrize("seed", range(2))
