@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.loop.effects import CLASS_BIC
 from bsp_gp.loop.explanation import HIDDEN_BODY, Explanation
 from bsp_gp.loop.hidden_fit import in_pieces, is_lost, polish
 from bsp_gp.loop.hidden_motion import REST, motions_of
@@ -97,7 +98,9 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
     fits.sort(key=lambda f: f[0].bic(n_effective))
     # The choice among several properties is part of the search.
     p_value = min(len(pulls) * min(p_values), 1.0)
-    found = _explained(observation, fits, n_effective, p_value, draw_rng)
+    # A source that has lost to a law is told of with rough numbers.
+    has_lost = to_beat is not None and fits[0][0].fit.chisqr > to_beat + 2 * CLASS_BIC
+    found = _explained(observation, fits, n_effective, p_value, draw_rng, has_lost)
     if not found.reason and alone.bic(n_effective) <= found.bic(n_effective):
         return replace(found, reason="the law alone explains as much, for fewer numbers")
     return found
@@ -163,9 +166,9 @@ def _nearest(view, found):
     return [*near, *(f for f in rest if f not in near)]
 
 
-def _explained(observation, fits, n_effective, p_value, rng):
+def _explained(observation, fits, n_effective, p_value, rng, is_rough=False):
     best, pull, stage = fits[0]
-    draws = draw_posterior(best, pull, stage, rng, _inflation(best))
+    draws = draw_posterior(best, pull, stage, rng, _inflation(best), may_walk=not is_rough)
     found = best.found
     units = observation.dataset.units
     unit = units.text(observation.dataset.property_units.get(pull.column, DIMENSIONLESS))

@@ -61,7 +61,7 @@ class Draws:
         return np.quantile(self.values, q, axis=0)
 
 
-def draw_posterior(polished, pull, stage, rng, inflation):
+def draw_posterior(polished, pull, stage, rng, inflation, may_walk=True):
     """Draw from the posterior of a polished source.
 
     Parameters
@@ -72,6 +72,8 @@ def draw_posterior(polished, pull, stage, rng, inflation):
     rng : numpy.random.Generator
     inflation : float
         Variance of the whitened residual, at least 1 where it is noise.
+    may_walk : bool
+        Whether walkers may take over; else the draws are rough where weights collapse.
 
     Returns
     -------
@@ -106,7 +108,7 @@ def draw_posterior(polished, pull, stage, rng, inflation):
         weight = weight / weight.sum()
         n_eff = effective_size(weight)
         pick = pick_rng.choice(len(weight), size=N_DRAWS, p=weight)
-        if n_eff >= LEAST_SHARE * N_PROPOSED:
+        if n_eff >= LEAST_SHARE * N_PROPOSED or not may_walk:
             return Draws(x[pick] * unit, "importance", float(n_eff))
         start = np.unique(x[pick], axis=0)
     else:
