@@ -15,6 +15,7 @@ from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.guide import check_guide
 from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.preparing import observe
+from bsp_gp.loop.pruning import prune
 from bsp_gp.loop.rounds import run_round
 from bsp_gp.loop.writing_up import corrections, write_up
 from bsp_gp.physics.bodies import dataset_types
@@ -169,6 +170,7 @@ def close_loop(
         if not done.adopted:
             break
     progress("writing up")
+    model, rounds = prune(search.observation, model, rounds, alpha)
     measured = _as_measured(observation, search.observation, rounds)
     if measured is not observation:  # the noise was found to have a memory
         is_same = not any(done.adopted for done in rounds)

@@ -208,6 +208,8 @@ class Round:
     undecided : tuple of str
         Explanations that are no force law and fit as well as the effect: these data cannot tell.
         A law may be adopted all the same, for predictions; the verdict is then "cannot tell".
+    removed : str
+        Why what was adopted was taken back after a later round; "" if it stands.
     """
 
     number: int
@@ -229,6 +231,7 @@ class Round:
     trace: Trace | None = None
     guidance: Guidance | None = None
     undecided: tuple[str, ...] = ()
+    removed: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.measurement import parted_by
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
+from bsp_gp.loop.pruning import unsupported
 from bsp_gp.loop.telling import alike_numbers, constant_estimates
 from bsp_gp.units import Unit
 
@@ -90,6 +91,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         notes=(
             *_effective(rounds),
             *_corrected(rounds),
+            *unsupported(observation, model),
             *_one_and_the_same(observation, model.fit),
             *dataset.notes,
             observation.split_note,

@@ -228,7 +228,7 @@ def _round(r, report):
     return {
         "number": r.number,
         "title": title,
-        "state": ("adopted" if r.adopted else "not adopted") if effect is not None else "",
+        "state": _state(r),
         "missing": missing_sentence(r, report.alpha),
         "tests": [
             (_TESTS.get(k, k), format_p(p)) for k, p in r.missing.tests.items()
@@ -247,6 +247,14 @@ def _round(r, report):
         "certificate": r.certificate,
         "seconds": format_number(r.seconds, 2),
     }
+
+
+def _state(round_):
+    if round_.effect is None:
+        return ""
+    if round_.removed:
+        return "taken back"
+    return "adopted" if round_.adopted else "not adopted"
 
 
 def _names(names, max_names=12):

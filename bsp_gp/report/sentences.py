@@ -40,8 +40,8 @@ _UNKNOWN = ("", "unknown", "none", "not known", "assumed")
 
 
 def adopted_rounds(report):
-    """The rounds whose effect became part of the law."""
-    return [r for r in report.rounds if r.adopted and r.effect is not None]
+    """The rounds whose effect is part of the law."""
+    return [r for r in report.rounds if r.adopted and r.effect is not None and not r.removed]
 
 
 def _joined(parts):
@@ -153,6 +153,8 @@ def outcome_sentence(round_):
     name = round_.effect.name
     p = round_.effect.p_value
     significance = format_p(p) + (", selection included" if is_number(p) else "")
+    if round_.removed:
+        return f"Adopted, and taken back: {name} ({significance}). {_ended(round_.removed)}"
     if round_.adopted and round_.undecided:
         return (
             f"Taken up for predictions: {name} ({significance}). {reason} "

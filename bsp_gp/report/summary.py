@@ -81,10 +81,10 @@ def _rounds(report):
         if r.effect is None:
             text = f"{r.verdict or r.reason or 'no effect traced'} ({format_p(r.missing.p_value)})"
         else:
-            text = (
-                f"{r.effect.name}: {'adopted' if r.adopted else 'seen, not adopted'} "
-                f"({format_p(r.effect.p_value)})"
-            )
+            state = "adopted" if r.adopted else "seen, not adopted"
+            if r.removed:
+                state = "adopted, and taken back"
+            text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
             if r.after is not None:
                 text += (
                     f", rollout error {format_number(r.before.rollout_rmse)} → "
@@ -103,7 +103,7 @@ def _traced(report):
 
 
 def _ties(report):
-    rounds = [r for r in report.rounds if r.adopted] or report.rounds
+    rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
     for r in reversed(rounds):
         if r.effect is not None and r.effect.equivalents:
             n = len(r.effect.equivalents)
