@@ -9,7 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from made_worlds import SPRING, make_apart, world
-from power import CASES, ORBITING, THROWN, declared_of, engine_of, seen_against, strength_at
+from power import (
+    CASES,
+    ORBITING,
+    THROWN,
+    declared_of,
+    engine_of,
+    for_engine,
+    seen_against,
+    strength_at,
+)
 from scenes import with_noise
 from scipy.interpolate import make_interp_spline
 
@@ -174,7 +183,7 @@ def made(name, strength, seed, engine):
     """
     kind, entropy = KINDS[name], (list(KINDS).index(name), seed)
     rng = np.random.default_rng(entropy)
-    settings = _settings(kind, strength, rng)
+    settings = for_engine(_settings(kind, strength, rng), engine)
     run = engine_of(engine, settings)
     if run is None:
         raise BspError(f"{engine} has no {name}")

@@ -36,6 +36,8 @@ SAME_FORM = 1e-5
 MOST_RIVALS = 6
 """Laws that the loop tried, of which the nearest wrong one is looked for beside the others."""
 
+FEWEST_STEPS = 5
+"""Of a second engine between two frames."""
 THROWN = {**FALL, "n_scenes": 10, "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}
 SLIDING = {**MAT, "n_scenes": 10}
 ORBITING = {**NBODY, "n_scenes": 6}
@@ -101,11 +103,18 @@ def engine_of(name, settings):
     return run_mujoco
 
 
+def for_engine(settings, engine):
+    """Settings with the steps that an engine needs: mujoco's Runge-Kutta rule gets by with few."""
+    if engine != "mujoco":
+        return settings
+    return replace(settings, substeps=max(settings.substeps // 10, FEWEST_STEPS))
+
+
 def data_set(case, strength, seed, engine="pymunk", noise=None):
     """Data set and truth of a case."""
     name, numbers, build, _ = CASES[case]
     noise = numbers["noise"] if noise is None else noise
-    settings = world(name, numbers, [build(strength)], noise=noise)
+    settings = for_engine(world(name, numbers, [build(strength)], noise=noise), engine)
     run = engine_of(engine, settings)
     if run is None:
         raise BspError(f"{engine} has no {case}")

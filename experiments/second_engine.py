@@ -61,22 +61,26 @@ def push(world, motion, p, v, t):
     """Forces on the bodies of one world that the engine itself has not, body by body, newtons."""
     out = np.zeros_like(p)
     for force in motion.forces:
+        if isinstance(force, F.PairForce):
+            out += _between_pairs(force, world, p)
+            continue
         for i, entity in enumerate(world.entities):
             if not entity.is_static:
                 out[i] += _force_on(force, i, world, p, v, t)
     return out
 
 
+def _between_pairs(force, world, p):
+    a = np.array([e.properties.get(force.column, math.nan) for e in world.entities])
+    gap = p[None] - p[:, None]
+    r = np.sqrt((gap * gap).sum(-1))
+    np.fill_diagonal(r, 1.0)  # a body does not pull itself: its gap is zero
+    strength = np.nan_to_num(force.strength * a[:, None] * a) / r ** (force.power + 1)
+    return (strength[..., None] * gap).sum(axis=1)
+
+
 def _force_on(force, i, world, p, v, t):
     entity = world.entities[i]
-    if isinstance(force, F.PairForce):
-        total = np.zeros(2)
-        for j, other in enumerate(world.entities):
-            a, b = (e.properties.get(force.column, math.nan) for e in (entity, other))
-            if i != j and math.isfinite(a * b):
-                r = math.hypot(*(p[j] - p[i]))
-                total += force.strength * a * b / r**force.power * (p[j] - p[i]) / r
-        return total
     if isinstance(force, F.UniformField):
         turn = math.radians(force.angle)
         size = force.strength * (entity.mass if force.per_mass else 1.0)
