@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.attempts import attempts_of, choose, evaluate, named
+from bsp_gp.loop.defects import defect_rivals
 from bsp_gp.loop.endings import (
     Streams,
     Turn,
@@ -18,6 +19,7 @@ from bsp_gp.loop.endings import (
 )
 from bsp_gp.loop.guide import guided
 from bsp_gp.loop.known import joined, known_attempts, leaves_noise
+from bsp_gp.loop.measurement import measurement_rivals
 from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import explanations, winner_of, without_memory
@@ -28,6 +30,8 @@ from bsp_gp.loop.verdict import MIN_BIC_GAIN, number_wins
 __all__ = ["run_round"]
 
 MOST_REFINEMENTS = 2
+MOST_BESIDE_DEFECT = 2
+"""Laws that are fitted beside a defect of the tracks that leaves noise alone."""
 
 
 def run_round(
@@ -70,6 +74,9 @@ def run_round(
     turn.says("tracing the residual")
     turn.trace = trace_residual(turn.observation, model.fit, turn.rngs.trace)
     turn.search, turn.guidance = guided(search, turn.trace, guide)
+    ended = _defect_alone(turn)
+    if ended is not None:
+        return ended
     known, ended = _search(turn)
     if ended is not None:
         return ended
@@ -97,6 +104,31 @@ def run_round(
     if shown is None:
         return ends_empty(turn, others)
     return ends_in_law(turn, shown, chosen, near, others, n_failed)
+
+
+def _defect_alone(turn):
+    """The end of the round, where a defect of single tracks leaves nothing but noise; else None.
+
+    Swapped and lost tracks show in the positions, whatever the law; laws that are fitted to them
+    lead nowhere and take long. So the best of the search alone are weighed beside a defect.
+    """
+    observation, model = turn.observation, turn.model
+    alone = [e for e in defect_rivals(observation, model) if not e.reason]
+    alone = [e for e in alone if not examine_residual(e.observation, e.fit, turn.alpha).is_missing]
+    if not alone:
+        return None
+    least = min(alone, key=lambda e: e.fit.chisqr)
+    turn.says(f"weighing {least.name}")
+    turn.proposals = turn.search.propose(model.fit, turn.rngs.search)
+    best = replace(turn.proposals, shortlist=turn.proposals.shortlist[:MOST_BESIDE_DEFECT])
+    turn.attempts = attempts_of(observation, model, best, turn.workers)
+    others = measurement_rivals(
+        observation, model, turn.rngs.rival, workers=turn.workers, to_beat=least.fit.chisqr
+    )
+    winner = winner_of(model, [a.fit for a in turn.attempts], others)
+    if winner is None or winner.name not in {e.name for e in alone}:
+        return None
+    return ends_in_rival(turn, winner, others)
 
 
 def _search(turn):
