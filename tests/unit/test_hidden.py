@@ -19,7 +19,7 @@ from bsp_gp.loop.hidden_view import view_of
 from bsp_gp.loop.preparing import observe
 from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.report.hidden_map import draw_hidden_map
-from tests.hidden_worlds import GRAVITY, HIDDEN_MASS, discs
+from experiments.disc_worlds import GRAVITY, HIDDEN_MASS, discs
 from tests.planted import SI
 
 SEED = 3

@@ -1,13 +1,23 @@
 """Five visible discs, and a heavy one at rest that no camera sees; made by scipy's DOP853."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from tests.planted import GRAVITY, SI
+from bsp_gp.loop.attempts import evaluate
+from bsp_gp.loop.close import declared_law
+from bsp_gp.loop.hidden import hidden_body
+from bsp_gp.loop.preparing import observe
+from bsp_gp.units import UnitSystem
 
-__all__ = ["GRAVITY", "HIDDEN_MASS", "discs"]
+__all__ = ["GRAVITY", "HIDDEN_MASS", "Sought", "discs", "sought"]
 
+GRAVITY = "1 [m^3/kg/s^2] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
+UNITS = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
+ALPHA = 0.01
+LEAST_BIC = 6.0
 HIDDEN_MASS = 5.0
 BOX = 5.0
 NEAREST = 0.5
@@ -15,7 +25,7 @@ NEAREST = 0.5
 
 
 def discs(seed, hidden=True, *, noise=0.01, n_times=100, duration=4.0, n_dims=2):
-    """One scene of five discs that attract one another, for six seconds.
+    """One scene of five discs that attract one another, for four seconds.
 
     Parameters
     ----------
@@ -43,7 +53,45 @@ def discs(seed, hidden=True, *, noise=0.01, n_times=100, duration=4.0, n_dims=2)
     entities = [
         Entity(f"disc{k}", "disc", radius=0.1, properties={"mass": m}) for k, m in enumerate(masses)
     ]
-    return Dataset(f"discs {seed}", (Scene("film", times, p, entities),), units=SI), place
+    return Dataset(f"discs {seed}", (Scene("film", times, p, entities),), units=UNITS), place
+
+
+class Sought(NamedTuple):
+    """What a search for a hidden body says.
+
+    Attributes
+    ----------
+    is_claimed : bool
+    p_value : float
+        1 where nothing stood out.
+    error : float
+        Of the place, in posterior standard deviations; nan where nothing stood out.
+    gap : float
+        Of the place, metres.
+    """
+
+    is_claimed: bool
+    p_value: float
+    error: float
+    gap: float
+
+
+def sought(seed, hidden):
+    """Look for a hidden body in the scene of a seed, without a first test of the residual."""
+    dataset, place = discs(seed, hidden)
+    law = declared_law(dataset, [GRAVITY])
+    rng = np.random.default_rng(seed)
+    observation = observe(dataset, law, rng)
+    model = evaluate(observation, law)
+    found = hidden_body(observation, model, rng)
+    if found is None or "p_value" not in found.details:
+        return Sought(False, 1.0, np.nan, np.nan)
+    n = found.fit.n_effective
+    p_value, gain = found.details["p_value"], model.fit.bic(n) - found.bic(n)
+    is_claimed = p_value <= ALPHA and gain > LEAST_BIC and not found.reason
+    gap = np.linalg.norm(np.array(found.details["best"][:2]) - place)
+    error = gap / np.linalg.norm(found.details["sd"][:2])
+    return Sought(bool(is_claimed), float(p_value), float(error), float(gap))
 
 
 def _tracks(start, place, pulls, times):
