@@ -58,7 +58,7 @@ def fit_correction(observation, fit, correction, start):
         columns, _ = linear.columns(correction, values)
         best = (values, here, columns)
         step, gain = linear_step(columns, linear.residual)
-        moved = np.maximum(values + step, correction.low)
+        moved = np.clip(values + step, correction.low, correction.high)
         if gain < ENOUGH or np.array_equal(moved, values):
             break
         values = moved

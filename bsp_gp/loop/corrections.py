@@ -22,6 +22,8 @@ __all__ = ["Correction", "FreeNumber", "corrections_of", "extent_of", "moved_sce
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
+HALF, TWICE = -0.5, 1.0
+"""Relative errors of a scale between which it is fitted: beyond, times may run backwards."""
 FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
 MOST_BODIES = 6
@@ -63,8 +65,8 @@ class Correction:
     factors : callable, optional
         ``factors(values) -> (length, time)``: by what lengths and times of the corrected data
         differ from the measured ones, for what is quoted beside the scenes; None: by nothing.
-    low : float
-        Least value that makes sense.
+    low, high : float
+        Least and greatest value that make sense.
     holds_for_all : bool
         False if the numbers say nothing of scenes other than those they were fitted to.
     """
@@ -77,6 +79,7 @@ class Correction:
     needs_track: bool = False
     factors: Callable = None
     low: float = -np.inf
+    high: float = np.inf
     holds_for_all: bool = True
 
     def __len__(self):
@@ -145,7 +148,7 @@ def _scale():
     return Correction(
         "a length scale that is off", "measured lengths = (1 + {epsilon}) * true lengths",
         r"\hat{x} = (1 + \epsilon)\, x", (FreeNumber("epsilon", DIMENSIONLESS, LARGE),),
-        _unscaled, factors=_scale_factors,
+        _unscaled, factors=_scale_factors, low=HALF, high=TWICE,
     )  # fmt: skip
 
 
@@ -161,7 +164,7 @@ def _clock():
     return Correction(
         "a clock that is off", "measured times = (1 + {epsilon}) * true times",
         r"\hat{t} = (1 + \epsilon)\, t", (FreeNumber("epsilon", DIMENSIONLESS, LARGE),),
-        _unclocked, factors=_clock_factors,
+        _unclocked, factors=_clock_factors, low=HALF, high=TWICE,
     )  # fmt: skip
 
 

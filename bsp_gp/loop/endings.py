@@ -15,7 +15,7 @@ from bsp_gp.loop.memory import estimate_memory, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
 from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
 from bsp_gp.loop.telling import effect_of, freed_effect, freed_numbers, held_out_rows, rivals_of
-from bsp_gp.loop.verdict import FREED, put_in_place, verdict_of, weigh
+from bsp_gp.loop.verdict import FREED, TURNED, put_in_place, verdict_of, weigh
 from bsp_gp.units import Unit
 
 __all__ = [
@@ -239,6 +239,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             effect = effect_of(observation, shown, turn.attempts, p_value, near)
         else:
             effect = freed_effect(observation, model, shown, p_value)
+            reason = TURNED if effect.name.endswith("sign is wrong") else FREED
     else:
         found = weigh(observation, model, after, floor, ratio, alpha)
         adopted, verdict, reason = verdict_of(

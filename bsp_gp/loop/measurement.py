@@ -116,7 +116,7 @@ def _screen(linear, correction):
     if not seen.all():
         correction, columns = _only(correction, seen), columns[seen]
     step, gain = linear_step(columns, linear.residual)
-    return _Screened(correction, columns, gain, np.maximum(step, correction.low))
+    return _Screened(correction, columns, gain, np.clip(step, correction.low, correction.high))
 
 
 def _only(correction, seen):

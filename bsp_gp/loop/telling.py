@@ -252,7 +252,9 @@ def freed_numbers(observation, model, chosen=None, wins=False, against=None):
                     float(1 - (fit.chisqr / model.fit.chisqr)),
                     _ratio_of(observation, fit.law, model.errors),
                     0.0,
-                    _freed_reason(factor, half, delta, alike[to_text(term.formula)]),
+                    _freed_reason(
+                        factor, half, delta, alike[to_text(term.formula)] if factor > 0 else ()
+                    ),
                 )
             )
     return out
@@ -310,8 +312,11 @@ def freed_effect(observation, model, freed, p_value):
     low, high = sorted((declared * (factor - half), declared * (factor + half)))
     text = "" if unit is None or unit.is_dimensionless else observation.dataset.units.text(unit)
     alike = alike_numbers(observation, model.fit)[to_text(model.law.terms[index].formula)]
+    has_other_sign = factor + half < 0
+    if has_other_sign:
+        alike = ()  # no scale and no clock turns a force round
     return Effect(
-        name=freed.name,
+        name=freed.name + (": its sign is wrong" if has_other_sign else ""),
         kind=freed.kind,
         law=freed.text,
         latex=freed.latex,

@@ -14,7 +14,8 @@ from bsp_gp.loop.replacing import blurred_constants, in_place_of_declared, refut
 from bsp_gp.loop.residual import examine_residual
 
 __all__ = [
-    "FREED", "MIN_BIC_GAIN", "MIN_SHARE", "Weighed", "blurred", "explained_share", "number_wins",
+    "FREED", "MIN_BIC_GAIN", "MIN_SHARE", "TURNED", "Weighed", "blurred", "explained_share",
+    "number_wins",
     "put_in_place", "verdict_of", "weigh",
 ]  # fmt: skip
 
@@ -25,6 +26,7 @@ FREED = (
     "a change of a declared number fits better than any new term; a wrong number, a wrong length "
     "scale and a wrong clock do the same, and these data cannot tell them apart"
 )
+TURNED = "a declared term with the other sign fits better than any new term"
 
 
 MIN_SHARE = 0.75

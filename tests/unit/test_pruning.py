@@ -50,19 +50,25 @@ def test_what_is_needed_stays(windy):
     assert windy.rounds[0].adopted
 
 
-def test_a_declared_term_without_support_is_said():
-    def nothing(t, p, v, m, q):
-        return np.zeros_like(p)
+def nothing(t, p, v, m, q):
+    return np.zeros_like(p)
 
+
+def test_a_declared_term_without_support_is_said():
     report = close_loop(flights(3, nothing), [WEIGHT, "k * v_i"], rng=np.random.default_rng(0))
     (note,) = [n for n in report.notes if "no support" in n]
     assert note.startswith("the declared term k * v_i has no support")
     assert note.endswith("kg/s")
-    assert not any("support" in n for n in with_drag().notes)
+    rng = np.random.default_rng(0)
+    needed = close_loop(flights(3, lambda t, p, v, m, q: -0.2 * v), [WEIGHT, "k * v_i"], rng=rng)
+    assert not any("support" in n for n in needed.notes)
 
 
-def with_drag():
-    def drag(t, p, v, m, q):
-        return -0.2 * v
-
-    return close_loop(flights(3, drag), [WEIGHT, "k * v_i"], rng=np.random.default_rng(0))
+def test_a_declared_term_of_the_wrong_sign_is_said():
+    """Upward gravity, a slip of many users: once, the fit of a clock ran backwards over it."""
+    data = flights(3, nothing)
+    report = close_loop(data, ["9.81 [m/s^2] * m_i * e_y"], rng=np.random.default_rng(0))
+    effect = report.rounds[0].effect
+    assert effect.name == "declared number 9.81 [m/s^2]: its sign is wrong"
+    assert effect.constants[0].low < -9.81 < effect.constants[0].high
+    assert not effect.equivalents and "other sign" in report.rounds[0].reason
