@@ -26,6 +26,8 @@ TOP_KEYS = (
     "units", "axes", "columns", "latent", "split", "evaluation", "provenance",
 )  # fmt: skip
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+ANGLE_FROM = ("x", "y")
+ANGLE_TURNS = ("counter-clockwise", "clockwise")
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Declaration:
     name : str or None
     units : mapping of str to str
         Kind or column -> unit.
+    angle_from, angle_turns : str
+        Axis on which an angle is 0, and how it turns, see `polar.from_polar`.
     up, dt, fps, noise, noise_memory, velocity
         As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units.
     columns : mapping of str to str
@@ -53,6 +57,8 @@ class Declaration:
     name: str | None = None
     units: Mapping = field(default_factory=dict)
     up: str | None = None
+    angle_from: str = "x"
+    angle_turns: str = "counter-clockwise"
     dt: float | None = None
     fps: float | None = None
     noise: tuple[float, ...] | None = None
@@ -177,7 +183,7 @@ class _Reader:
 
     def declaration(self):
         self.known(self.content, TOP_KEYS, "at the top level")
-        axes = self.table("axes", ("up",))
+        axes = self.table("axes", ("up", "angle_from", "angle_turns"))
         split = self.table("split", ("train", "test"))
         columns = self.texts(self.table("columns"), "columns")
         velocity = self.choice(columns, "velocity", ("measured", "ignore"), "ignore")
@@ -189,6 +195,8 @@ class _Reader:
             name=name,
             units=self.texts(self.table("units"), "units"),
             up=self.choice(axes, "up", UP_AXES),
+            angle_from=self.choice(axes, "angle_from", ANGLE_FROM, "x"),
+            angle_turns=self.choice(axes, "angle_turns", ANGLE_TURNS, "counter-clockwise"),
             dt=self.positive(self.content, "dt"),
             fps=self.positive(self.content, "fps"),
             noise=self.noise(),

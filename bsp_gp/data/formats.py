@@ -17,8 +17,8 @@ import pandas as pd
 
 from bsp_gp.data.sniffing import (
     DELIMITER_NAMES,
-    NUMBER_COLUMNS,
     TEXT_COLUMNS,
+    number_columns,
     sniff,
     split_line,
 )
@@ -230,7 +230,7 @@ def _read_frame(path, layout, groups, as_text):
         keys = [name or f"Unnamed: {k}" for k, name in enumerate(names)]
     numeric = [
         key for key, name in zip(keys, names, strict=True)
-        if not as_text and name in NUMBER_COLUMNS
+        if not as_text and name in number_columns(names)
     ]  # fmt: skip
     text = [k for k, n in zip(keys, names, strict=True) if as_text or n in TEXT_COLUMNS]
     options = {
@@ -254,7 +254,7 @@ def _read_frame(path, layout, groups, as_text):
     notes = [
         f"{path.name}: column {name!r} is not used"
         for name in names
-        if not as_text and name and name not in NUMBER_COLUMNS + TEXT_COLUMNS
+        if not as_text and name and name not in number_columns(names) + TEXT_COLUMNS
     ]
     return frame, notes
 

@@ -7,11 +7,15 @@ import re
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError
 from bsp_gp.units import Unit
 
-__all__ = ["NUMBER_COLUMNS", "TEXT_COLUMNS", "Layout", "normalise_columns", "sniff", "split_line"]
+__all__ = [
+    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Layout", "normalise_columns", "number_columns", "sniff",
+    "split_line",
+]  # fmt: skip
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz",
@@ -34,6 +38,11 @@ _UNIT_OF = PROPERTY_UNITS | {
     name: {"t": _TIME, "v": _LENGTH / _TIME}.get(name[0], _LENGTH)
     for name in NUMBER_COLUMNS if name != "frame"
 }  # fmt: skip
+
+
+def number_columns(names):
+    """Columns that hold numbers in a table with these columns, a tuple of str."""
+    return NUMBER_COLUMNS + (POLAR_COLUMNS if is_polar(names) else ())
 
 
 @dataclass(frozen=True)
@@ -149,7 +158,8 @@ def sniff(head, rename, marks, path):
     rename : mapping of str to str
         Our name of a column -> its name in the file.
     marks : tuple of str
-        A line is the header if it has one of these columns (and, for tracks, x or y).
+        A line is the header if it has one of these columns (and, for tracks, x or y, or a
+        distance and an angle).
     path : path-like
         For complaints.
 
@@ -163,7 +173,8 @@ def sniff(head, rename, marks, path):
             if len(cells) < 2 and marks != ("entity",):
                 continue
             names = normalise_columns(cells, rename)[0]
-            if set(names) & set(marks) and (marks == ("entity",) or set(names) & {"x", "y"}):
+            has_place = set(names) & {"x", "y"} or is_polar(names)
+            if set(names) & set(marks) and (marks == ("entity",) or has_place):
                 return _finish(head, number, delimiter, rename)
     number = next(k for k, line in enumerate(head) if line.strip())
     delimiter = max(_DELIMITERS, key=lambda mark: len(split_line(head[number], mark)))
@@ -194,7 +205,7 @@ def _finish(head, number, delimiter, rename):
 def _is_unit_row(row, names):
     if len(row) != len(names) or not any(row):
         return False
-    numeric = [cell for cell, name in zip(row, names, strict=True) if name in NUMBER_COLUMNS]
+    numeric = [cell for cell, name in zip(row, names, strict=True) if name in number_columns(names)]
     if not any(numeric):
         return False
     return all(is_unit(cell) and not _is_number(cell) for cell in row)

@@ -19,9 +19,10 @@ from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, read_table
+from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
-from bsp_gp.data.sniffing import NUMBER_COLUMNS, TEXT_COLUMNS, normalise_columns
+from bsp_gp.data.sniffing import TEXT_COLUMNS, normalise_columns, number_columns
 from bsp_gp.data.trk import read_trk
 from bsp_gp.errors import DataError
 
@@ -167,7 +168,7 @@ def _frame_table(frame, rename, what):
     frame = frame.set_axis(list(names), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
     notes = ()
     if what == "frames":
-        unused = [n for n in names if n not in NUMBER_COLUMNS + TEXT_COLUMNS]
+        unused = [n for n in names if n not in number_columns(names) + TEXT_COLUMNS]
         notes = tuple(f"{what}: column {n!r} is not used" for n in unused)
     return Table(frame=frame, units=units, renamed=renamed, file=what, notes=notes)
 
@@ -183,9 +184,12 @@ def _roster_of(entities):
 
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
+    _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
+    table, declared = from_polar(
+        table, declaration.units, start=declaration.angle_from, sense=declaration.angle_turns
+    )
     tables = [t for t in (table, roster) if isinstance(t, Table)]
-    _require_renames(declaration, tables)
-    units, units_notes = _units_of(tables, dict(declaration.units))
+    units, units_notes = _units_of(tables, declared)
     known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}

@@ -1,0 +1,123 @@
+"""Tables that give a distance and an angle in the place of x and y, as of double stars."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.roster import require_columns
+from bsp_gp.errors import DataError, UnitError
+from bsp_gp.units import parse_unit
+
+__all__ = ["POLAR_COLUMNS", "from_polar", "is_polar"]
+
+POLAR_COLUMNS = ("distance", "angle", "sdistance", "sangle")
+
+
+def is_polar(columns):
+    """Whether a table has a distance and an angle, and neither x nor y."""
+    columns = set(columns)
+    return {"distance", "angle"} <= columns and not {"x", "y"} & columns
+
+
+def from_polar(table, units, *, start="x", sense="counter-clockwise"):
+    """Put x and y in the place of a distance and an angle.
+
+    An angle counts modulo a turn. Standard errors are carried over axis by axis; what they have in
+    common is left out.
+
+    Parameters
+    ----------
+    table : Table
+    units : mapping of str to str
+        ``[units]``; that of the angle must be there or in the header.
+    start : {"x", "y"}
+        Axis on which the angle is 0.
+    sense : {"counter-clockwise", "clockwise"}
+        Position angles, from north through east, run clockwise from y where x points to the east.
+
+    Returns
+    -------
+    table : Table
+        With columns x, y, and sx, sy where errors are given.
+    units : dict of str to str
+        Without those of what is gone.
+
+    Raises
+    ------
+    DataError
+        Without a unit of the angle; for a distance below zero, a cell that is empty beside one that
+        is not, or an error of only one of the two.
+    """
+    if not is_polar(table.frame.columns):
+        return table, dict(units)
+    found = {**table.units, **units}
+    frame = table.frame
+    angle = _numbers(table, "angle") * _scale_of_angle(table, found, "angle")
+    distance = _numbers(table, "distance")
+    _check(table, distance < 0, "distance", "a distance must not be negative", distance)
+    half = np.isnan(distance) != np.isnan(angle)
+    _check(table, half, "angle", "a distance without an angle, or an angle without a distance")
+    angle = angle if sense == "counter-clockwise" else -angle
+    angle = angle if start == "x" else angle + np.pi / 2
+    cosine, sine = np.cos(angle), np.sin(angle)
+    new = {"x": distance * cosine, "y": distance * sine}
+    if {"sdistance", "sangle"} & set(frame.columns):
+        require_columns(table, ["sdistance", "sangle"])
+        key = "sangle" if "sangle" in found else "angle"
+        across = distance * _numbers(table, "sangle") * _scale_of_angle(table, found, key)
+        along = _numbers(table, "sdistance")
+        for name, error in (("sdistance", along), ("sangle", across)):
+            _check(table, error < 0, name, "a standard error must not be negative", error)
+        new["sx"] = np.hypot(cosine * along, sine * across)
+        new["sy"] = np.hypot(sine * along, cosine * across)
+    rest = frame.drop(columns=[c for c in POLAR_COLUMNS if c in frame.columns])
+    moved = {"distance": ("x", "y"), "sdistance": ("sx", "sy")}
+
+    def renamed(texts):
+        out = {k: text for k, text in texts.items() if k not in POLAR_COLUMNS}
+        for old, axes in moved.items():
+            if old in texts:
+                out |= dict.fromkeys(axes, texts[old])
+        return out
+
+    note = "distance and angle were read as x and y, with the errors of each axis by itself"
+    return (
+        replace(table, frame=rest.assign(**new), units=renamed(table.units),
+                notes=(*table.notes, note)),
+        renamed(units),
+    )  # fmt: skip
+
+
+def _numbers(table, column):
+    try:
+        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
+
+
+def _check(table, bad, column, problem, values=None):
+    if bad.any():
+        k = int(bad.argmax())
+        got = "" if values is None else f", got {values[k]:g}"
+        raise DataError(
+            problem + got, file=table.file, row=int(table.frame.index[k]), column=column,
+            remedy="leave the whole row out to mark a gap in the track",
+        )  # fmt: skip
+
+
+def _scale_of_angle(table, units, column):
+    remedy = 'give angle = "deg" in [units] (or "rad", "turn", "arcmin")'
+    if column not in units:
+        raise DataError("the angle has no unit", file=table.file, column=column, remedy=remedy)
+    try:
+        scale, unit = parse_unit(units[column])
+    except UnitError as error:
+        raise DataError(str(error), file=table.file, column=column, remedy=remedy) from error
+    if not unit.is_dimensionless:
+        raise DataError(
+            f"{units[column]!r} is no unit of an angle", file=table.file, column=column,
+            remedy=remedy,
+        )  # fmt: skip
+    return scale
