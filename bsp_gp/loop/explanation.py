@@ -38,7 +38,9 @@ class Explanation:
     constants : tuple of ConstantEstimate
         Those numbers, with 90 % intervals and units.
     reason : str
-        Why it cannot hold; "" if it can.
+        Why it cannot be adopted; "" if it can.
+    is_open : bool
+        Whether that is because the data leave its numbers open: it may hold all the same.
     equivalents : tuple of str
         Other explanations that these data cannot tell from it.
     separated_by : str
@@ -65,6 +67,7 @@ class Explanation:
     separated_by: str = ""
     details: dict = field(default_factory=dict)
     view: object = None
+    is_open: bool = False
 
     def bic(self, n_effective):
         """BIC with the explanation's own numbers counted, comparable to `Fit.bic`."""

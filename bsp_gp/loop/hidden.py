@@ -39,6 +39,8 @@ OPEN = 10.0
 WIDE = 30.0
 """Degrees; a direction that is known no better is not determined."""
 SHOWN_ROWS = 60
+NOT_TOLD = "cannot tell"
+"""How a reason begins that is no refutation."""
 LEAST_ROWS = 4
 """Independent rows of a track, however smooth its residual."""
 WORTH = 0.5
@@ -101,8 +103,10 @@ def hidden_body(observation, model, rng, *, workers=None, to_beat=None):
     # A source that has lost to a law is told of with rough numbers.
     has_lost = to_beat is not None and fits[0][0].fit.chisqr > to_beat + 2 * CLASS_BIC
     found = _explained(observation, fits, n_effective, p_value, draw_rng, has_lost)
-    if not found.reason and alone.bic(n_effective) <= found.bic(n_effective):
-        return replace(found, reason="the law alone explains as much, for fewer numbers")
+    may_hold = not found.reason or found.is_open
+    if may_hold and alone.bic(n_effective) <= found.bic(n_effective):
+        reason = "the law alone explains as much, for fewer numbers"
+        return replace(found, reason=reason, is_open=False)
     return found
 
 
@@ -198,6 +202,7 @@ def _explained(observation, fits, n_effective, p_value, rng, is_rough=False):
         and f.found.motion.kind != found.motion.kind
     )
     spread = _spread(best, stage, draws)
+    reason = _reason(observation, best, stage, draws, spread, pull)
     return Explanation(
         kind=HIDDEN_BODY,
         name=f"an unseen body {found.motion.kind}",
@@ -207,7 +212,8 @@ def _explained(observation, fits, n_effective, p_value, rng, is_rough=False):
         fit=best.fit,
         n_free=found.n_free,
         constants=estimates,
-        reason=_reason(observation, best, stage, draws, spread, pull),
+        reason=reason,
+        is_open=reason.startswith(NOT_TOLD),
         equivalents=tuple(others),
         separated_by=(
             "a look at the place where it must be; tracks that pass nearer to it"
@@ -285,10 +291,10 @@ def _reason(observation, polished, stage, draws, spread, pull):
     if inside:
         return f"it would sit inside {inside!r}, which is seen"
     if spread["radius_90"] > 0.5 * stage.size and spread["angle_90_deg"] > WIDE:
-        return "cannot tell: these data do not determine where it is"
+        return f"{NOT_TOLD}: these data do not determine where it is"
     low, high = (draws.quantile(q)[-1] for q in (0.05, 0.95))
     if low <= 0 <= high or abs(high) > OPEN * abs(low):
-        return f"cannot tell: its {pull.column} is open by more than a factor of {OPEN:g}"
+        return f"{NOT_TOLD}: its {pull.column} is open by more than a factor of {OPEN:g}"
     return ""
 
 

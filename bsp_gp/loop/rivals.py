@@ -139,7 +139,7 @@ def in_class(fit, found, n_free=0):
     n_free : int
         Numbers of the fitted one beside its law's constants.
     """
-    able = _able(found)
+    able = [e for e in found if not e.reason or e.is_open]
     if not able:
         return []
     n_eff = _rows_that_count(fit, *(e.fit for e in able))
