@@ -8,12 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bsp_gp.errors import DataError, EvaluationError
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
 from bsp_gp.loop.memory import estimate_memory, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
+from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
+from bsp_gp.loop.seeing import with_scenes
 from bsp_gp.loop.telling import effect_of, freed_effect, freed_numbers, held_out_rows, rivals_of
 from bsp_gp.loop.verdict import FREED, TURNED, put_in_place, verdict_of, weigh
 from bsp_gp.units import Unit
@@ -129,15 +133,36 @@ class Turn:
 
 
 def ends_quiet(turn):
-    """A round that finds nothing missing."""
+    """A round that finds nothing missing from the tracks that it learns from."""
+    verdict, reason = "nothing missing", (
+        "the residual is as large and as uncorrelated as the noise: nothing is missing that these "
+        "data could show"
+    )  # fmt: skip
+    there = _held_out(turn)
+    if there is not None and there.is_missing:
+        verdict, reason = "cannot tell", (
+            "nothing is missing from the tracks that were learned from, but the held-out ones "
+            "leave more than noise even when the law is fitted to them (p = "
+            f"{there.p_value:.3g}): what is missing shows there; a split that learns from some of "
+            "them can find it"
+        )  # fmt: skip
     return turn.unchanged(turn.round(
         effect=None, rivals=(), adopted=False, after=None, floor=turn.floor(), ratio=None,
-        held_out=(), verdict="nothing missing", certificate="",
-        reason=(
-            "the residual is as large and as uncorrelated as the noise: nothing is missing that "
-            "these data could show"
-        ),
+        held_out=(), verdict=verdict, certificate="", reason=reason,
     ))  # fmt: skip
+
+
+def _held_out(turn):
+    """What is missing from the held-out tracks when the law is fitted to them; None if unasked."""
+    observation, law = turn.observation, turn.model.law
+    if observation.is_exact or observation.velocity == "measured":
+        return None
+    try:
+        there = with_scenes(observation, observation.test, observation.train)
+        fit = there.fit(law, sign_bounds(there, law), start=law)
+    except (DataError, EvaluationError):  # too few rows, or the law has no value there
+        return None
+    return examine_residual(there, fit, turn.alpha)
 
 
 def ends_in_noise(turn):
