@@ -119,7 +119,7 @@ def symbolic_errors(name, law):
 
 
 def neural(folder, name, draws, method, seed, divisor):
-    """Rows of a network, trained on all draws at once."""
+    """Rows of a network, trained on every draw."""
     from neural.training import paper_training, train, tuned_training
 
     model, version = method.split(", ")
@@ -162,11 +162,12 @@ def neural_errors(name, trained, n_bodies):
 
 
 def jobs_of(quick, seed):
-    """The jobs, cheap scenarios first, so that an early look has something to see."""
+    """The jobs: the ends of the curves first, so that an early look has something to see."""
     counts, names = ((1, 2), ("mat", "nbody")) if quick else (COUNTS, ("mat", "nbody", "bounce"))
     n_draws, divisor = (2, 20) if quick else (N_DRAWS, 1)
     places = [(name, n) for n in counts for name in names]
-    places.sort(key=lambda place: (place[1] not in (1, 10), place[0] == "bounce"))
+    ends = (1, 10)
+    places.sort(key=lambda p: (0, p[0] == "bounce") if p[1] in ends else (counts.index(p[1]), 0))
     return [(name, n, method, seed, n_draws, divisor)
             for name, n in places for method in METHODS]  # fmt: skip
 
