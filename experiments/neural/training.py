@@ -1,4 +1,4 @@
-"""Training of several runs of one network at once: vectorised, resumable, the same bits again.
+"""Training of several runs of one network: compiled once, resumable, the same bits again.
 
 ``PAPER`` is the paper's training: raw inputs, Adam at a fixed rate, all scenes in every step, a
 fixed number of steps. ``TUNED`` is ours: inputs and outputs scaled by the training scenes,
@@ -126,7 +126,7 @@ def split(scenes, share, padded):
 
 
 def train(model, training, draws, seeds, checkpoint=None, stop_after=None, progress=None):
-    """Train a network once per draw of scenes, all runs at once.
+    """Train a network once per draw of scenes.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class _Loop:
         if training.decays:
             rate = optax.cosine_decay_schedule(rate, training.n_steps, 0.01)
         self.optimiser = optax.adam(rate)
-        self.chunk = jax.jit(jax.vmap(self._chunk, in_axes=(0, 0, 0, 0, None)))
+        self.chunk = jax.jit(self._chunks)
         self.check = jax.jit(jax.vmap(self.loss))
 
     def loss(self, params, norm, rows):
@@ -224,6 +224,10 @@ class _Loop:
                 "best_loss": choose(loss, state["best_loss"]),
                 "best_step": choose(jnp.full_like(state["best_step"], done + n),
                                     state["best_step"])}  # fmt: skip
+
+    def _chunks(self, states, rows, norms, keys, steps):
+        """One run after the other: side by side (vmap) their layers leave the cache."""
+        return jax.lax.map(lambda run: self._chunk(*run, steps), (states, rows, norms, keys))
 
     def _chunk(self, state, rows, norm, key, steps):
         def step(state, k):

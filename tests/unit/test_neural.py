@@ -136,6 +136,14 @@ def test_a_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
     np.testing.assert_array_equal(whole.steps, resumed.steps)
 
 
+def test_a_run_does_not_depend_on_the_runs_beside_it():
+    training = replace(T.tuned_training("MLP (force)"), n_steps=20, batch=8)
+    both, made = trained("MLP (force)", training)
+    alone = T.train("MLP (force)", training, [made[3:]], seeds=[2])
+    for a, b in zip(jax.tree.leaves(both.params), jax.tree.leaves(alone.params), strict=True):
+        np.testing.assert_array_equal(np.asarray(a)[1], np.asarray(b)[0])
+
+
 def test_a_checkpoint_of_another_network_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(T, "CHUNK", 2)
     file = tmp_path / "state.npz"
