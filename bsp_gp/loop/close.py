@@ -69,6 +69,7 @@ def close_loop(
     per_entity="auto",
     exclude=("t",),
     guide="order",
+    ask_held_out=True,
     seed=None,
     workers=None,
     progress=None,
@@ -103,6 +104,9 @@ def close_loop(
     guide : str
         What the trace of the residual does for the search: "order" (laws of the leading channels
         stand first among equals), "restrict" (only they are searched), or "off".
+    ask_held_out : bool
+        Whether the held-out tracks are asked as well before nothing is called missing. Not where
+        what is known of their bodies was inferred from their first rows.
     seed : int, optional
         Recorded in the report.
     workers : concurrent.futures.Executor, optional
@@ -164,8 +168,9 @@ def close_loop(
     rounds = []
     for number, round_rng in enumerate(round_rngs, 1):
         done, model, search = run_round(
-            number, model, search, alpha, round_rng, progress, workers, n_bootstrap, guide
-        )
+            number, model, search, alpha, round_rng, progress, workers, n_bootstrap, guide,
+            ask_held_out,
+        )  # fmt: skip
         rounds.append(done)
         if not done.adopted:
             break

@@ -64,6 +64,9 @@ class Turn:
     progress : callable
     workers : concurrent.futures.Executor or None
     n_bootstrap : int
+    ask_held_out : bool
+    started : float
+        Of `time.perf_counter`.
     missing : Missing
     trace : Trace
     guidance : Guidance
@@ -81,6 +84,7 @@ class Turn:
     progress: object
     workers: object
     n_bootstrap: int
+    ask_held_out: bool
     started: float
     missing: Missing = None
     trace: object = None
@@ -155,7 +159,7 @@ def ends_quiet(turn):
 def _held_out(turn):
     """What is missing from the held-out tracks when the law is fitted to them; None if unasked."""
     observation, law = turn.observation, turn.model.law
-    if observation.is_exact or observation.velocity == "measured":
+    if not turn.ask_held_out or observation.is_exact or observation.velocity == "measured":
         return None
     try:
         there = with_scenes(observation, observation.test, observation.train)

@@ -35,8 +35,9 @@ MOST_BESIDE_DEFECT = 2
 
 
 def run_round(
-    number, model, search, alpha, rng, progress, workers=None, n_bootstrap=99, guide="order"
-):
+    number, model, search, alpha, rng, progress, workers=None, n_bootstrap=99, guide="order",
+    ask_held_out=True,
+):  # fmt: skip
     """Run one round on a fitted model.
 
     Parameters
@@ -53,6 +54,8 @@ def run_round(
         Data sets simulated at most to test a finding; 0 = simulated residuals alone.
     guide : str
         One of `guide.GUIDES`.
+    ask_held_out : bool
+        Whether the held-out tracks are asked as well before nothing is called missing.
 
     Returns
     -------
@@ -65,7 +68,7 @@ def run_round(
     turn = Turn(
         number=number, model=model, search=search, entering=model, complete=search, alpha=alpha,
         rngs=Streams(*rng.spawn(len(Streams._fields))), progress=progress, workers=workers,
-        n_bootstrap=n_bootstrap, started=time.perf_counter(),
+        n_bootstrap=n_bootstrap, ask_held_out=ask_held_out, started=time.perf_counter(),
     )  # fmt: skip
     turn.says("testing the residual against noise")
     turn.missing = examine_residual(turn.observation, model.fit, alpha)
