@@ -20,7 +20,7 @@ ALPHA = 0.01
 ALPHAS = (0.01, 0.05, 0.1, 0.2)
 MEMORY = {"white": 0.0, "memory 0.5": 0.5, "memory 0.8": 0.8}
 """Correlation of one frame's error with the next one's."""
-WORLDS = {"fall": FALL, "spring": SPRING, "nbody": {**NBODY, "n_frames": 30, "dt": 0.2}}
+WORLDS = {"fall": FALL, "spring": SPRING, "nbody": {**NBODY, "n_frames": 20, "dt": 0.3}}
 """Preset and what is changed in it: at most 300 rows a set."""
 N_SETS = 500
 QUICK_SETS = 6

@@ -244,16 +244,24 @@ def _div_guarded(types, a, b):
 
 
 def _norm(types, a):
-    return np.sqrt(np.einsum("...k,...k->...", a, a))
+    return np.sqrt(_dot(types, a, a))
 
 
 def _normalize(types, a):
     size = _norm(types, a)[..., None]
-    return np.where(size > 0, a / np.where(size > 0, size, 1.0), 0.0)
+    good = size > 0
+    if good.all():
+        return a / size
+    return np.where(good, a / np.where(good, size, 1.0), 0.0)
 
 
 def _dot(types, a, b):
-    return np.einsum("...k,...k->...", *np.broadcast_arrays(a, b))
+    # Component by component: several times as fast as a sum along so short an axis.
+    a, b = np.asarray(a), np.asarray(b)
+    total = a[..., 0] * b[..., 0]
+    for k in range(1, a.shape[-1]):
+        total = total + a[..., k] * b[..., k]
+    return total
 
 
 def _along(types, a, b):

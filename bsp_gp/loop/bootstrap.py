@@ -153,7 +153,9 @@ class _Source:
         search = self.search.on(self.search.observation.with_train(train))
         try:
             fit = search.observation.fit(self.law)
-            _, _, proposals = search_with_memory(search, fit, search_rng, n_null=0, top_k=1)
+            _, _, proposals = search_with_memory(
+                search, fit, search_rng, n_null=0, top_k=1, max_ties=0
+            )
         except EvaluationError:
             return None
         return strength(proposals)

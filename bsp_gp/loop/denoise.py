@@ -33,23 +33,32 @@ def states_of(whole, scenes):
         Scene name -> positions and velocities, shape (T, R, d). Scenes whose rollout ran away
         are missing: the measured states are kept there.
     """
-    return _gathered(whole, scenes, lambda times, track, left: track + smooth(times, left))
+    return _kept("_smoothed", whole, scenes, lambda times, left: smooth(times, left))
 
 
 def tracks_of(whole, scenes):
     """The fitted tracks themselves, as `states_of` gives them."""
-    return _gathered(whole, scenes, lambda times, track, left: track)
+    return _kept("_unsmoothed", whole, scenes, lambda times, left: 0.0)
 
 
-def _gathered(whole, scenes, positions_of):
-    """States by scene, its segments put together again."""
+def _kept(name, whole, scenes, beside):
+    """States by scene, kept with the fit: a search asks again for every noise that it tries."""
+    kept = whole.__dict__.setdefault(name, {})
+    key = tuple((scene.name, len(scene.times)) for scene in scenes)
+    if key not in kept:
+        kept[key] = _gathered(whole, scenes, beside)
+    return kept[key]
+
+
+def _gathered(whole, scenes, beside):
+    """States by scene, its segments put together again; `beside` is added to the tracks."""
     pieces = {}
     for batch, predicted in zip(whole.batches, whole.predicted, strict=True):
         for s, scene in enumerate(batch.scenes):
             track = predicted[: len(scene.times), s]
             if np.isfinite(track).all():
                 left = scene.positions[:, scene.dynamic] - track
-                positions = positions_of(scene.times, track, left)
+                positions = track + beside(scene.times, left)
                 name = scene.name.partition("[")[0]
                 pieces.setdefault(name, []).append((scene.times, positions))
     out = {}

@@ -13,7 +13,7 @@ from bsp_gp.loop.leftover import Leftover
 from bsp_gp.loop.significance import log_evidence, null_targets, p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
-from bsp_gp.search.exhaustive import law_pool, search_exhaustive
+from bsp_gp.search.exhaustive import MOST_TIES, law_pool, search_exhaustive
 
 __all__ = ["CLASS_BIC", "EffectSearch", "Proposal", "Proposals", "allowed_sign", "sign_bounds"]
 
@@ -201,7 +201,9 @@ class EffectSearch:
         moved.whole = self.whole and self.whole.on(observation)
         return moved
 
-    def propose(self, fit, rng, progress=None, *, along=None, n_null=None, top_k=TOP_K):
+    def propose(
+        self, fit, rng, progress=None, *, along=None, n_null=None, top_k=TOP_K, max_ties=MOST_TIES
+    ):
         """Search what the fitted model leaves.
 
         Parameters
@@ -216,6 +218,8 @@ class EffectSearch:
             Simulated residuals, by default the search's; 0 = no p-value (nan).
         top_k : int
             Laws kept per unit of complexity, and overall.
+        max_ties : int, optional
+            Laws named beside each of them, being equal to it on these data.
 
         Returns
         -------
@@ -224,15 +228,15 @@ class EffectSearch:
         n_null = self.n_null if n_null is None else n_null
         self._leftover = Leftover(self.observation, along or fit)
         if self.whole is None or not n_null:
-            outcomes = reference = self._outcomes(fit, rng, n_null, top_k, progress)
+            outcomes = reference = self._outcomes(fit, rng, n_null, top_k, max_ties, progress)
         else:
             # The choice of channels has looked at the data: noise may choose among all laws.
             self.whole._leftover = self._leftover
-            reference = self.whole._outcomes(fit, rng, n_null, 1, progress)
-            outcomes = self._outcomes(fit, rng, 0, top_k, progress)
+            reference = self.whole._outcomes(fit, rng, n_null, 1, 0, progress)
+            outcomes = self._outcomes(fit, rng, 0, top_k, max_ties, progress)
         return self._collect(outcomes, reference, fit.law)
 
-    def _outcomes(self, fit, rng, n_null, top_k, progress):
+    def _outcomes(self, fit, rng, n_null, top_k, max_ties, progress):
         """Results of all searches: (result, whether constants are per entity, number, rows)."""
         regression = self._regression(self.pooled_scenes)
         outcomes = []
@@ -250,11 +254,12 @@ class EffectSearch:
                 missing_inputs=self.missing,
                 null_targets=null,
                 top_k=top_k,
+                max_ties=max_ties,
                 progress=progress,
             )
             outcomes.append((result, False, 1, regression))
         if self.per_entity and "field" in self.kinds:
-            outcomes.append(self._own_constants(fit, own_rng, n_null, top_k, progress))
+            outcomes.append(self._own_constants(fit, own_rng, n_null, top_k, max_ties, progress))
         return outcomes
 
     def left(self, fit, proposal=None):
@@ -297,7 +302,7 @@ class EffectSearch:
             )
         return self._pools[key]
 
-    def _own_constants(self, fit, rng, n_null, top_k, progress):
+    def _own_constants(self, fit, rng, n_null, top_k, max_ties, progress):
         """The field search with a constant per receiver; properties cannot matter there."""
         grammar = self.masked.without_inputs(
             {n for n in self.masked.inputs if property_of(n)} - {"m_i"}
@@ -317,6 +322,7 @@ class EffectSearch:
             groups=groups,
             null_targets=null_targets(regression, rng, n_null),
             top_k=top_k,
+            max_ties=max_ties,
             progress=progress,
         )
         return result, True, len(groups), regression

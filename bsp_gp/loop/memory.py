@@ -62,7 +62,7 @@ def estimate_memory(search, fit, proposal=None):
     tried = np.array([0.0, *(step * k for k in STEPS)])
     logs, factors, n = [], [], 1
     for memory in tried:
-        log, factor, n = _profile(search.on(with_memory(search.observation, memory)), fit, proposal)
+        log, factor, n = _profile(search, memory, fit, proposal)
         logs.append(log)
         factors.append(factor)
     logs = np.array(logs)
@@ -71,7 +71,7 @@ def estimate_memory(search, fit, proposal=None):
     if best == 0 or gain < MIN_GAIN:
         return NoiseFit(0.0, factors[0], 0.0)
     memory = _peak(np.log(tried[1:]), logs[1:], best - 1)
-    _, factor, _ = _profile(search.on(with_memory(search.observation, memory)), fit, proposal)
+    _, factor, _ = _profile(search, memory, fit, proposal)
     return NoiseFit(memory, factor, float(gain))
 
 
@@ -85,9 +85,11 @@ def _peak(x, y, k):
     return float(np.exp(x[k]))
 
 
-def _profile(search, fit, proposal):
+def _profile(search, memory, fit, proposal):
     """Log-likelihood with constants and noise level profiled out, noise level, and rows."""
-    regression, residual, columns = search.left(fit, proposal)
+    # What it leaves is regressed anew: the observation's own regressions are not asked for.
+    observation = replace(search.observation, memory=float(memory))
+    regression, residual, columns = search.on(observation).left(fit, proposal)
     if columns.shape[1]:
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns[:, sizes > 0] / sizes[sizes > 0]
@@ -160,4 +162,3 @@ def search_with_memory(search, fit, rng, **options):
         fit = observation.fit(fit.law, sign_bounds(observation, fit.law))
         proposals = search.propose(fit, rng, **options)
     return search, fit, proposals
-

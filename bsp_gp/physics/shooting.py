@@ -31,6 +31,12 @@ _HUGE = 1e150
 DESCENT = 1e-4
 """A fit has converged when chi-squared falls by less than this (a hundredth of a sigma), or by
 less than `TOLERANCE` of itself where the law does not fit."""
+NEGLIGIBLE = 0.01
+"""Part of that fall, foreseen by the slopes, at which a step is the last."""
+WEAK = 1e-3
+"""Damping up to which a small step means that little is to be gained."""
+MAX_ATTEMPTS = 12
+"""Steps of growing damping before a fit is taken to have no descent left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,10 +260,10 @@ class _Problem:
             if not np.isfinite(chisqr) or not self._has_unknowns():
                 converged = bool(np.isfinite(chisqr))
                 break
-            accepted = False
-            for _ in range(12):
+            enough, accepted = TOLERANCE * chisqr + DESCENT, False
+            for attempt in range(MAX_ATTEMPTS):
                 try:
-                    dx, dstates, _ = self._step(blocks, damping, x)
+                    dx, dstates = self._step(blocks, damping, x)
                 except np.linalg.LinAlgError:  # a rollout near running away: smaller steps
                     damping = damping * 16 if damping else 1e-6
                     continue
@@ -265,18 +271,28 @@ class _Problem:
                 new_states = [
                     (p + d[0], v + d[1]) for (p, v), d in zip(states, dstates, strict=True)
                 ]
-                value = self._chisqr(new_x, new_states)
-                if np.isfinite(value) and value <= chisqr * (1 + 1e-15):
-                    accepted = True
+                foreseen = _foreseen(blocks, new_x - x, dstates)
+                is_last = damping <= WEAK and abs(foreseen) <= NEGLIGIBLE * enough
+                # The last step hardly changes the slopes; most others are good at once, and
+                # slopes cost little more than the motion alone.
+                has_slopes = attempt == 0 and not is_last
+                trial = (
+                    self._linearise(new_x, new_states)
+                    if has_slopes
+                    else self._moved(new_x, new_states, blocks)
+                )
+                accepted = bool(np.isfinite(trial[1]) and trial[1] <= chisqr * (1 + 1e-15))
+                if accepted or is_last:
                     break
                 damping = damping * 4 if damping else 1e-6
             if not accepted:
-                converged = True  # no descent left at working precision
+                converged = True  # no descent left, or none at working precision
                 break
-            done = chisqr - value <= TOLERANCE * chisqr + DESCENT
+            done = is_last or chisqr - trial[1] <= enough
             x, states = new_x, new_states
             damping *= 0.2
-            blocks, chisqr, predicted = self._linearise(x, states)
+            is_new = has_slopes or is_last
+            blocks, chisqr, predicted = trial if is_new else self._linearise(x, states)
             if done:
                 converged = True
                 break
@@ -314,18 +330,26 @@ class _Problem:
                 values["pair"][name] = value[..., None, None, None]
         return values
 
-    def _chisqr(self, x, states):
-        total = 0.0
-        for k, batch in enumerate(self.batches):
-            p, v = states[k]
-            predicted = self._roll(batch, x[None], p[None], v[None])[:, 0]
-            total += self._sum(k, predicted)
-        return total
-
     def _sum(self, k, predicted):
         with np.errstate(over="ignore", invalid="ignore"):
             error = self.noise[k].whiten(self.observed[k] - predicted)
             return float(np.square(error).sum())
+
+    def _moved(self, x, states, blocks):
+        """What `_linearise` gives, with the slopes of a point nearby."""
+        moved, chisqr, all_predicted = [], 0.0, []
+        for k, (batch, (_, jc, js)) in enumerate(zip(self.batches, blocks, strict=True)):
+            p, v = states[k]
+            predicted = self._roll(batch, x[None], p[None], v[None])[:, 0]
+            moved.append((self._residual(k, predicted), jc, js))
+            chisqr += self._sum(k, predicted)
+            all_predicted.append(predicted)
+        return moved, chisqr, all_predicted
+
+    def _residual(self, k, predicted):
+        """Whitened residuals of a batch, segment by segment, shape (S, n)."""
+        residual = np.moveaxis(self.noise[k].whiten(self.observed[k] - predicted), 1, 0)
+        return residual.reshape(len(residual), -1)
 
     def _linearise(self, x, states):
         """Whitened residuals and Jacobians per segment, by central differences of copies."""
@@ -335,10 +359,9 @@ class _Problem:
             predicted, by_constant, by_state = self._derivatives(k, batch, x, p, v)
             # Shorter scenes are padded: the prediction has no number there.
             whiten = self.noise[k].whiten
-            residual = whiten(self.observed[k] - predicted)
+            flat = self._residual(k, predicted)
             chisqr += self._sum(k, predicted)
-            n_scenes = residual.shape[1]
-            flat = np.moveaxis(residual, 1, 0).reshape(n_scenes, -1)
+            n_scenes = len(flat)
             jc = np.moveaxis(whiten(by_constant), 2, 0).reshape(n_scenes, len(x), flat.shape[1])
             js = np.zeros((n_scenes, 0, flat.shape[1]))
             if self.fit_states:
@@ -419,7 +442,7 @@ class _Problem:
                     change = (own - coupling @ dx).reshape(2, n_receivers, n_dims)
                     dp[s], dv[s] = change
             dstates.append((dp, dv))
-        return dx, dstates, 0.0
+        return dx, dstates
 
     def _result(self, x, states, blocks, chisqr, predicted, converged):
         n_c = len(x)
@@ -454,6 +477,19 @@ class _Problem:
             ),
             converged,
         )
+
+
+def _foreseen(blocks, dx, dstates):
+    """Fall of chi-squared by a step if tracks were linear in constants and states."""
+    fall = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for (flat, jc, js), change in zip(blocks, dstates, strict=True):
+            left = flat - np.einsum("k,skn->sn", dx, jc)
+            if js.shape[1]:
+                own = np.stack(change, axis=1).reshape(len(flat), -1)
+                left = left - np.einsum("sk,skn->sn", own, js)
+            fall += float(np.square(flat).sum() - np.square(left).sum())
+    return fall
 
 
 def _start(batch, known):

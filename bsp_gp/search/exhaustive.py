@@ -38,7 +38,10 @@ from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.scoring import GroupScorer, RowScorer
 
-__all__ = ["law_pool", "search_exhaustive"]
+__all__ = ["MOST_TIES", "law_pool", "search_exhaustive"]
+
+MOST_TIES = 250
+"""Laws equal to a candidate on the data that are named beside it."""
 
 
 def search_exhaustive(
@@ -50,6 +53,7 @@ def search_exhaustive(
     target=None,
     max_levels=8,
     top_k=40,
+    max_ties=MOST_TIES,
     missing_inputs=(),
     groups=None,
     null_targets=None,
@@ -72,6 +76,8 @@ def search_exhaustive(
         Bound on the levels of a derivation.
     top_k : int
         Candidates kept per unit of complexity, and overall.
+    max_ties : int
+        Laws that are named beside each candidate at most, being equal to it on these data.
     missing_inputs : tuple of str
         For the certificate.
     groups : sequence of ndarray of bool, shape (n,), optional
@@ -100,7 +106,7 @@ def search_exhaustive(
         search = _Exhaustive(regression, grammar, kind, max_levels, top_k)
         search.set_target(target, nuisance, groups, null_targets)
         search.run(progress)
-        candidates = search.candidates()
+        candidates = search.candidates(max_ties)
     front = _front(candidates)
     certificate = Certificate(
         grammar.name,
@@ -407,11 +413,11 @@ class _Exhaustive:
             return [], np.zeros((len(self.regression.target()), 0))
         return laws, np.stack(columns, axis=1)
 
-    def candidates(self):
+    def candidates(self, max_ties):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""
         rescored = []
         for _, _, (block, directed), a, b in self.kept.items():
-            (complexity, formula), *ties = block.formulas(a, b, directed)
+            (complexity, formula), *ties = block.formulas(a, b, directed, max_ties)
             rescored.append(self.rescore(formula, complexity, tuple(law for _, law in ties)))
         return _merge_equal(rescored)
 

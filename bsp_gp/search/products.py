@@ -43,7 +43,7 @@ class Block:
             self._static = all(entry.is_static for entry in self.left.entries)
         return self._static
 
-    def formulas(self, a, b, directed, most=250):
+    def formulas(self, a, b, directed, most):
         """The law of this product and those merged into it.
 
         Returns
