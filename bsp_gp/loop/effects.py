@@ -90,7 +90,7 @@ class Proposals:
     null_evidence : float
         Greatest evidence on a simulated residual, nats.
     near : tuple of Proposal
-        All that are not ruled out beside the best, simplest first.
+        All that are not ruled out beside the best, likeliest first under the grammar's prior.
     """
 
     shortlist: tuple[Proposal, ...]
@@ -403,7 +403,7 @@ def _unit(column):
 
 
 def _near(proposals):
-    """Proposals not ruled out beside the best, by evidence or as simpler, simplest first."""
+    """Proposals not ruled out beside the best, by evidence or as simpler, likeliest first."""
     able = [p for p in proposals if not p.redoes_declared]
     nats = CLASS_BIC / 2
     near = [
@@ -411,7 +411,7 @@ def _near(proposals):
         for p in able
         if p.evidence - able[0].evidence + nats >= min(p.complexity - able[0].complexity, 0)
     ]
-    return tuple(sorted(near, key=lambda p: p.complexity))
+    return tuple(sorted(near, key=lambda p: p.complexity - p.evidence))
 
 
 def _shortlist(proposals, is_exact):

@@ -172,11 +172,13 @@ class Effect:
     p_value : float
         Selection included.
     equivalents : tuple of str
-        Laws that these data cannot tell from it, simplest first.
+        Laws that these data cannot tell from it, likeliest first.
     separated_by : str
         Which measurement would tell them apart.
     details : dict
         Of a hidden body: draws of its place and strength, and the tracks to draw them among.
+    n_unnamed : int
+        Laws beyond the equivalents that these data cannot tell from it either.
     """
 
     name: str
@@ -189,6 +191,7 @@ class Effect:
     equivalents: tuple[str, ...] = ()
     separated_by: str = ""
     details: dict = field(default_factory=dict, repr=False)
+    n_unnamed: int = 0
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,7 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
     if any(a.text == chosen.text or fitted.get(a.text, np.inf) < CLASS_BIC for a in searched):
         further = [text for text in near if text != chosen.text and text not in fitted]
     equivalents = (*as_good, *chosen.equivalents, *further[:MOST_NEAR], *chosen.ties)
+    named = tuple(dict.fromkeys(equivalents))[: MOST_NEAR + MOST_EQUALS]
     return Effect(
         name=chosen.name,
         kind=chosen.kind,
@@ -98,7 +99,8 @@ def effect_of(observation, chosen, attempts, p_value, near=()):
         entities=tuple(e for e in entities if e not in zero),
         constants=estimates,
         p_value=p_value,
-        equivalents=tuple(dict.fromkeys(equivalents))[: MOST_NEAR + MOST_EQUALS],
+        equivalents=named,
+        n_unnamed=len({*equivalents, *further} - set(named)),
         separated_by=_separated_by(chosen.text, equivalents),
     )
 

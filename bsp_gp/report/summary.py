@@ -106,10 +106,10 @@ def _ties(report):
     rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
     for r in reversed(rounds):
         if r.effect is not None and r.effect.equivalents:
-            n = len(r.effect.equivalents)
+            n = len(r.effect.equivalents) + r.effect.n_unnamed
             text = (
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
-                f"the simplest {r.effect.equivalents[0]}"
+                f"the likeliest {r.effect.equivalents[0]}"
             )
             if r.effect.kind not in ("pair", "field"):
                 text = f"Not separable on these data: {' and '.join(r.effect.equivalents)}"

@@ -126,7 +126,8 @@ ROUND = {
     "held_out",
     "certificate",
 }
-EFFECT = {"name", "kind", "law", "latex", "entities", "constants", "p_value", "equivalents"}
+EFFECT = {"name", "kind", "law", "latex", "entities", "constants", "p_value", "equivalents",
+          "n_unnamed"}  # fmt: skip
 ERRORS = {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "unit"}
 
 
