@@ -22,7 +22,7 @@ A number carries its unit in brackets and is fixed; a name that is no property i
 
 _MAKE_HELP = """\
 Effects: drag, quadratic_drag, wind, field, perpendicular, magnetic, push, friction, mat, spring,
-pair, exponent, hidden, inelastic; each NAME=VALUE[,OPTION=VALUE...].
+pair, exponent, hidden, dashpot, inelastic; each NAME=VALUE[,OPTION=VALUE...].
   bsp-gp make nbody --scenes 100 --seed 1 --effect drag=0.1 --undeclared --out orbits
   bsp-gp close orbits --model orbits-model.toml"""
 
@@ -269,7 +269,7 @@ def _add_make(commands):
         _MAKE_HELP,
     )  # fmt: skip
     parser.add_argument(
-        "preset", metavar="PRESET", help="nbody, bounce, mat, magnet, fall or spring"
+        "preset", metavar="PRESET", help="nbody, bounce, mat, magnet, fall, spring or pucks"
     )
     _count = _integer(1, MAX_SCENES)
     parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")

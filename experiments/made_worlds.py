@@ -17,7 +17,10 @@ NBODY = {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1, "distanc
          "substeps": 200}  # fmt: skip
 
 
-def make_apart(settings, entropy, engine=None):
+PUCKS = {"noise": 0.01, "n_frames": 50}
+
+
+def make_apart(settings, entropy, engine=None, closest=CLOSEST):
     """Data set and truth in which moving bodies keep their distance.
 
     Parameters
@@ -26,11 +29,12 @@ def make_apart(settings, entropy, engine=None):
     entropy : tuple of int
         Of the random generator; a last number is counted up until the bodies keep apart.
     engine : callable, optional
+    closest : float, metres
     """
     extra = () if engine is None else (engine,)
     for attempt in itertools.count():
         dataset, truth = make(settings, np.random.default_rng((*entropy, attempt)), *extra)
-        if all(_gap(scene) > CLOSEST for scene in dataset.scenes):
+        if all(_gap(scene) >= closest for scene in dataset.scenes):
             return dataset, truth
 
 

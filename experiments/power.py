@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from common import options, run_jobs, write_study
-from made_worlds import FALL, MAT, NBODY, make_apart, world
+from made_worlds import CLOSEST, FALL, MAT, NBODY, PUCKS, make_apart, world
 from scipy.optimize import least_squares
 
 from bsp_gp.errors import BspError, MissingDependencyError
@@ -41,6 +41,7 @@ FEWEST_STEPS = 5
 THROWN = {**FALL, "n_scenes": 10, "speed_x": (-4.0, 4.0), "speed_y": (0.0, 5.0)}
 SLIDING = {**MAT, "n_scenes": 10}
 ORBITING = {**NBODY, "n_scenes": 6}
+MEETING = {**PUCKS, "n_scenes": 10}
 POST = (1.0, 4.0)
 PERIOD = 0.5
 PUSH = "a * cos(w * t + f) * e_x"
@@ -70,6 +71,7 @@ CASES = {
     "friction on a mat": ("mat", SLIDING, _grip, 0.02),
     "pair force": ("nbody", ORBITING, _named("pair"), 1.0),
     "changed exponent": ("nbody", ORBITING, lambda v: _named("exponent")(2.0 + v), 0.001),
+    "inelastic contact": ("pucks", MEETING, _named("dashpot"), 0.2),
 }
 """Preset, its numbers, effect of a strength, and a strength to begin with."""
 
@@ -80,6 +82,8 @@ LAWS = {
     "spring to a point": "c * (p_j - p_i)", "attraction": "c * m_i * m_j * normalize(p_j - p_i)",
     "pair force": "c * charge_i * charge_j / norm(p_i - p_j)^2 * normalize(p_i - p_j)",
     "friction on a mat": "c * is_on(s_i, p_i, s_j, p_j) * m_i * mu_j * normalize(v_i)",
+    "inelastic contact": "c * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j) "
+                         "* does_collide(s_i, p_i, s_j, p_j)",
     "friction": "c * m_i * normalize(v_i)",
 }  # fmt: skip
 """What may be taken for an effect, where the data have what it names."""
@@ -118,7 +122,8 @@ def data_set(case, strength, seed, engine="pymunk", noise=None):
     run = engine_of(engine, settings)
     if run is None:
         raise BspError(f"{engine} has no {case}")
-    return make_apart(settings, (list(CASES).index(case), seed), run)
+    closest = 0.0 if name == "pucks" else CLOSEST  # pucks are to meet
+    return make_apart(settings, (list(CASES).index(case), seed), run, closest)
 
 
 def seen_against(dataset, declared, extra, sigma):

@@ -15,7 +15,9 @@ from bsp_gp.simulate import forces as F
 from bsp_gp.simulate.world import States
 
 REBOUND_FORCES = (F.PairForce, F.Drag, F.QuadraticDrag, F.Perpendicular, F.UniformField)
-MUJOCO_FORCES = (*REBOUND_FORCES, F.PointSpring, F.PeriodicPush)
+MUJOCO_FORCES = (
+    *REBOUND_FORCES, F.PointSpring, F.PeriodicPush, F.SoftContact, F.ContactDamping
+)  # fmt: skip
 _STIFF = 2e6
 """Stiffness of mujoco's contacts over the mass, 1/s^2: a contact lasts about pi / sqrt of it."""
 
@@ -64,6 +66,9 @@ def push(world, motion, p, v, t):
         if isinstance(force, F.PairForce):
             out += _between_pairs(force, world, p)
             continue
+        if isinstance(force, F.SoftContact | F.ContactDamping):
+            out += _in_contact(force, world, p, v)
+            continue
         for i, entity in enumerate(world.entities):
             if not entity.is_static:
                 out[i] += _force_on(force, i, world, p, v, t)
@@ -77,6 +82,24 @@ def _between_pairs(force, world, p):
     np.fill_diagonal(r, 1.0)  # a body does not pull itself: its gap is zero
     strength = np.nan_to_num(force.strength * a[:, None] * a) / r ** (force.power + 1)
     return (strength[..., None] * gap).sum(axis=1)
+
+
+def _in_contact(force, world, p, v):
+    out = np.zeros_like(p)
+    for i, one in enumerate(world.entities):
+        for j, other in enumerate(world.entities[:i]):
+            gap = p[i] - p[j]
+            r = math.hypot(*gap)
+            overlap = one.radius + other.radius - r
+            if not overlap > 0:  # not a number where one of them is a point
+                continue
+            if isinstance(force, F.SoftContact):
+                size = force.stiffness * overlap
+            else:
+                size = -force.coefficient * float((v[i] - v[j]) @ gap) / r
+            out[i] += size * gap / r
+            out[j] -= size * gap / r
+    return out
 
 
 def _force_on(force, i, world, p, v, t):

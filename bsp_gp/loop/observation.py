@@ -14,7 +14,7 @@ from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
 from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.outcome import Errors, Ratio
-from bsp_gp.loop.tracks import fit_tracks
+from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
 from bsp_gp.physics.noise import draw_noise
@@ -126,8 +126,8 @@ class Observation:
     def fit_beyond(self, law, contained, bounds=None):
         """Fit a law that contains a fitted one, never worse than that one.
 
-        Whole tracks are fitted from the constants of the regression. Where those lead astray, the
-        fit is started again from the constants of the contained law.
+        Started from the contained fit if that is not far from the tracks; otherwise from the
+        constants of the regression, and where these lead astray, from those of the contained law.
 
         Parameters
         ----------
@@ -140,10 +140,16 @@ class Observation:
         -------
         Fit
         """
+        whole = contained.whole
+        states = starts_of(whole, self.segments) if whole else None
+        if whole and not is_lost(whole):
+            fit = self.fit(law, bounds, start=law, states=states)
+            if fit.chisqr <= contained.chisqr * (1 + _SAME_CHISQR):
+                return fit
         fit = self.fit(law, bounds)
         if self.is_exact or fit.chisqr <= contained.chisqr * (1 + _SAME_CHISQR):
             return fit
-        again = self.fit(law, bounds, start=law)
+        again = self.fit(law, bounds, start=law, states=states)
         return fit if fit.chisqr <= again.chisqr else again
 
     def _effective(self, regression, residual):

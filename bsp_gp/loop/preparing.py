@@ -12,6 +12,7 @@ from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError
 from bsp_gp.loop.observation import Observation
+from bsp_gp.loop.tracks import fit_tracks
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
@@ -37,6 +38,8 @@ CHECKED_ROWS = 250
 """First rows of every scene on which the step size is chosen."""
 
 
+IMPULSES = 2.0
+"""Factor by which steps of the paper's kind have to fit better where bodies touch."""
 CHAOS = 30.0
 """Growth of a small change of the initial state at which a track is cut for shooting."""
 
@@ -48,7 +51,8 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     ----------
     dataset : Dataset
     law : ForceLaw
-        The declared model; it decides whether bodies touch (then the paper's step is used).
+        The declared model. Where it says that bodies touch, the paper's step is used if it fits
+        far better: contacts are then impulses of one step, and do not last over several rows.
     rng : numpy.random.Generator
         For a split that is not declared.
     sources : bool
@@ -115,10 +119,10 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     if is_exact:
         return observation
     start = fit_constants(observation.train_regression, law).law
-    if integrator == "rk4":
-        observation = replace(
-            observation, substeps=_substeps(observation, start, observation.sigma)
-        )
+    smooth = replace(observation, integrator="rk4")
+    smooth = replace(smooth, substeps=_substeps(smooth, start, observation.sigma))
+    if integrator == "rk4" or _may_be_smooth(smooth, observation, start):
+        observation = smooth
     rows = _segment_rows(observation, start)
     return replace(observation, segments=tuple(cut_segments(train, rows)), segment_rows=rows)
 
@@ -226,6 +230,12 @@ def _acceleration_sigma(scenes, up):
                 )
             )
     return np.array(estimate_noise(series).sigma)
+
+
+def _may_be_smooth(smooth, stepped, law):
+    """Whether contacts of a law may last over several rows, or must be impulses of one step."""
+    fits = [fit_tracks(observation, law) for observation in (smooth, stepped)]
+    return fits[0].chisqr < IMPULSES * fits[1].chisqr
 
 
 def _substeps(observation, law, tolerance):

@@ -7,7 +7,7 @@ import numpy as np
 from bsp_gp.loop.fitted import clipped
 from bsp_gp.physics.shooting import cut_segments, fit_rollout
 
-__all__ = ["fit_tracks", "starts_of"]
+__all__ = ["fit_tracks", "is_lost", "starts_of"]
 
 LOST = 4.0
 """Chi-squared per degree of freedom above which a fit may have gone astray."""
@@ -59,7 +59,7 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
         )
 
     whole = fit(observation.segments, law, states)
-    if is_sure or not _is_lost(whole):
+    if is_sure or not is_lost(whole):
         return whole
     longest = max(len(scene.times) for scene in observation.segments)
     near = whole
@@ -71,7 +71,7 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
             closer = fit(pieces, law)
         else:
             closer = fit(pieces, near.law, starts_of(near, pieces))
-        if not np.isfinite(closer.chisqr) or _is_lost(closer):
+        if not np.isfinite(closer.chisqr) or is_lost(closer):
             break
         near = closer
     if near is whole:
@@ -80,7 +80,8 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
     return again if again.chisqr < SURELY_LESS * whole.chisqr else whole
 
 
-def _is_lost(fit):
+def is_lost(fit):
+    """Whether a fit to whole tracks may have gone astray."""
     return not fit.chisqr <= LOST * max(fit.n_rows - fit.n_free, 1)
 
 

@@ -41,13 +41,19 @@ class Shapes:
         and |dy| < H/2 + r, the wall being the other.
         """
         gap = np.asarray(p_self) - p_other
-        with np.errstate(invalid="ignore"):
-            near = np.einsum("...k,...k->...", gap, gap) < (self.radius + other.radius) ** 2
-            inside = (np.abs(gap[..., 0]) < other.width / 2 + self.radius) & (
-                np.abs(gap[..., 1]) < other.height / 2 + self.radius
-            )
         disc = self.code == DISC
-        touching = (disc & (other.code == DISC) & near) | (disc & (other.code == WALL) & inside)
+        pairs, walls = disc & (other.code == DISC), disc & (other.code == WALL)
+        touching = np.zeros(np.broadcast_shapes(gap.shape[:-1], pairs.shape), dtype=bool)
+        # Most scenes have one sort of contact or none: a rollout asks at every instant.
+        with np.errstate(invalid="ignore"):
+            if pairs.any():
+                square = sum(gap[..., k] * gap[..., k] for k in range(gap.shape[-1]))
+                touching |= pairs & (square < (self.radius + other.radius) ** 2)
+            if walls.any():
+                inside = (np.abs(gap[..., 0]) < other.width / 2 + self.radius) & (
+                    np.abs(gap[..., 1]) < other.height / 2 + self.radius
+                )
+                touching |= walls & inside
         return touching.astype(float)
 
     def is_on(self, p_self, other, p_other):

@@ -15,6 +15,7 @@ import numpy as np
 from bsp_gp.data.scene import Entity
 from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.forces import (
+    ContactDamping,
     Drag,
     DryFriction,
     Force,
@@ -176,6 +177,10 @@ def _hidden(value, x=None, y=None, near=1.0, far=2.0, moves=False, speed=0.0, co
     return {"body": ExtraBody(entity, place, (near, far), (speed, speed))}
 
 
+def _dashpot(value):
+    return {"forces": (ContactDamping(value),)}
+
+
 def _inelastic(value):
     return {"restitution": value}
 
@@ -194,6 +199,7 @@ EFFECTS = {
     "pair": (_pair, "a pair force of a new property; column=, power=, low=, high=, positive="),
     "exponent": (_exponent, "another exponent of the pair force"),
     "hidden": (_hidden, "an unseen body of that mass; x=, y= or near=, far=; moves=1, speed="),
+    "dashpot": (_dashpot, "loss of speed between discs that overlap, in kg/s"),
     "inelastic": (_inelastic, "another restitution of contacts, 0 to 1"),
 }
 """Name -> builder and what its value and options are."""

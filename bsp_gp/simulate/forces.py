@@ -19,6 +19,7 @@ from bsp_gp.units import DIMENSIONLESS, FORCE, Unit
 
 __all__ = [
     "AnchorSpring",
+    "ContactDamping",
     "Drag",
     "DryFriction",
     "Force",
@@ -28,6 +29,7 @@ __all__ = [
     "Perpendicular",
     "PointSpring",
     "QuadraticDrag",
+    "SoftContact",
     "UniformField",
 ]
 
@@ -324,6 +326,68 @@ class AnchorSpring(Force):
         k, rest = bodies.property("stiffness")[:, None], bodies.property("rest_length")[:, None]
         size = k * (r - rest) / np.where(r > 0, r, 1.0)
         return (size[..., None] * gap).sum(axis=2)
+
+
+@dataclass(frozen=True)
+class SoftContact(Force):
+    """Discs that overlap push each other apart: ``stiffness`` times the overlap.
+
+    Parameters
+    ----------
+    stiffness : float, N/m
+    """
+
+    stiffness: float
+    kind: ClassVar[str] = "pair"
+
+    @property
+    def laws(self):
+        return (
+            f"{self.stiffness:.12g} [N/m] * (R_i + R_j - norm(p_i - p_j)) * normalize(p_i - p_j) "
+            "* does_collide(s_i, p_i, s_j, p_j)",
+        )
+
+    def on(self, bodies, p, v, t):
+        direction, overlap = _overlaps(bodies, p)
+        return (self.stiffness * np.maximum(overlap, 0.0)[..., None] * direction).sum(axis=2)
+
+
+@dataclass(frozen=True)
+class ContactDamping(Force):
+    """Discs that overlap lose speed along the line of their centres (a dashpot).
+
+    Parameters
+    ----------
+    coefficient : float, kg/s
+    """
+
+    coefficient: float
+    needs_velocity: ClassVar[bool] = True
+    kind: ClassVar[str] = "pair"
+
+    @property
+    def laws(self):
+        return (
+            f"-{self.coefficient:.12g} [kg/s] * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j) "
+            "* does_collide(s_i, p_i, s_j, p_j)",
+        )
+
+    def on(self, bodies, p, v, t):
+        direction, overlap = _overlaps(bodies, p)
+        along = ((v[:, :, None] - v[:, None]) * direction).sum(axis=-1)
+        size = np.where(overlap > 0, -self.coefficient * along, 0.0)
+        return (size[..., None] * direction).sum(axis=2)
+
+
+def _overlaps(bodies, p):
+    """From j to i: directions (S, N, N, 2), and overlaps of discs (S, N, N), metres."""
+    gap = p[:, :, None] - p[:, None]
+    r = _norm(gap)
+    overlap = bodies.radius[:, :, None] + bodies.radius[:, None] - r
+    n = p.shape[1]
+    overlap[:, range(n), range(n)] = 0.0
+    overlap = np.nan_to_num(overlap)  # what has no radius is no disc
+    return gap / np.where(r > 0, r, 1.0)[..., None], overlap
 
 
 @dataclass(frozen=True)

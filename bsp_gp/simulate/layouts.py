@@ -11,10 +11,16 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-from bsp_gp.simulate.forces import AnchorSpring, MatFriction, PairForce, UniformField
+from bsp_gp.simulate.forces import (
+    AnchorSpring,
+    MatFriction,
+    PairForce,
+    SoftContact,
+    UniformField,
+)
 from bsp_gp.simulate.world import World, disc, mat, point, wall
 
-__all__ = ["Bounce", "Fall", "Fixed", "Layout", "Magnet", "Mat", "NBody", "Spring"]
+__all__ = ["Bounce", "Fall", "Fixed", "Layout", "Magnet", "Mat", "NBody", "Pucks", "Spring"]
 
 Range = tuple[float, float]
 _TRIES = 1000
@@ -350,6 +356,46 @@ class Spring(Layout):
         p = polar(length, math.radians(uniform(rng, self.angle) - 90))
         v = polar(uniform(rng, self.speed), uniform(rng, (0, 2 * math.pi)))
         return World([disc("1", radius, mass), anchor], [p, (0, 0)], [v, (0, 0)])
+
+
+@dataclass(frozen=True)
+class Pucks(Layout):
+    """Soft discs on a ring, sent at its middle, or past it by an offset.
+
+    Parameters
+    ----------
+    n_bodies : int
+    mass, radius, distance, speed, offset : range
+        kg, m; m from the middle; m/s towards it; m beside it.
+    stiffness : float, N/m
+        Of contacts, which last about pi times the root of the reduced mass over it.
+    """
+
+    n_bodies: int = 2
+    mass: Range = (0.5, 2.0)
+    radius: Range = (0.5, 0.5)
+    distance: Range = (1.5, 2.5)
+    speed: Range = (1.0, 2.0)
+    offset: Range = (-0.3, 0.3)
+    stiffness: float = 60.0
+    positive = ("n_bodies", "mass", "radius", "distance", "stiffness")
+
+    @property
+    def forces(self):
+        return (SoftContact(self.stiffness),)
+
+    def draw(self, rng):
+        n = self.n_bodies
+        radii, masses = uniform(rng, self.radius, n), uniform(rng, self.mass, n)
+        angle = uniform(rng, (0, 2 * math.pi)) + 2 * math.pi * np.arange(n) / n
+
+        def place():
+            beside = polar(uniform(rng, self.offset, n), angle + math.pi / 2)
+            return polar(uniform(rng, self.distance, n), angle) + beside
+
+        p = separate(rng, radii, place)
+        v = polar(-uniform(rng, self.speed, n), angle)
+        return World([disc(str(k + 1), radii[k], masses[k]) for k in range(n)], p, v)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.effects import Effect
 from bsp_gp.simulate.engine import Contacts, Motion, run_pymunk
 from bsp_gp.simulate.forces import AnchorSpring, Force, PairForce
-from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Spring
+from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Pucks, Spring
 from bsp_gp.simulate.observation import Observation
 from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
@@ -126,8 +126,9 @@ PRESETS = {
     "magnet": Settings("magnet", Magnet(), dt=0.04),
     "fall": Settings("fall", Fall(), dt=1 / 50, contacts=Contacts(restitution=0.5), up="y"),
     "spring": Settings("spring", Spring(), dt=1 / 25, up="y"),
+    "pucks": Settings("pucks", Pucks(), dt=1 / 25, contacts=Contacts(has_contacts=False)),
 }
-"""The paper's scenes, with its one step of 0.02 per frame, and three more."""
+"""The paper's scenes, with its one step of 0.02 per frame, and four more."""
 
 
 def preset(name, effects=(), **numbers):

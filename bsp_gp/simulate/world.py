@@ -124,6 +124,8 @@ class Ensemble:
     size : ndarray, shape (S, N, 2), metres
         Width and height of rectangles, nan otherwise.
     is_mat : ndarray of bool, shape (S, N)
+    radius : ndarray, shape (S, N), metres
+        nan where an entity has none.
     """
 
     def __init__(self, worlds):
@@ -134,6 +136,7 @@ class Ensemble:
         self.mass = np.where(self.is_static, 1.0, self.property("mass"))
         self.size = np.array([[(e.width, e.height) for e in row] for row in rows])
         self.is_mat = np.array([[e.shape == "rect_mat" for e in row] for row in rows])
+        self.radius = np.array([[e.radius for e in row] for row in rows], dtype=float)
 
     def property(self, name):
         """Values of a property, shape (S, N); 0 where an entity has none."""

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from bsp_gp.loop.close import close_loop
+from bsp_gp.simulate import effects
+from bsp_gp.simulate.synth import make, preset
 from tests import worlds
 from tests.planted import GRAVITY
 from tests.worlds import WEIGHT, flights, orbits, tied
@@ -174,4 +176,20 @@ def test_a_hidden_body_is_found_where_it_is():
         assert found[name].value == pytest.approx(truth, abs=2 * half)
     assert report.total["ratio"].high < 0.4
     assert report.corrections[0]["kind"] == "hidden_body"
+    assert report.rounds[-1].verdict == "nothing missing"
+
+
+def test_a_loss_of_speed_at_soft_contacts_is_named():
+    change = effects.effect("dashpot", 0.3, is_declared=False)
+    settings = preset("pucks", [change], n_scenes=5, noise=0.005, n_frames=40)
+    dataset, truth = make(settings, np.random.default_rng(1))
+    report = close(dataset, truth.declared)
+    (found,) = adopted(report)
+    assert found.law == (
+        "c1 * (along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j) "
+        "* does_collide(s_i, p_i, s_j, p_j))"
+    )
+    (constant,) = found.constants
+    assert constant.low < -0.3 < constant.high
+    assert constant.high - constant.low < 0.1
     assert report.rounds[-1].verdict == "nothing missing"

@@ -13,6 +13,7 @@ from bsp_gp.loop.observation import N_FLOOR
 from bsp_gp.loop.preparing import MAX_SUBSTEPS, RESOLUTION, observe
 from bsp_gp.loop.tracks import fit_tracks
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.simulate.synth import make, preset
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset
 from tests.throws import C1, DRAG, GRAVITY, throws
@@ -104,20 +105,6 @@ def test_measured_velocities_are_differentiated():
 def test_measured_velocities_that_are_not_declared_are_ignored():
     observation, _ = observed(replace(measured_throws(), velocity="ignore"), GRAVITY)
     assert observation.method == "gls"
-
-
-def test_a_law_with_contacts_is_stepped_as_the_paper_does():
-    data = throws(sigma=0.01, n_times=30)
-    law = "c1 * m_i * m_j * normalize(p_i - p_j) * does_collide(s_i, p_i, s_j, p_j)"
-    scenes = []
-    for scene in data.scenes:
-        p = np.concatenate([scene.positions, np.tile([[[30.0, 0.0]]], (30, 1, 1))], axis=1)
-        wall = Entity(
-            "wall", "rect_wall", width=1.0, height=60.0, is_static=True, properties={"mass": 1.0}
-        )
-        scenes.append(replace(scene, positions=p, entities=(*scene.entities, wall)))
-    observation, _ = observed(replace(data, scenes=tuple(scenes)), law)
-    assert observation.integrator == "euler"
 
 
 def test_steps_are_halved_until_the_noise_is_not_reached():
@@ -454,3 +441,15 @@ def test_a_fit_that_contains_another_is_never_worse():
     assert fit.chisqr <= inner.chisqr * (1 + 1e-6)
     assert fit.values[0] == pytest.approx(6.0, rel=0.01)
     assert observation.fit_beyond(law, inner).chisqr == pytest.approx(inner.chisqr)
+
+
+@pytest.mark.parametrize(("name", "integrator"), [("pucks", "rk4"), ("bounce", "euler")])
+def test_contacts_are_smooth_or_impulses_of_a_step(name, integrator):
+    """Soft discs overlap for several rows; in the paper's scenes a contact is one row."""
+    settings = preset(name, noise=0.01 if name == "pucks" else 0.1, n_scenes=4, n_frames=50)
+    data, truth = make(settings, np.random.default_rng(3))
+    declared = truth.declared or ["c1 * m_i * m_j / (m_i + m_j) * along(v_i - v_j, p_i - p_c)"
+                                  " * normalize(p_i - p_c) * does_collide(s_i, p_i, s_j, p_j)"]
+    observation = observe(data, declared_law(data, declared), np.random.default_rng(0))
+    assert observation.integrator == integrator
+    assert (observation.substeps > 1) == (integrator == "rk4")

@@ -65,6 +65,14 @@ def test_springs_and_pushes_are_the_same_in_mujoco(name):
     assert np.abs(ours - other).max() < 2e-3 * np.abs(other - plain).max()
 
 
+def test_soft_contacts_are_the_same_in_mujoco():
+    change = effect("dashpot", 2.0)
+    plain = tracks("pucks", [], run_pymunk, substeps=100, n_frames=40)
+    other = tracks("pucks", [change], run_mujoco, substeps=20, n_frames=40)
+    ours = tracks("pucks", [change], run_pymunk, substeps=100, n_frames=40)
+    assert np.abs(ours - other).max() < 1e-2 * np.abs(other - plain).max()
+
+
 def two_discs(engine, restitution, substeps):
     """Velocities after a glancing collision."""
     world = World([disc("a", 1, 2), disc("b", 1, 1)], [(0, 0), (4, 0.8)], [(3, 0), (-1, 0)])

@@ -11,6 +11,7 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.engine import Contacts, Motion, run_pymunk
 from bsp_gp.simulate.forces import (
     AnchorSpring,
+    ContactDamping,
     Drag,
     DryFriction,
     MatFriction,
@@ -19,6 +20,7 @@ from bsp_gp.simulate.forces import (
     Perpendicular,
     PointSpring,
     QuadraticDrag,
+    SoftContact,
     UniformField,
 )
 from bsp_gp.simulate.world import World, disc, mat, point, wall
@@ -164,6 +166,26 @@ def test_anchor_spring_has_its_rest_length():
     t, p, _ = moved(world, AnchorSpring())
     np.testing.assert_allclose(p[:, 0, 1], 0.5 + 0.3 * np.cos(math.sqrt(10) * t), atol=1e-5)
     np.testing.assert_array_equal(p[:, 1], 0)
+
+
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+def test_soft_discs_part_with_the_speed_of_a_damped_half_swing(damping):
+    """The gap swings with w^2 = k / m - g^2 until it is nought; g = c / 2 m, m the reduced mass.
+
+    Dashpots pull a little at the end of a contact, which lasts as long as discs overlap.
+    """
+    k, masses, speed = 60.0, (1.0, 3.0), 2.0
+    m = masses[0] * masses[1] / sum(masses)
+    g = damping / (2 * m)
+    half = math.pi / math.sqrt(k / m - g**2)
+    discs = [disc("a", 0.5, masses[0]), disc("b", 0.3, masses[1])]
+    world = World(discs, [(0, 0), (0.8, 0)], [(speed, 0), (0, 0)])
+    forces = (SoftContact(k), ContactDamping(damping))
+    t, p, v = moved(world, *forces, n_frames=3, dt=half, substeps=2000)
+    restitution = math.exp(-g * half)
+    assert v[-1, 1, 0] - v[-1, 0, 0] == pytest.approx(restitution * speed, rel=1e-3)
+    np.testing.assert_allclose(np.array(masses) @ v[-1], (masses[0] * speed, 0), atol=1e-9)
+    assert p[-1, 1, 0] - p[-1, 0, 0] == pytest.approx(0.8 + restitution * speed * half, rel=1e-3)
 
 
 @pytest.mark.parametrize("power", [1.0, 2.0, 2.5, 3.0])

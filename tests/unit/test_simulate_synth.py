@@ -62,16 +62,18 @@ def test_what_is_saved_reads_back(name, tmp_path):
     assert back.scenes[0].entities[0].mass == dataset.scenes[0].entities[0].mass
 
 
-@pytest.mark.parametrize("name", ["nbody", "mat", "magnet", "spring"])
+@pytest.mark.parametrize("name", ["nbody", "mat", "magnet", "spring", "pucks"])
 def test_declared_laws_are_read_and_hold(name):
     """With one step a frame our one-step prediction under the declared law is exact."""
-    dataset, truth = made(name, n_scenes=2, substeps=1, n_frames=10, has_contacts=False)
+    near = {"distance": 0.55} if name == "pucks" else {}
+    numbers = {"n_scenes": 2, "substeps": 1, "n_frames": 10, "has_contacts": False}
+    dataset, truth = made(name, **numbers, **near)
     law = declared_law(dataset, truth.declared)
     nothing = one_step_nrmse(dataset.scenes, declared_law(dataset, ()), dataset.up)
     assert one_step_nrmse(dataset.scenes, law, dataset.up) < 1e-12 < 1e-3 * nothing
 
 
-@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in ("inelastic", "mat")])
+@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in ("dashpot", "inelastic", "mat")])
 def test_an_effect_changes_the_motion_after_the_start(name):
     change = effect(name, VALUES.get(name, 2.0), is_declared=False)
     base, numbers = "magnet", {"n_scenes": 2}
@@ -90,6 +92,10 @@ def test_effects_of_contacts_and_mats():
     assert np.abs(positions(plain) - positions(soft)).max() > 1
     assert truth.settings.motion().contacts.restitution == 0.5
     assert truth.settings.contacts.restitution == 1.0
+    plain, _ = made("pucks", n_frames=40)
+    damped, truth = made("pucks", effect("dashpot", 0.5, is_declared=False), n_frames=40)
+    assert np.abs(positions(plain) - positions(damped)).max() > 0.05
+    assert len(truth.declared) == 1 and "along(v_i" in truth.settings.laws()[1]
     patch = effect("mat", 5.0, width=4.0, height=40.0, x=0.0, y=0.0, grip=2.0)
     slowed, truth = made("magnet", patch, repulsion=0.0, n_frames=40, speed=3, dt=0.1)
     free, _ = made("magnet", repulsion=0.0, n_frames=40, speed=3, dt=0.1)
