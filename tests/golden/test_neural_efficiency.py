@@ -44,3 +44,12 @@ def test_a_sum_is_the_true_law_if_it_leaves_nothing(study, text, expected):
     constants = {"c1": 8167.007, "c2": 100.0}
     constants = {name: constants[name] for name in formula.constants}
     assert study.is_right("nbody", ForceLaw((Term(formula, "pair"),), constants)) is expected
+
+
+@pytest.mark.slow
+def test_a_pull_and_two_contacts_are_told_apart(study):
+    """Squares rank the pull 38th: what fits two violent rows by chance comes first."""
+    scenes = [study.scenario("nbody").scene(name) for name in ("30", "42")]
+    best, _ = study.searched("nbody", scenes, "exhaustive, sums", 0, 0)
+    assert study.is_right("nbody", ForceLaw((Term(best.formula, "pair"),), best.constants))
+    assert sorted(best.constants.values()) == pytest.approx([-8167.007, 100.0], rel=1e-9)
