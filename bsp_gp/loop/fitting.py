@@ -229,6 +229,7 @@ def _convergence(observation, fit, is_linear):
         integrator=observation.integrator,
         substeps=observation.substeps,
         up=observation.dataset.up,
+        memory=observation.memory,
     )
     change = abs(again.chisqr - fit.chisqr)
     same = change < _SAME_CHISQR * max(fit.chisqr, 1.0)

@@ -93,8 +93,9 @@ class Observation:
                 True,
             )
         whole = fit_tracks(
-            self, start or first.law, bounds, is_sure=start is not None, states=states
-        )
+            self, start or first.law, bounds, is_sure=start is not None, states=states,
+            sizes=dict(zip(first.parameters, first.values, strict=True)),
+        )  # fmt: skip
         n_eff = self._effective_positions(whole)
         dof = max(whole.n_rows - whole.n_free, 1)
         # Misfit beyond the noise counts against the constants, with as many independent rows
@@ -140,17 +141,14 @@ class Observation:
         -------
         Fit
         """
-        whole = contained.whole
-        states = starts_of(whole, self.segments) if whole else None
-        if whole and not is_lost(whole):
-            fit = self.fit(law, bounds, start=law, states=states)
-            if fit.chisqr <= contained.chisqr * (1 + _SAME_CHISQR):
-                return fit
+        if self.is_exact:
+            return self.fit(law, bounds)
+        enough = contained.chisqr * (1 + _SAME_CHISQR)
+        near = self.fit(law, bounds, start=law, states=starts_of(contained.whole, self.segments))
+        if near.converged and near.chisqr <= enough and not is_lost(contained.whole):
+            return near
         fit = self.fit(law, bounds)
-        if self.is_exact or fit.chisqr <= contained.chisqr * (1 + _SAME_CHISQR):
-            return fit
-        again = self.fit(law, bounds, start=law, states=states)
-        return fit if fit.chisqr <= again.chisqr else again
+        return fit if fit.chisqr <= near.chisqr else near
 
     def _effective(self, regression, residual):
         """Number of rows discounted for lag-one autocorrelation of the whitened residual."""

@@ -172,13 +172,14 @@ class Effect:
     p_value : float
         Selection included.
     equivalents : tuple of str
-        Laws that these data cannot tell from it, likeliest first.
+        Laws that these data cannot tell from it: those fitted to whole tracks, then by
+        evidence and prior; where a trace guides, those that it points to first.
     separated_by : str
         Which measurement would tell them apart.
     details : dict
         Of a hidden body: draws of its place and strength, and the tracks to draw them among.
     n_unnamed : int
-        Laws beyond the equivalents that these data cannot tell from it either.
+        At least so many more cannot be told from it either.
     """
 
     name: str

@@ -12,8 +12,7 @@ from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError
 from bsp_gp.loop.observation import Observation
-from bsp_gp.loop.tracks import fit_tracks
-from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.shooting import cut_segments, guess_state
@@ -38,8 +37,8 @@ CHECKED_ROWS = 250
 """First rows of every scene on which the step size is chosen."""
 
 
-IMPULSES = 2.0
-"""Factor by which steps of the paper's kind have to fit better where bodies touch."""
+LASTING = 3
+"""Rows from which on a contact is a smooth motion, and no impulse of one step."""
 CHAOS = 30.0
 """Growth of a small change of the initial state at which a track is cut for shooting."""
 
@@ -51,8 +50,8 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     ----------
     dataset : Dataset
     law : ForceLaw
-        The declared model. Where it says that bodies touch, the paper's step is used if it fits
-        far better: contacts are then impulses of one step, and do not last over several rows.
+        The declared model. Where it says that bodies touch, the paper's step is used, unless the
+        positions show that contacts last over several rows.
     rng : numpy.random.Generator
         For a split that is not declared.
     sources : bool
@@ -119,10 +118,11 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
     if is_exact:
         return observation
     start = fit_constants(observation.train_regression, law).law
-    smooth = replace(observation, integrator="rk4")
-    smooth = replace(smooth, substeps=_substeps(smooth, start, observation.sigma))
-    if integrator == "rk4" or _may_be_smooth(smooth, observation, start):
-        observation = smooth
+    if integrator == "rk4" or _contacts_last(train, dataset.up):
+        observation = replace(observation, integrator="rk4")
+        observation = replace(
+            observation, substeps=_substeps(observation, start, observation.sigma)
+        )
     rows = _segment_rows(observation, start)
     return replace(observation, segments=tuple(cut_segments(train, rows)), segment_rows=rows)
 
@@ -232,10 +232,17 @@ def _acceleration_sigma(scenes, up):
     return np.array(estimate_noise(series).sigma)
 
 
-def _may_be_smooth(smooth, stepped, law):
-    """Whether contacts of a law may last over several rows, or must be impulses of one step."""
-    fits = [fit_tracks(observation, law) for observation in (smooth, stepped)]
-    return fits[0].chisqr < IMPULSES * fits[1].chisqr
+def _contacts_last(scenes, up):
+    """Whether bodies that touch do so for several rows on end, and not for one step."""
+    lengths = []
+    for batch in stack(scenes, up):
+        states = batch.positions, np.zeros_like(batch.positions), batch.times
+        inputs = law_inputs("pair", batch.bodies, *states)
+        touching = inputs["s_i"].collides(inputs["p_i"], inputs["s_j"], inputs["p_j"])
+        for track in touching.reshape(len(touching), -1).T:
+            edges = np.flatnonzero(np.diff(np.concatenate([[0.0], track, [0.0]])))
+            lengths += (edges[1::2] - edges[::2]).tolist()
+    return bool(lengths) and float(np.median(lengths)) >= LASTING
 
 
 def _substeps(observation, law, tolerance):

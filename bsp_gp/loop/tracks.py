@@ -20,7 +20,7 @@ SHORTEST_PIECE = 16
 SURELY_LESS = 0.99
 
 
-def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
+def fit_tracks(observation, law, bounds=None, is_sure=False, states=None, sizes=None):
     """Fit constants and initial states to the training tracks.
 
     Started from a wrong period, an oscillation that is fitted over many periods stays out of step
@@ -39,6 +39,8 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
         The start values are those of a fit already: the first fit counts.
     states : mapping, optional
         Initial states to start from, as for `fit_rollout`.
+    sizes : mapping, optional
+        Typical sizes of parameters that start at 0, as for `fit_rollout`.
 
     Returns
     -------
@@ -56,6 +58,7 @@ def fit_tracks(observation, law, bounds=None, is_sure=False, states=None):
             bounds=bounds,
             memory=observation.memory,
             states=states,
+            sizes=sizes,
         )
 
     whole = fit(observation.segments, law, states)

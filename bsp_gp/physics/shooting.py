@@ -35,6 +35,7 @@ NEGLIGIBLE = 0.01
 """Part of that fall, foreseen by the slopes, at which a step is the last."""
 WEAK = 1e-3
 """Damping up to which a small step means that little is to be gained."""
+LEAST_DAMPING = 1e-9
 MAX_ATTEMPTS = 12
 """Steps of growing damping before a fit is taken to have no descent left."""
 
@@ -82,6 +83,10 @@ class RolloutFit:
     predicted: tuple
     whitened: tuple
     converged: bool
+
+    def __getstate__(self):
+        """What travels to workers: everything but what is kept for the running loop."""
+        return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
 
     @property
     def bic(self):
@@ -165,6 +170,7 @@ def fit_rollout(
     fit_states=True,
     memory=0.0,
     states=None,
+    sizes=None,
 ):
     """Fit constants and initial states to whole tracks.
 
@@ -189,6 +195,8 @@ def fit_rollout(
     states : mapping of str to (ndarray, ndarray), optional
         Scene name -> initial positions and velocities, shape (R, d), to start from; by default a
         parabola through the first rows.
+    sizes : mapping of (str, str) to float, optional
+        Typical sizes of parameters, for those that start at 0.
 
     Returns
     -------
@@ -197,6 +205,7 @@ def fit_rollout(
     problem = _Problem(
         scenes, law, sigma, free, integrator, substeps, up, velocity, bounds, fit_states, memory
     )
+    problem.sizes = np.array([abs((sizes or {}).get(p, 0.0)) for p in problem.parameters])
     return problem.solve(max_iterations, states or {})
 
 
@@ -218,6 +227,7 @@ def track_blocks(fit, sigma, *, integrator="rk4", substeps=1, memory=0.0):
     problem = object.__new__(_Problem)
     problem.law, problem.integrator, problem.substeps = fit.law, integrator, substeps
     problem.fit_states = True
+    problem.sizes = np.zeros(len(fit.parameters))
     problem.batches, problem.parameters = fit.batches, fit.parameters
     problem.attach_noise(sigma, memory)
     blocks, _, _ = problem._linearise(
@@ -260,12 +270,12 @@ class _Problem:
             if not np.isfinite(chisqr) or not self._has_unknowns():
                 converged = bool(np.isfinite(chisqr))
                 break
-            enough, accepted = TOLERANCE * chisqr + DESCENT, False
+            enough, accepted, is_last = TOLERANCE * chisqr + DESCENT, False, False
             for attempt in range(MAX_ATTEMPTS):
                 try:
                     dx, dstates = self._step(blocks, damping, x)
                 except np.linalg.LinAlgError:  # a rollout near running away: smaller steps
-                    damping = damping * 16 if damping else 1e-6
+                    damping = max(damping * 16, 1e-6)
                     continue
                 new_x = np.clip(x + dx, self.low, self.high)
                 new_states = [
@@ -284,13 +294,13 @@ class _Problem:
                 accepted = bool(np.isfinite(trial[1]) and trial[1] <= chisqr * (1 + 1e-15))
                 if accepted or is_last:
                     break
-                damping = damping * 4 if damping else 1e-6
+                damping = max(damping * 10, 1e-6)
             if not accepted:
-                converged = True  # no descent left, or none at working precision
+                converged = is_last  # no descent left at working precision
                 break
             done = is_last or chisqr - trial[1] <= enough
             x, states = new_x, new_states
-            damping *= 0.2
+            damping = max(damping * 0.2, LEAST_DAMPING)
             is_new = has_slopes or is_last
             blocks, chisqr, predicted = trial if is_new else self._linearise(x, states)
             if done:
@@ -405,9 +415,11 @@ class _Problem:
         return 1e-5 * extent, 1e-5 * extent / duration
 
     def _constant_scale(self, x):
-        """A size for constants that start at 0: that of the others, or one."""
-        sizes = np.abs(x[x != 0])
-        return np.where(x == 0, sizes.mean() if sizes.size else 1.0, np.abs(x)) * 1.0
+        """A size for constants that are 0: the one given, that of the others, or one."""
+        others = np.abs(x[x != 0])
+        unknown = others.mean() if others.size else 1.0
+        given = np.where(self.sizes > 0, self.sizes, unknown)
+        return np.where(x == 0, given, np.abs(x))
 
     def _step(self, blocks, damping, x):
         """Solve the damped normal equations with the states of every segment eliminated."""

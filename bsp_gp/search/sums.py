@@ -210,9 +210,9 @@ class _Sums:
             rows = self.touched(condition)
             if not 0 < len(rows) <= MOST_TOUCHED * len(self.target):
                 continue
-            own = np.zeros((len(self.target), len(rows)))
-            own[rows, range(len(rows))] = 1.0  # a column of its own takes all of a row
-            found = self.searched(np.concatenate([self.nuisance, own], axis=1))
+            others = np.ones(len(self.target), dtype=bool)
+            others[rows] = False
+            found = self.searched(self.nuisance, groups=[others])
             laws = [(split_linear(c.formula)[1], c.complexity) for c in found.candidates[:WIDTH]]
             out += [self.refitted([law]) for law in laws]
         return out
@@ -263,7 +263,7 @@ class _Sums:
             self.memo[chosen.terms] = wider
         return self.memo[chosen.terms]
 
-    def searched(self, nuisance):
+    def searched(self, nuisance, **options):
         """The search for one more term beside columns that are fitted."""
         result = search_exhaustive(
             self.regression,
@@ -272,7 +272,7 @@ class _Sums:
             nuisance=nuisance,
             target=self.target,
             progress=self.progress,
-            **self.settings,
+            **{**self.settings, **options},
         )
         self.n_evaluated += result.n_evaluated
         self.n_failed += result.n_failed

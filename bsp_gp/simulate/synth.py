@@ -1,7 +1,7 @@
 """Made-up worlds: settings and a random generator in, a data set and its truth out.
 
-`preset` has the paper's NBODY, BOUNCE and MAT, and MAGNET, FALL and SPRING; every number of them
-can be set. Motion is pymunk's (or another engine's), never that of our own integrator.
+`preset` has the paper's NBODY, BOUNCE and MAT, and MAGNET, FALL, SPRING and PUCKS; every number of
+them can be set. Motion is pymunk's (or another engine's), never that of our own integrator.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.effects import Effect
 from bsp_gp.simulate.engine import Contacts, Motion, run_pymunk
-from bsp_gp.simulate.forces import AnchorSpring, Force, PairForce
+from bsp_gp.simulate.forces import (
+    AnchorSpring,
+    ContactDamping,
+    Force,
+    PairForce,
+    SoftContact,
+)
 from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Pucks, Spring
 from bsp_gp.simulate.observation import Observation
 from bsp_gp.simulate.truth import Truth
@@ -73,7 +79,9 @@ class Settings:
             object.__setattr__(self, "forces", self.layout.forces)
         if self.up not in (None, "x", "y", "-x", "-y"):
             raise SettingsError(f"up must be x, y, -x, -y or none, got {self.up!r}")
-        self._require_hidden_to_act(self.motion().forces)
+        forces = self.motion().forces
+        self._require_hidden_to_act(forces)
+        self._require_discs_to_meet(forces)
 
     def _require_hidden_to_act(self, forces):
         sources = {force.column for force in forces if isinstance(force, PairForce)}
@@ -87,6 +95,26 @@ class Settings:
                     f"a hidden body acts by its {' and '.join(body.entity.properties)}, and no "
                     f"force of {self.name} does; add one, such as the effect "
                     f"pair=1,column={next(iter(body.entity.properties))}"
+                )
+
+    def _require_discs_to_meet(self, forces):
+        is_soft = any(isinstance(force, SoftContact) for force in forces)
+        if any(isinstance(force, ContactDamping) for force in forces) and not is_soft:
+            raise SettingsError(
+                f"a dashpot acts while discs overlap, and those of {self.name} do not; take the "
+                "preset pucks, or the effect inelastic"
+            )
+        for effect in self.effects:
+            if effect.restitution is not None and not self.contacts.has_contacts:
+                raise SettingsError(
+                    f"effect {effect.name!r} changes contacts, and {self.name} has none"
+                    + ("; the effect dashpot damps its soft discs" if is_soft else "")
+                )
+            body = effect.body
+            if is_soft and body and not body.is_hidden and not body.entity.radius > 0:
+                raise SettingsError(
+                    f"effect {effect.name!r} adds a body without a radius, of which the law of "
+                    f"the soft discs of {self.name} cannot speak; hide it (hidden=1)"
                 )
 
     def motion(self, effects=None):

@@ -5,15 +5,20 @@ import tomllib
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import Term
+from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.sums import search_sums, terms_of
 from tests.unit.test_banks_exhaustive import MIXED, grammar_of, regression_of
 from tests.unit.test_recognition import SUM_TOML, everything, sum_world
+
+MASSES = (("a", 0.5), ("b", 1.0), ("c", 1.7))
 
 
 def description(objective, tree, y):
@@ -114,3 +119,25 @@ def test_unlike_terms_are_refused(old, new, message):
     grammar = read_grammar(tomllib.loads(SUM_TOML.replace(old, new)))
     with pytest.raises(GrammarError, match=message):
         terms_of(grammar, "pair")
+
+
+def test_first_terms_are_also_looked_for_where_nothing_touches():
+    """Two blows of one row each and a pull: by squares alone the pull comes late."""
+    from bsp_gp.search.sums import _Sums
+
+    grammar = load_grammar("newtonian_sum")
+    rng = np.random.default_rng(0)
+    discs = [Entity(name, "disc", radius=0.1, properties={"mass": m}) for name, m in MASSES]
+    places = rng.uniform(-1, 1, (40, 3, 2))
+    scene = Scene("s", 0.1 * np.arange(40), places, tuple(discs))
+    regression = build_regression([scene], method="one_step", sigma=[1.0, 1.0])
+    sums = _Sums(regression, grammar, "pair", None, None, None, {"max_levels": 5})
+    rows = sums.touched("does_collide")
+    pull = parse_formula("m_i * normalize(v_i)", grammar.inputs)
+    sums.target = regression.column(Term(pull, "pair"))[0][:, 0]
+    sums.target[rows] += 1e4 * rng.standard_normal(len(rows))
+    assert 0 < len(rows) < 0.2 * len(sums.target)
+    (first, *_) = sums.untouched()
+    assert to_text(first.terms[0]) == "m_i * normalize(v_i)"
+    best = sums.extended(type(first)((), (), np.inf))[0]
+    assert best.terms != first.terms
