@@ -48,12 +48,12 @@ class Shapes:
         with np.errstate(invalid="ignore"):
             if pairs.any():
                 square = sum(gap[..., k] * gap[..., k] for k in range(gap.shape[-1]))
-                touching |= pairs & (square < (self.radius + other.radius) ** 2)
+                touching = touching | pairs & (square < (self.radius + other.radius) ** 2)
             if walls.any():
                 inside = (np.abs(gap[..., 0]) < other.width / 2 + self.radius) & (
                     np.abs(gap[..., 1]) < other.height / 2 + self.radius
                 )
-                touching |= walls & inside
+                touching = touching | walls & inside
         return touching.astype(float)
 
     def is_on(self, p_self, other, p_other):
