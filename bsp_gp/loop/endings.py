@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
-from bsp_gp.loop.memory import estimate_memory, with_memory
+from bsp_gp.loop.memory import estimate_memory, widened, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
@@ -69,6 +69,9 @@ class Turn:
         Of `time.perf_counter`.
     missing : Missing
     trace : Trace
+        Under the noise of `search`.
+    first_trace : Trace
+        As the round began.
     guidance : Guidance
     proposals : Proposals
     attempts : list of Attempt
@@ -88,6 +91,7 @@ class Turn:
     started: float
     missing: Missing = None
     trace: object = None
+    first_trace: object = None
     guidance: object = None
     proposals: object = None
     attempts: list = None
@@ -282,7 +286,8 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             chosen = shown = refuted.chosen
             adopted, verdict, reason = True, "effect adopted", refuted.reason
             after, ratio = refuted.after, refuted.ratio
-        effect = effect_of(observation, chosen, turn.attempts, p_value, near)
+        told = replace(chosen, fit=widened(turn.search, chosen.fit))
+        effect = effect_of(observation, told, turn.attempts, p_value, near)
     rivals = rivals_of(observation, model, shown, turn.attempts)
     effect, rivals = ordered(effect, rivals, turn.guidance)
     effect, undecided = told_beside(observation, effect, shown, others)

@@ -4,7 +4,8 @@ A law evaluated at denoised positions still feels what noise the smoother has le
 it is: with forces that change with place, a spring or gravity, it adds to the noise of the second
 differences. To first order the error of a residual is ``(D - A P - C V) e``: second differences D,
 places P and velocities V of the noise e, A and C the slopes of all forces by place and velocity of
-the body itself. The coordinates of every track are made white again under that covariance.
+the body itself. The coordinates of every track are made white again under that covariance, that of
+the errors themselves (their memory, and their sizes where points quote them) included.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.denoise import tracks_of
 from bsp_gp.loop.leftover import Leftover
+from bsp_gp.physics.noise import sizes_of
 from bsp_gp.search.constants import fit_constants
 
-__all__ = ["linear_residual", "slopes_of", "whole_times", "with_felt_noise"]
+__all__ = ["linear_residual", "slopes_of", "whole_sizes", "whole_times", "with_felt_noise"]
 
 STEP = 1e-4
 """Shift for slopes, in typical ranges of places and of velocities."""
@@ -142,6 +144,23 @@ def linear_residual(observation, fit, along, scenes):
     return regression, residual + np.concatenate(felt), jacobian, slopes
 
 
+def whole_sizes(batch, scenes, sigma):
+    """Errors of all points of the receivers as parts of sigma, (n + 2, S, R); None where alike.
+
+    None as well where the errors of single points do not count in the regression.
+    """
+    by_name = {scene.name: scene for scene in scenes}
+    own = [by_name[name] for name in batch.scene_names]
+    out = np.ones((len(batch.times) + 2, len(own), batch.target.shape[2]))
+    if batch.whitener is None or batch.whitener.ndim == 2:
+        return None
+    for s, scene in enumerate(own):
+        if scene.sigma is not None:
+            sizes = sizes_of(scene.sigma[:, scene.dynamic], sigma)
+            out[: len(sizes), s] = sizes
+    return out
+
+
 def whole_times(batch, scenes):
     """Times of the scenes of a batch with those of their first and last rows, (n + 2, S)."""
     by_name = {scene.name: scene.times for scene in scenes}
@@ -162,6 +181,7 @@ def _mixing(view, group, slopes, sigma):
     changed = False
     for s in range(n_scenes):
         second, place, speed = _stencils(group.times[:, s])
+        remembered = _remembered(group.times[:, s], view.memory)
         for r in range(n_receivers):
             a, c = slopes[:, :, s, r]  # (n, d, d) each
             felt = place[:, None, :, None] * a[:, :, None, :]
@@ -171,6 +191,10 @@ def _mixing(view, group, slopes, sigma):
                 felt[1:-1] += group.bend[1:-1, s, r, None, None, None] * change
             noise = second[:, None, :, None] * identity[None, :, None, :]
             noise = (noise - felt) * scale
+            if group.sizes is not None:
+                noise = noise * group.sizes[:, s, r, None]
+            if view.memory > 0:
+                noise = np.einsum("natb,tu->naub", noise, remembered)
             vectors = noise.reshape(n, n_dims, -1).transpose(0, 2, 1)  # (n, T d, d)
             felt = group.coordinates_of(vectors, s, r)
             covariance = felt @ felt.T
@@ -181,6 +205,16 @@ def _mixing(view, group, slopes, sigma):
                 factor = np.linalg.cholesky(covariance)
                 out[s, r] = np.linalg.inv(factor)
     return out if changed else None
+
+
+def _remembered(times, memory):
+    """Matrix that gives white noise its memory (T, T): a Cholesky factor of the correlations."""
+    if not memory > 0:
+        return None
+    gaps = np.abs(times[:, None] - times)
+    correlation = np.exp(-np.where(np.isfinite(gaps), gaps, np.inf) / memory)
+    np.fill_diagonal(correlation, 1.0)
+    return np.linalg.cholesky(correlation)
 
 
 def _stencils(times):

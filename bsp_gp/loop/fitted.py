@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from bsp_gp.physics.force import ForceLaw
 
@@ -34,6 +35,8 @@ class Fit:
     whole : RolloutFit or None
         The fit to whole tracks, on noisy data.
     converged : bool
+    dof : float
+        Degrees of freedom behind the level of the noise; inf where that was quoted or declared.
     """
 
     law: ForceLaw
@@ -48,6 +51,7 @@ class Fit:
     is_exact: bool = False
     whole: object = None
     converged: bool = True
+    dof: float = np.inf
 
     def bic(self, n_effective=None):
         """Bayesian information criterion with the noise level profiled out, nats times two.
@@ -61,8 +65,11 @@ class Fit:
 
     @property
     def intervals(self):
-        """90 % half-widths of the constants, shape (k,)."""
-        return 1.6448536269514722 * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        """90 % half-widths of the constants, shape (k,).
+
+        Student's t where the level of the noise was estimated: its own uncertainty counts.
+        """
+        return student_t.ppf(0.95, self.dof) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
 def clipped(law, bounds):

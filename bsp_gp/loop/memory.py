@@ -4,7 +4,7 @@ Errors of a tracker may be alike from frame to frame. Taken for white noise they
 small force; a force that the model lacks looks like such errors. The correlation time is
 therefore estimated on what the best proposal of the search leaves, by maximum likelihood on the
 second differences (from which initial states have dropped out), and the search is repeated with
-it, until the two agree.
+it, until the two agree. How uncertain it is goes into the intervals of the constants (`widened`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 
 from bsp_gp.loop.effects import sign_bounds
 
-__all__ = ["NoiseFit", "estimate_memory", "search_with_memory", "with_memory"]
+__all__ = ["NoiseFit", "estimate_memory", "search_with_memory", "widened", "with_memory"]
 
 STEPS = (0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 25.0)
 """Correlation times that are tried, in median time steps; between them by a parabola."""
 MIN_GAIN = 6.0
 """Fall of the BIC at which a memory is taken for real."""
 MOST_TURNS = 2
+_NODES, _WEIGHTS = (-np.sqrt(3), np.sqrt(3)), (2 / 3, 1 / 6, 1 / 6)
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,14 @@ class NoiseFit:
         Its standard deviation over the one assumed.
     gain : float
         Fall of the BIC against white noise.
+    spread : float
+        Standard deviation of the logarithm of the memory; 0 where that is 0.
     """
 
     memory: float
     factor: float
     gain: float
+    spread: float = 0.0
 
 
 def estimate_memory(search, fit, proposal=None):
@@ -70,19 +74,24 @@ def estimate_memory(search, fit, proposal=None):
     gain = 2 * (logs[best] - logs[0]) - np.log(n)
     if best == 0 or gain < MIN_GAIN:
         return NoiseFit(0.0, factors[0], 0.0)
-    memory = _peak(np.log(tried[1:]), logs[1:], best - 1)
+    place, spread = _peak(np.log(tried[1:]), logs[1:], best - 1)
+    memory = float(np.exp(place))
     _, factor, _ = _profile(search, memory, fit, proposal)
-    return NoiseFit(memory, factor, float(gain))
+    return NoiseFit(memory, factor, float(gain), spread)
 
 
 def _peak(x, y, k):
-    """Where the parabola through the best point and its neighbours is highest."""
+    """Where the parabola through the best point and its neighbours is highest, and its width.
+
+    The width is that of the normal law whose logarithm the parabola is; at an end of the grid the
+    distance of the neighbour.
+    """
     if 0 < k < len(x) - 1:
         a, b, _ = np.polyfit(x[k - 1 : k + 2] - x[k], y[k - 1 : k + 2], 2)
         if a < 0:
             shift = np.clip(-b / (2 * a), x[k - 1] - x[k], x[k + 1] - x[k])
-            return float(np.exp(x[k] + shift))
-    return float(np.exp(x[k]))
+            return float(x[k] + shift), float(1 / np.sqrt(-2 * a))
+    return float(x[k]), float(np.abs(np.diff(x[max(k - 1, 0) : k + 2])).max())
 
 
 def _profile(search, memory, fit, proposal):
@@ -126,6 +135,40 @@ def with_memory(observation, memory, factor=1.0):
         train_regression=changed.regression(observation.train),
         test_regression=changed.regression(observation.test),
     )
+
+
+def widened(search, fit):
+    """The fit with the uncertainty of an estimated memory in the covariance of its constants.
+
+    The law is fitted again under a longer and a shorter memory, the outer two nodes of a
+    three-point Gauss-Hermite rule, each with the noise level that goes with it; the covariance is
+    that of the mixture.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        On the observation of the fit.
+    fit : Fit
+        Of a law to its training scenes.
+
+    Returns
+    -------
+    Fit
+        The same one where no memory was estimated.
+    """
+    observation = search.observation
+    if not (observation.memory and observation.may_have_memory and fit.parameters):
+        return fit
+    spread = estimate_memory(search, fit).spread
+    total = _WEIGHTS[0] * fit.covariance
+    for weight, node in zip(_WEIGHTS[1:], _NODES, strict=True):
+        memory = observation.memory * np.exp(node * spread)
+        _, factor, _ = _profile(search, memory, fit, None)
+        other = with_memory(observation, memory, factor)
+        again = other.fit(fit.law, sign_bounds(other, fit.law), start=fit.law)
+        moved = again.values - fit.values
+        total = total + weight * (again.covariance + np.outer(moved, moved))
+    return replace(fit, covariance=total)
 
 
 def search_with_memory(search, fit, rng, **options):

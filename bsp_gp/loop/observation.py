@@ -91,6 +91,7 @@ class Observation:
                 first.jacobian,
                 first.residual,
                 True,
+                dof=max(n_eff - len(first.values), 1.0),
             )
         whole = fit_tracks(
             self, start or first.law, bounds, is_sure=start is not None, states=states,
@@ -115,6 +116,7 @@ class Observation:
             residual,
             whole=whole,
             converged=whole.converged,
+            dof=float(dof) if self.noise.source == "estimated" else np.inf,
         )
 
     def track_blocks(self, whole):

@@ -75,7 +75,7 @@ def run_round(
     if not turn.missing.is_missing:
         return ends_quiet(turn)
     turn.says("tracing the residual")
-    turn.trace = trace_residual(turn.observation, model.fit, turn.rngs.trace)
+    turn.trace = turn.first_trace = trace_residual(turn.observation, model.fit, turn.rngs.trace)
     turn.search, turn.guidance = guided(search, turn.trace, guide)
     ended = _defect_alone(turn)
     if ended is not None:
@@ -157,6 +157,7 @@ def _search(turn):
     turn.model = evaluate(turn.observation, fit.law, fit)
     entered = turn.missing
     turn.missing = examine_residual(turn.observation, fit, turn.alpha)
+    _trace_again(turn)
     if turn.missing.is_missing:
         return known_attempts(turn.search, turn.model, turn.missing, turn.alpha), None
     if not turn.observation.memory:
@@ -172,11 +173,20 @@ def _search(turn):
     return known, ends_in_rival(turn, simpler, seen)
 
 
+def _trace_again(turn):
+    """The trace under the noise that was found; what a search was restricted to stays as it was."""
+    turn.says("tracing the residual under the noise that was found")
+    turn.trace = trace_residual(turn.observation, turn.model.fit, turn.rngs.trace)
+    if turn.guidance.used == "order":
+        _, turn.guidance = guided(turn.search, turn.trace, "order")
+
+
 def _as_it_began(turn, missing, attempts):
     """The turn under the noise with which the round began."""
     return replace(
-        turn, search=turn.complete, model=turn.entering, missing=missing, attempts=attempts
-    )
+        turn, search=turn.complete, model=turn.entering, missing=missing, attempts=attempts,
+        trace=turn.first_trace,
+    )  # fmt: skip
 
 
 def _along_the_best(turn, chosen, attempts):

@@ -16,6 +16,7 @@ import numpy as np
 from bsp_gp.loop.felt_noise import (
     linear_residual,
     slopes_of,
+    whole_sizes,
     whole_times,
     with_felt_noise,
 )
@@ -60,6 +61,8 @@ class TrackGroup:
         differences of positions show, their mean over a time step on either side.
     times : ndarray, shape (n + 2, S)
         Of the rows of the scenes, those at the ends included.
+    sizes : ndarray, shape (n + 2, S, R), or None
+        Quoted errors of those rows as parts of the typical one; None where all are alike.
     mixing : ndarray, shape (S, R, d K, d K), or None
         What makes coordinates white where the noise of states is felt (`felt_noise`).
     slopes : ndarray, shape (2, n, S, R, d, d), or None
@@ -75,6 +78,7 @@ class TrackGroup:
     inside: np.ndarray
     bend: np.ndarray | None = None
     times: np.ndarray | None = None
+    sizes: np.ndarray | None = None
     mixing: np.ndarray | None = None
     slopes: np.ndarray | None = None
     taken: np.ndarray | None = None
@@ -135,6 +139,8 @@ class SmoothView:
     tracks : tuple of (scene, entity)
         In the order of the coordinates.
     notes : tuple of str
+    memory : float
+        Correlation time of the noise, s.
     """
 
     groups: tuple
@@ -145,6 +151,7 @@ class SmoothView:
     sigma: np.ndarray
     tracks: tuple
     notes: tuple = ()
+    memory: float = 0.0
 
     @property
     def size(self):
@@ -251,8 +258,9 @@ def smooth_view(observation, fit, along=None):
     level = rough / n_rough if n_rough >= MIN_ROUGH and rough > 0 else 1.0
     groups = tuple(replace(g, maps=g.maps / np.sqrt(level)) for g, _, _ in pieces)
     view = SmoothView(
-        groups, [], constants, dimensions, level, regression.sigma, tuple(tracks), notes
-    )
+        groups, [], constants, dimensions, level, regression.sigma, tuple(tracks), notes,
+        observation.memory,
+    )  # fmt: skip
     target = flat[:, 0] - constants @ (constants.T @ flat[:, 0])
     view.target.extend(view.split(target / np.sqrt(level)))
     if observation.method != "gls":
@@ -264,7 +272,10 @@ def smooth_view(observation, fit, along=None):
             for group in view.groups
         ]
     for group, own in zip(view.groups, slopes, strict=True):
-        group = replace(group, times=whole_times(group.batch, scenes))
+        group = replace(
+            group, times=whole_times(group.batch, scenes),
+            sizes=whole_sizes(group.batch, scenes, regression.sigma),
+        )  # fmt: skip
         # Along a nearer law, what the finite step leaves is taken off already.
         extra = {"slopes": own, "bend": _bend(group.batch)} if along is None else {}
         groups.append(replace(group, **extra))

@@ -11,6 +11,7 @@ import numpy as np
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.measurement import parted_by
+from bsp_gp.loop.memory import widened
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.pruning import unsupported
 from bsp_gp.loop.telling import alike_numbers, constant_estimates
@@ -57,7 +58,8 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         verdict = "seen, not adopted"
     if any(r.adopted for r in rounds) and "effect adopted" not in verdicts:
         verdict = "cannot tell"  # all that was adopted has a rival that explains as much
-    units = {c.name: c.unit for c in constant_estimates(observation, model.fit) if not c.entity}
+    constants = constant_estimates(observation, widened(search, model.fit))
+    units = {c.name: c.unit for c in constants if not c.entity}
     return LoopReport(
         dataset=_about(measured),
         declared=tuple(
@@ -79,7 +81,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         law=model.law,
         law_text=model.law.text(units=units),
         law_latex=model.law.latex(units=units),
-        constants=constant_estimates(observation, model.fit),
+        constants=constants,
         total={"before": first.errors, "after": model.errors, "floor": floor, "ratio": ratio},
         verdict=verdict,
         stop_reason=_stop_reason(rounds),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["TrackNoise", "draw_noise", "relative_sizes"]
+__all__ = ["TrackNoise", "draw_noise", "relative_sizes", "sizes_of"]
 
 
 class TrackNoise:
@@ -79,10 +79,13 @@ def relative_sizes(batch, sigma):
     ndarray or None
         None where no point quotes its own.
     """
-    if batch.sigma is None:
-        return None
+    return None if batch.sigma is None else sizes_of(batch.sigma, sigma)
+
+
+def sizes_of(quoted, sigma):
+    """Quoted errors (..., d) as parts of the typical ones (d,), axes averaged; 1 where none is."""
     with np.errstate(invalid="ignore"):
-        ratio = np.where(batch.sigma > 0, batch.sigma / np.asarray(sigma), np.nan)
+        ratio = np.where(quoted > 0, quoted / np.asarray(sigma), np.nan)
     known = np.isfinite(ratio)
     squares = np.where(known, np.square(np.where(known, ratio, 0.0)), 0.0).sum(axis=-1)
     count = known.sum(axis=-1)

@@ -11,7 +11,7 @@ from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.bootstrap import ENOUGH, LEAST, _decided, _tail, bootstrap, strength
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
-from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
+from bsp_gp.loop.memory import estimate_memory, search_with_memory, widened, with_memory
 from bsp_gp.loop.preparing import observe
 from tests.worlds import WEIGHT, flights, linear_drag, nothing, red_noise
 
@@ -73,6 +73,45 @@ def test_memory_widens_what_is_estimated():
 
 
 # --- bootstrap ------------------------------------------------------------------------------------
+
+
+def test_an_uncertain_memory_widens_intervals_further():
+    data = flights(0, nothing, noise=red_noise, n_train=1)
+    law = declared_law(data, ["g * m_i * down"])
+    observation = observe(data, law, np.random.default_rng(0), sources=False)
+    search = EffectSearch(observation, load_grammar("physics"), 4, n_null=99)
+    fit = observation.fit(law)
+    assert widened(search, fit) is fit  # white noise so far
+    noise = estimate_memory(search, fit)
+    assert 0.2 < noise.spread < 2.0
+    search = search.on(with_memory(observation, noise.memory, noise.factor))
+    fit = search.observation.fit(law)
+    wide = widened(search, fit)
+    assert wide.values is fit.values
+    assert 1.02 < wide.intervals[0] / fit.intervals[0] < 2.0
+
+
+def test_the_memory_of_many_tracks_is_known_better():
+    few = estimate_memory(*searching(flights(0, nothing, noise=red_noise, n_train=2)))
+    many = estimate_memory(*searching(flights(0, nothing, noise=red_noise, n_train=8)))
+    assert many.spread < few.spread
+
+
+@pytest.mark.slow
+def test_intervals_under_an_estimated_memory_cover_the_truth():
+    """From one track, whose memory is hardly known; g and a drag, 90 %."""
+    held = []
+    for seed in range(60):
+        data = flights(seed, linear_drag, noise=red_noise, n_train=1)
+        law = declared_law(data, ["g * m_i * down", "c * v_i"])
+        observation = observe(data, law, np.random.default_rng(0), sources=False)
+        search = EffectSearch(observation, load_grammar("physics"), 4, n_null=99)
+        noise = estimate_memory(search, observation.fit(law))
+        search = search.on(with_memory(observation, noise.memory, noise.factor))
+        fit = widened(search, search.observation.fit(law))
+        held += list(np.abs(fit.values - (9.81, -0.3)) <= fit.intervals)
+    # Three binomial standard errors either way.
+    assert abs(np.mean(held) - 0.9) < 3 * np.sqrt(0.09 / len(held))
 
 
 def test_it_stops_when_enough_findings_are_as_strong():

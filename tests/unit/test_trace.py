@@ -38,10 +38,13 @@ from tests.worlds import (
     magnetic,
     nothing,
     quadratic_drag,
+    red_noise,
     tied,
     trap,
     wind,
 )
+
+RED_MEMORY = -0.05 / math.log(0.8)  # of red_noise, s
 
 
 def fitted(data, *laws):
@@ -98,6 +101,34 @@ def test_noise_has_unit_variance_in_every_coordinate(law):
     for seed in range(6):
         view = smooth_view(*fitted(flights(seed, nothing), law))
         assert view.constants.shape[1] == (law != WEIGHT)
+        squares += sum(float(np.square(z).sum()) for z in view.target)
+        size += view.size
+    # A sum of squares of `size` normals, 4.5 standard errors.
+    assert abs(squares - size) < 4.5 * math.sqrt(2 * size)
+
+
+def with_quoted_errors(data, seed):
+    """More noise, of another size at every point, that the points quote."""
+    rng = np.random.default_rng(seed)
+
+    def quoted(scene):
+        size = 0.02 * 10 ** rng.uniform(0, 1, (len(scene.times), 1, 1))
+        size = np.broadcast_to(size, scene.positions.shape)
+        positions = scene.positions + size * rng.standard_normal(size.shape)
+        return replace(scene, positions=positions, sigma=np.hypot(size, 0.005))
+
+    return replace(data, scenes=[quoted(scene) for scene in data.scenes])
+
+
+@pytest.mark.parametrize("kind", ["with a memory", "quoted by points"])
+def test_noise_that_is_not_white_has_unit_variance_as_well(kind):
+    squares, size = 0.0, 0
+    for seed in range(6):
+        if kind == "with a memory":
+            data = replace(flights(seed, nothing, noise=red_noise), noise_memory=RED_MEMORY)
+        else:
+            data = with_quoted_errors(flights(seed, nothing), seed)
+        view = smooth_view(*fitted(data, WEIGHT))
         squares += sum(float(np.square(z).sum()) for z in view.target)
         size += view.size
     # A sum of squares of `size` normals, 4.5 standard errors.
