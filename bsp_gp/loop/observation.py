@@ -12,6 +12,7 @@ import numpy as np
 
 from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
+from bsp_gp.loop.denoise import tracks_of
 from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.outcome import Errors, Ratio
 from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
@@ -428,15 +429,44 @@ class Observation:
         """
         if self.is_exact or self.velocity == "measured":
             return float("nan")
+        return float(self._held_out_fit(law).chisqr)
+
+    def held_out_sight(self, before, after):
+        """Signal-to-noise ratio at which held-out tracks would show that one law follows another.
+
+        That of the tracks which the later law has for them against the best of the earlier law,
+        both with free initial states. Were it true, `held_out_gain` would be the square of the
+        ratio, give or take twice the ratio. Exact and measured-velocity data: nan.
+
+        Parameters
+        ----------
+        before, after : ForceLaw
+        """
+        if self.is_exact or self.velocity == "measured":
+            return float("nan")
+        tracks = tracks_of(self._held_out_fit(after), self.test)
+        made = []
+        for scene in self.test:
+            if scene.name in tracks:
+                positions = np.array(scene.positions)
+                seen = np.isfinite(positions[:, scene.dynamic])
+                positions[:, scene.dynamic] = np.where(seen, tracks[scene.name][0], np.nan)
+                made.append(replace(scene, positions=positions, velocities=None))
+        return float(np.sqrt(self._fit_states(made, before).chisqr)) if made else float("nan")
+
+    def _held_out_fit(self, law):
+        """Held-out tracks under a law that keeps its constants (kept)."""
         kept = self.__dict__.setdefault("_held_out", {})
         if id(law) not in kept:
-            fit = fit_rollout(
-                cut_segments(self.test, self.segment_rows), law, self.sigma, free=(),
-                integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
-                memory=self.memory,
-            )  # fmt: skip
-            kept[id(law)] = (law, float(fit.chisqr))
+            kept[id(law)] = (law, self._fit_states(self.test, law))
         return kept[id(law)][1]
+
+    def _fit_states(self, scenes, law):
+        return fit_rollout(
+            cut_segments(scenes, self.segment_rows), law, self.sigma, free=(),
+            integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
+            memory=self.memory,
+        )  # fmt: skip
 
     def ratio(self, before, after, rng, copies=None, law_before=None, law_after=None):
         """After / before of the rollout error on held-out data, with a 90 % interval.

@@ -33,6 +33,13 @@ MIN_SHARE = 0.75
 """Part of the held-out error above the noise floor (squared) that a term must remove."""
 
 
+BEYOND_DOUBT = 0.1
+"""Part of alpha that the p-value of a term must not exceed where held-out tracks are too few to
+confirm it: they are then no second test."""
+TOO_FAR = 2.33
+"""Standard errors by which held-out tracks must fall short of a term to contradict it (1 %)."""
+
+
 class Weighed(NamedTuple):
     """What was found out about a term: error floor, ratio, gain on held-out tracks, what is left.
 
@@ -44,12 +51,23 @@ class Weighed(NamedTuple):
         Fall of the chi-squared of held-out tracks; nan on exact data.
     is_left : bool
         Whether the law with the term still leaves more than noise.
+    sight : float
+        Signal-to-noise ratio at which held-out tracks would show the term; nan if unknown.
     """
 
     floor: object
     ratio: object
     held_out: float
     is_left: bool
+    sight: float = float("nan")
+
+    def is_open(self, p_value, alpha):
+        """Whether held-out tracks are too few to confirm a term that is beyond doubt without them.
+
+        They do not contradict it either: were it true, their gain would be as small often enough.
+        """
+        expected = self.sight**2 - TOO_FAR * 2 * self.sight
+        return p_value <= BEYOND_DOUBT * alpha and expected < self.held_out <= 0
 
 
 def weigh(observation, model, after, floor, ratio, alpha):
@@ -57,7 +75,9 @@ def weigh(observation, model, after, floor, ratio, alpha):
     # A memory that was estimated takes up what a term leaves: then only errors can tell.
     is_blind = observation.is_exact or (observation.memory > 0 and observation.may_have_memory)
     is_left = is_blind or examine_residual(observation, after.fit, alpha).is_missing
-    return Weighed(floor, ratio, observation.held_out_gain(model.law, after.law), is_left)
+    held_out = observation.held_out_gain(model.law, after.law)
+    sight = observation.held_out_sight(model.law, after.law)
+    return Weighed(floor, ratio, held_out, is_left, sight)
 
 
 def verdict_of(observation, model, after, chosen, attempts, found, p_value, alpha):
@@ -140,7 +160,8 @@ def verdict_of(observation, model, after, chosen, attempts, found, p_value, alph
             "seen, not adopted",
             (f"beside it {blur}: these data hardly tell the two terms apart"),
         )
-    if not observation.is_exact and (not held_out > 0 or not ratio.low <= 1):
+    is_open = found.is_open(p_value, alpha)
+    if not observation.is_exact and (not (held_out > 0 or is_open) or not ratio.low <= 1):
         return (
             False,
             "seen, not adopted",
@@ -156,19 +177,25 @@ def verdict_of(observation, model, after, chosen, attempts, found, p_value, alph
         "effect adopted",
         (
             f"BIC falls by {gain:.1f}, p = {p_value:.3g} with the selection counted, and "
-            + _on_held_out(observation, share, held_out, ratio)
+            + _on_held_out(observation, share, found)
             + extra
         ),
     )
 
 
-def _on_held_out(observation, share, gain, ratio):
+def _on_held_out(observation, share, found):
     """What held-out data say of an adopted term."""
-    if share >= MIN_SHARE and (observation.is_exact or ratio.high < 1):
+    if share >= MIN_SHARE and (observation.is_exact or found.ratio.high < 1):
         return f"{share:.0%} of the held-out error above the noise floor is gone"
+    if not observation.is_exact and not found.held_out > 0:
+        return (
+            "held-out tracks are too few to confirm or to contradict it (their chi-squared falls "
+            f"by {found.held_out:.3g}, of which {found.sight**2:.2g} ± {2 * found.sight:.2g} was "
+            "to be expected)"
+        )
     return (
-        f"held-out tracks confirm it (their chi-squared falls by {gain:.3g}), though noise hides "
-        "most of what it does to predictions"
+        f"held-out tracks confirm it (their chi-squared falls by {found.held_out:.3g}), though "
+        "noise hides most of what it does to predictions"
     )
 
 

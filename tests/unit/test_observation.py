@@ -18,7 +18,7 @@ from bsp_gp.simulate.synth import make, preset
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset
 from tests.throws import C1, DRAG, GRAVITY, throws
-from tests.worlds import tied
+from tests.worlds import WEIGHT, flights, linear_drag, tied
 
 
 def rng(seed=0):
@@ -494,3 +494,30 @@ def test_a_term_with_a_tiny_constant_is_fitted_beside_a_law_that_nearly_holds():
     assert inner.chisqr > fit.chisqr + 100
     assert fit.values[0] == pytest.approx(-c, abs=3 * half)
     assert half < 0.5 * c
+
+
+def test_what_held_out_tracks_would_show_of_a_law_is_what_they_show_on_the_average():
+    found, expected = 0.0, 0.0
+    for seed in range(8):
+        data = flights(seed, lambda t, p, v, m, q: -0.02 * v, sigma=0.02)
+        observation, law = observed(data, WEIGHT)
+        true = declared_law(data, [WEIGHT, "c * v_i"]).with_constants({"c": -0.02})
+        found += observation.held_out_gain(law, true)
+        expected += observation.held_out_sight(law, true) ** 2
+    assert expected > 100
+    # Its mean is the square of the ratio, its variance four times that; 4 standard errors.
+    assert abs(found - expected) < 4 * 2 * np.sqrt(expected)
+
+
+def test_held_out_rows_that_are_not_seen_do_not_count():
+    data = flights(0, linear_drag)
+    last = data.scenes[-1]
+    positions = np.array(last.positions)
+    positions[5:30] = np.nan
+    gap = replace(data, scenes=[*data.scenes[:-1], replace(last, positions=positions)])
+    sights = []
+    for dataset in (data, gap):
+        observation, law = observed(dataset, WEIGHT)
+        true = declared_law(data, [WEIGHT, "c * v_i"]).with_constants({"c": -0.3})
+        sights.append(observation.held_out_sight(law, true))
+    assert 0 < sights[1] < sights[0]

@@ -75,11 +75,12 @@ def judged(
     observation=Noisy,
     held_out=1e4,
     is_left=True,
+    sight=np.nan,
 ):
     declared = declared or fit(20000.0)
     model = Model(ForceLaw(), declared, errors(before, before), [])
     new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
-    found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left)
+    found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left, sight)
     return verdict_of(observation, model, new, chosen, [chosen, *others], found, p, 0.01)
 
 
@@ -118,6 +119,17 @@ def test_a_weak_effect_that_leaves_only_noise_is_adopted_on_the_likelihood_of_he
     assert adopted
     assert "chi-squared falls by 12" in reason
     assert not judged(GOOD, **weak, is_left=True)[0]
+
+
+def test_held_out_tracks_that_could_not_show_a_term_do_not_refuse_what_is_beyond_doubt():
+    weak = {"before": 1.0, "after": 1.01, "ratio": (1.05, 0.8, 1.3), "is_left": False}
+    adopted, _, reason = judged(GOOD, **weak, held_out=-1.5, sight=1.5, p=1e-6)
+    assert adopted
+    assert "too few to confirm or to contradict it" in reason
+    assert not judged(GOOD, **weak, held_out=-1.5, sight=1.5, p=0.003)[0]  # it is in doubt
+    assert not judged(GOOD, **weak, held_out=-1.5, sight=6.0, p=1e-6)[0]  # they would have shown it
+    assert not judged(GOOD, **weak, held_out=-9.0, sight=1.5, p=1e-6)[0]
+    assert not judged(GOOD, **weak, held_out=-1.5, p=1e-6)[0]
 
 
 def test_a_tie_that_explains_little_is_cannot_tell():
