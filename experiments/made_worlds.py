@@ -14,7 +14,7 @@ SPRING = {"noise": 0.003, "n_frames": 50}
 MAT = {"forces": (), "noise": 0.05, "n_frames": 40}
 NBODY = {"n_bodies": 3, "pull": 1.0, "mass": (1.0, 5.0), "radius": 0.1, "distance": (15.0, 30.0),
          "jitter": (-1.0, 1.0), "noise": 0.01, "n_frames": 40, "dt": 0.15,
-         "substeps": 200}  # fmt: skip
+         "substeps": 50}  # fmt: skip
 
 
 PUCKS = {"noise": 0.01, "n_frames": 50}

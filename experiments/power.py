@@ -257,12 +257,12 @@ def work(case, engine, snr, seed):
     return [{
         "effect": case, "engine": engine, "snr": found, "snr_rival": snr_rival, "rival": rival,
         "seed": seed, "strength": strength,
-        "detected": any(r.missing.is_missing for r in report.rounds), "verdict": first.verdict,
+        "detected": any(r.is_something_missing for r in report.rounds), "verdict": first.verdict,
         "adopted": is_adopted, "named": law is not None,
         "in_class": law is not None or any(map(judge.is_form, reported)),
         "n_class": len(reported) + (first.effect.n_unnamed if first.effect else 0),
         "covered": " ".join(map(str, covered)), "law": report.law_text,
-        "p_value": first.effect.p_value if first.effect else "",
+        "p_value": first.effect.p_value if first.effect else "", "reason": first.reason,
         "rollout_ratio_to_oracle": report.total["after"].rollout_rmse / oracle(
             dataset, truth, case, observe_rng),
     }]  # fmt: skip

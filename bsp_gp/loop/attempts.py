@@ -114,17 +114,18 @@ def _confirmed(observation, model, able, best, n_eff, alpha):
     """The best attempt, or where the data refute it, the next that they do not.
 
     Only those are looked at that are not ruled out beside the best. Held-out tracks refute a law
-    under which they are less likely, and what is left refutes one beside others that leave noise.
+    under which they are less likely than they should be were it true, and what is left refutes one
+    beside others that leave noise.
     """
     if observation.is_exact or observation.velocity == "measured":
         return best
     near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
     near.sort(key=lambda a: (a.score(n_eff), a.complexity))
-    confirmed = [a for a in near if observation.held_out_gain(model.law, a.fit.law) > 0]
-    for attempt in confirmed or near:
+    kept = [a for a in near if not observation.held_out_contradict(model.law, a.fit.law)]
+    for attempt in kept or near:
         if not examine_residual(observation, attempt.fit, alpha).is_missing:
             return attempt
-    return confirmed[0] if confirmed else best
+    return kept[0] if kept else best
 
 
 def _declared_pair(law):

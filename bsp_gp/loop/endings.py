@@ -156,7 +156,7 @@ def ends_quiet(turn):
         )  # fmt: skip
     return turn.unchanged(turn.round(
         effect=None, rivals=(), adopted=False, after=None, floor=turn.floor(), ratio=None,
-        held_out=(), verdict=verdict, certificate="", reason=reason,
+        held_out=(), verdict=verdict, certificate="", reason=reason, missing_held_out=there,
     ))  # fmt: skip
 
 

@@ -112,7 +112,12 @@ def leaves_noise(observation, attempts, alpha):
 
 
 def joined(attempts, known):
-    """Attempts of the search and known ones, a law that is both only once."""
+    """Attempts of the search and known ones; a law that is both once, with the better prior."""
     own = {a.text: a for a in known}
-    out = [replace(a, p_value=own.pop(a.text).p_value) if a.text in own else a for a in attempts]
+    out = [_both(a, own.pop(a.text)) if a.text in own else a for a in attempts]
     return out + list(own.values())
+
+
+def _both(searched, known):
+    complexity = min(searched.complexity, known.complexity)
+    return replace(searched, p_value=known.p_value, complexity=complexity)

@@ -23,11 +23,22 @@ from bsp_gp.physics.shooting import cut_segments, fit_rollout, predict, track_bl
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = ["Observation"]
+__all__ = ["Observation", "contradicts"]
 
 N_FLOOR = 8
 """Simulated copies of the held-out data behind the noise floor and parametric intervals."""
+TOO_FAR = 2.33
+"""Standard errors by which held-out tracks must fall short of a law to contradict it (1 %)."""
 _SAME_CHISQR = 1e-6
+
+
+def contradicts(gain, sight):
+    """Whether held-out tracks contradict a law, of `held_out_gain` and `held_out_sight`.
+
+    They must be less likely under it than without it, and more so than chance would have it were
+    it true. Unknown numbers contradict.
+    """
+    return not (gain > 0 or gain > sight**2 - TOO_FAR * 2 * sight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -453,6 +464,11 @@ class Observation:
                 positions[:, scene.dynamic] = np.where(seen, tracks[scene.name][0], np.nan)
                 made.append(replace(scene, positions=positions, velocities=None))
         return float(np.sqrt(self._fit_states(made, before).chisqr)) if made else float("nan")
+
+    def held_out_contradict(self, before, after):
+        """Whether held-out tracks contradict that one law follows another, see `contradicts`."""
+        gain = self.held_out_gain(before, after)
+        return not gain > 0 and contradicts(gain, self.held_out_sight(before, after))
 
     def _held_out_fit(self, law):
         """Held-out tracks under a law that keeps its constants (kept)."""

@@ -214,6 +214,9 @@ class Round:
         A law may be adopted all the same, for predictions; the verdict is then "cannot tell".
     removed : str
         Why what was adopted was taken back after a later round; "" if it stands.
+    missing_held_out : Missing or None
+        What the held-out tracks lack when the law is fitted to them; asked where nothing is
+        missing from the training tracks.
     """
 
     number: int
@@ -236,6 +239,13 @@ class Round:
     guidance: Guidance | None = None
     undecided: tuple[str, ...] = ()
     removed: str = ""
+    missing_held_out: Missing | None = None
+
+    @property
+    def is_something_missing(self):
+        """Whether training or held-out tracks lack something."""
+        there = self.missing_held_out
+        return self.missing.is_missing or (there is not None and there.is_missing)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
 from bsp_gp.loop.models import Attempt, Model
+from bsp_gp.loop.observation import contradicts
 from bsp_gp.loop.outcome import Rival
 from bsp_gp.loop.replacing import blurred_constants, in_place_of_declared, refuted_rival
 from bsp_gp.loop.residual import examine_residual
@@ -36,8 +37,6 @@ MIN_SHARE = 0.75
 BEYOND_DOUBT = 0.1
 """Part of alpha that the p-value of a term must not exceed where held-out tracks are too few to
 confirm it: they are then no second test."""
-TOO_FAR = 2.33
-"""Standard errors by which held-out tracks must fall short of a term to contradict it (1 %)."""
 
 
 class Weighed(NamedTuple):
@@ -66,8 +65,9 @@ class Weighed(NamedTuple):
 
         They do not contradict it either: were it true, their gain would be as small often enough.
         """
-        expected = self.sight**2 - TOO_FAR * 2 * self.sight
-        return p_value <= BEYOND_DOUBT * alpha and expected < self.held_out <= 0
+        if self.held_out > 0 or contradicts(self.held_out, self.sight):
+            return False
+        return p_value <= BEYOND_DOUBT * alpha
 
 
 def weigh(observation, model, after, floor, ratio, alpha):

@@ -9,6 +9,8 @@ from scipy.stats import chi2
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.declared_exponents import exponent_attempts
+from bsp_gp.loop.known import PRIOR_NATS, joined
+from bsp_gp.loop.models import Attempt
 from bsp_gp.loop.periodic import periodic_attempts
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.residual import examine_residual
@@ -128,3 +130,15 @@ def test_a_declared_number_is_held_at_a_typical_distance_or_freed_as_well():
 def test_a_law_without_a_power_has_no_exponent_to_change():
     observation, model = fitted(flights(0, nothing, sigma=SIGMA), WEIGHT)
     assert exponent_attempts(observation, model) == []
+
+
+def test_a_common_effect_that_the_search_finds_as_well_keeps_its_prior():
+    observation, model = fitted(flights(0, dragged, sigma=SIGMA), WEIGHT)
+    searched = Attempt(model.law, model.fit, 9.0, "drag", "c1 * v_i", "", "field")
+    other = replace(searched, text="c1 * e_x")
+    known = replace(searched, complexity=PRIOR_NATS, p_value=1e-6)
+    both, alone = joined([searched, other], [known])
+    assert (both.text, both.complexity, both.p_value) == ("c1 * v_i", PRIOR_NATS, 1e-6)
+    assert alone is other
+    simple = replace(searched, complexity=2.0)
+    assert joined([simple], [known])[0].complexity == 2.0
