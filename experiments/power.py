@@ -126,12 +126,18 @@ def data_set(case, strength, seed, engine="pymunk", noise=None):
     return make_apart(settings, (list(CASES).index(case), seed), run, closest)
 
 
+def start_of(name, usual):
+    """Where a constant begins: a frequency at the true one, from afar it would not be found."""
+    return 2 * np.pi / PERIOD if name.startswith("w") else usual
+
+
 def seen_against(dataset, declared, extra, sigma):
     """SNR of exact positions against the declared model, or it and one more law."""
     law = declared_law(dataset, declared)
     if extra:
         formula = parse_formula(extra, dataset_types(dataset), units=dataset.units)
-        law = law.plus(Term(formula), dict.fromkeys(formula.constants, 0.0))
+        start = {name: start_of(name, 0.0) for name in formula.constants}
+        law = law.plus(Term(formula), start)
     fit = fit_rollout(dataset.scenes, law, np.full(2, sigma), up=dataset.up, substeps=2)
     return float(np.sqrt(fit.chisqr))
 
@@ -227,7 +233,7 @@ class Judge:
         except BspError:
             return False
         own = set(formula.constants)
-        start = {n: 0.0 if n.startswith("n") else 1.0 for n in own}
+        start = {n: 0.0 if n.startswith("n") else start_of(n, 1.0) for n in own}
         start.update((n, value) for n, value in dict(known).items() if n in own)
         alone = ForceLaw((Term(formula),), start)
         beside = self.declared.plus(Term(formula), start)
@@ -276,7 +282,7 @@ def oracle(dataset, truth, case, rng):
         law = law.plus(Term(formula), {"c": 0.0})
     elif case == "periodic push":
         law = declared_law(dataset, [*truth.declared, PUSH])
-        law = law.with_constants({"a": 0.0, "w": 2 * np.pi / PERIOD, "f": 0.0})
+        law = law.with_constants({"a": 0.0, "w": start_of("w", 0.0), "f": 0.0})
     elif case == "changed exponent":
         law = declared_law(dataset, [f"{GRAVITY} * norm(p_i - p_j)^c"]).with_constants({"c": 0.0})
     pairs = any(term.kind == "pair" for term in law.terms)
