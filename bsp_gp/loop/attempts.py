@@ -11,7 +11,7 @@ from bsp_gp.language.formula import Call, Constant, factors, product
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.models import Attempt, Model, is_property
-from bsp_gp.loop.naming import describe, fresh_name, rename_constant
+from bsp_gp.loop.naming import describe, form_of, fresh_name, rename_constant
 from bsp_gp.loop.planning import plan_ahead
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.physics.force import Term, split_linear
@@ -73,7 +73,7 @@ def attempt_of(job):
     ties = ()
     if len(proposals) == 1:
         (proposal,), ((name, _),) = proposals, terms
-        ties = tuple(to_text(rename_constant(t, proposal.constant, name)) for t in proposal.ties)
+        ties = tuple(to_text(rename_constant(t, proposal.constant, name)) for t in _other(proposal))
     return Attempt(
         fit.law,
         fit,
@@ -88,6 +88,16 @@ def attempt_of(job):
         redoes_declared=any(p.redoes_declared for p in proposals),
         n_effects=len(proposals),
     )
+
+
+def _other(proposal):
+    """Ties of a proposal that are other laws, not the same one or each other written anew."""
+    forms = {form_of(proposal.formula)}
+    for tie in proposal.ties:
+        form = form_of(tie)
+        if form not in forms:
+            forms.add(form)
+            yield tie
 
 
 def _typical(values):

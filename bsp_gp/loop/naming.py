@@ -7,7 +7,7 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 
-__all__ = ["describe", "fresh_name", "rename_constant"]
+__all__ = ["describe", "form_of", "fresh_name", "rename_constant"]
 
 
 def fresh_name(law, stem="c"):
@@ -40,6 +40,27 @@ _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 def describe(formula, value=None):
     """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
+    direction, condition, powers = _parts(formula)
+    return _phrase(direction, condition, powers, value)
+
+
+def form_of(formula):
+    """What two ways to write one term have in common: its direction, condition and powers.
+
+    ``m_i * inverse(m_i) * v_i`` has that of ``v_i``.
+
+    Returns
+    -------
+    tuple
+        Hashable.
+    """
+    direction, condition, powers = _parts(formula)
+    texts = tuple("" if part is None else to_text(part) for part in (direction, condition))
+    return *texts, tuple(sorted(item for item in powers.items() if item[1]))
+
+
+def _parts(formula):
+    """Direction, condition and powers of the scalar factors of a term."""
     _, rest = split_linear(formula)
     above, below = factors(rest)
     direction, condition, powers = None, None, {}
@@ -51,7 +72,7 @@ def describe(formula, value=None):
                 condition = part
             else:
                 _add_powers(part, sign, powers)
-    return _phrase(direction, condition, powers, value)
+    return direction, condition, powers
 
 
 def _add_powers(part, sign, powers):
