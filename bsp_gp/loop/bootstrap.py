@@ -1,11 +1,11 @@
 """Question 5 through the whole search: how often a complete model looks as incomplete.
 
-The declared model is taken for the truth: its fitted tracks with noise as large and with as long
-a memory as its residual has. On every such data set everything is done again: the model is
-fitted, the tracks are denoised, the noise is estimated, all laws are searched. The p-value counts
-how often the best law is as strong as the one that was found. Rounds need no further correction:
-a round is only reached if all before it adopted something, so that at most one of them meets a
-complete model first (a gatekeeping procedure).
+The declared model is taken for the truth: its fitted tracks with noise as large and with as long a
+memory as its residual may have, drawn anew for every data set. On every such data set everything is
+done again: the model is fitted, the tracks are denoised, the noise is estimated, all laws are
+searched. The p-value counts how often the best law is as strong as the one that was found. Rounds
+need no further correction: a round is only reached if all before it adopted something, so that at
+most one of them meets a complete model first (a gatekeeping procedure).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.denoise import tracks_of
-from bsp_gp.loop.memory import estimate_memory, search_with_memory, with_memory
+from bsp_gp.loop.memory import plausible_memories, search_with_memory
 from bsp_gp.physics.noise import draw_noise
 
 __all__ = ["Significance", "bootstrap", "strength"]
@@ -138,18 +138,21 @@ class _Source:
 
     def __init__(self, search, fit):
         observation = search.observation
-        self.noise = observation
+        self.noises = [(1.0, observation.memory, 1.0)]
         if observation.may_have_memory:
-            noise = estimate_memory(search, fit)
-            if noise.memory > 0:
-                self.noise = with_memory(observation, noise.memory, noise.factor)
+            self.noises = plausible_memories(search, fit)
+        if observation.noise.source != "estimated":
+            self.noises = [(weight, memory, 1.0) for weight, memory, _ in self.noises]
         self.search = search
         self.law = fit.law
         self.tracks = tracks_of(fit.whole, observation.train)
 
     def __call__(self, rng):
         data_rng, search_rng = rng.spawn(2)
-        train = [self._simulated(scene, data_rng) for scene in self.search.observation.train]
+        weights, memories, factors = zip(*self.noises, strict=True)
+        k = data_rng.choice(len(weights), p=weights)
+        noise = self.search.observation.sigma * factors[k], memories[k]
+        train = [self._simulated(s, noise, data_rng) for s in self.search.observation.train]
         search = self.search.on(self.search.observation.with_train(train))
         try:
             fit = search.observation.fit(self.law)
@@ -160,15 +163,16 @@ class _Source:
             return None
         return strength(proposals)
 
-    def _simulated(self, scene, rng):
+    def _simulated(self, scene, noise, rng):
         """The scene with simulated positions; one whose rollout ran away is kept as it is."""
         if scene.name not in self.tracks:
             return scene
         track, _ = self.tracks[scene.name]
-        drawn = track + draw_noise(scene, self.noise.sigma, self.noise.memory, rng)
+        sigma, memory = noise
+        drawn = track + draw_noise(scene, sigma, memory, rng)
         positions = np.array(scene.positions)
         seen = np.isfinite(positions[:, scene.dynamic])
         # An axis along which nothing moves has no noise and keeps its values.
-        drawn = np.where(np.isfinite(self.noise.sigma), drawn, positions[:, scene.dynamic])
+        drawn = np.where(np.isfinite(sigma), drawn, positions[:, scene.dynamic])
         positions[:, scene.dynamic] = np.where(seen, drawn, np.nan)
         return replace(scene, positions=positions, velocities=None)

@@ -13,7 +13,7 @@ from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
-from bsp_gp.loop.memory import estimate_memory, widened, with_memory
+from bsp_gp.loop.memory import estimate_memory, p_value_of, widened, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
@@ -258,7 +258,10 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
     is_freed = shown is not chosen
     p_value, how = turn.proposals.p_value, ""
     if np.isfinite(shown.p_value):  # it was tested by itself, beside the search
-        p_value = min(1.0, 2 * min(p_value, shown.p_value))
+        own = p_value_of(turn.search, model.fit, shown.fit, shown.p_value)
+        if 2 * own > alpha:
+            p_value, how = turn.significance(strength(turn.proposals))
+        p_value = min(1.0, 2 * min(p_value, own))
     elif not is_freed:
         p_value, how = turn.significance(strength(turn.proposals))
     turn.says(f"weighing {shown.name} on held-out data")

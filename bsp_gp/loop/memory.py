@@ -12,16 +12,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from bsp_gp.loop.effects import sign_bounds
 
-__all__ = ["NoiseFit", "estimate_memory", "search_with_memory", "widened", "with_memory"]
+__all__ = [
+    "NoiseFit", "estimate_memory", "p_value_of", "plausible_memories", "search_with_memory",
+    "widened", "with_memory",
+]  # fmt: skip
 
 STEPS = (0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 25.0)
 """Correlation times that are tried, in median time steps; between them by a parabola."""
 MIN_GAIN = 6.0
 """Fall of the BIC at which a memory is taken for real."""
 MOST_TURNS = 2
+MOST_TRIED = 1e6
+"""Things tried at once, at most: beyond that a p-value is rounding."""
+NEGLIGIBLE = 0.01
+"""Probability of a memory below which it is left out of account."""
 _NODES, _WEIGHTS = (-np.sqrt(3), np.sqrt(3)), (2 / 3, 1 / 6, 1 / 6)
 
 
@@ -62,14 +70,7 @@ def estimate_memory(search, fit, proposal=None):
     -------
     NoiseFit
     """
-    step = np.median(np.concatenate([np.diff(s.times) for s in search.observation.train]))
-    tried = np.array([0.0, *(step * k for k in STEPS)])
-    logs, factors, n = [], [], 1
-    for memory in tried:
-        log, factor, n = _profile(search, memory, fit, proposal)
-        logs.append(log)
-        factors.append(factor)
-    logs = np.array(logs)
+    tried, logs, factors, n = _profiles(search, fit, proposal)
     best = int(np.argmax(logs))
     gain = 2 * (logs[best] - logs[0]) - np.log(n)
     if best == 0 or gain < MIN_GAIN:
@@ -78,6 +79,87 @@ def estimate_memory(search, fit, proposal=None):
     memory = float(np.exp(place))
     _, factor, _ = _profile(search, memory, fit, proposal)
     return NoiseFit(memory, factor, float(gain), spread)
+
+
+def plausible_memories(search, fit):
+    """Memories that the noise may have, given a law, white noise among them.
+
+    White noise is as likely beforehand as noise with a memory, all of those tried together. One
+    that cannot be told from white noise in few rows still makes slow errors look like forces.
+
+    Parameters
+    ----------
+    search : EffectSearch
+    fit : Fit
+        Of the law.
+
+    Returns
+    -------
+    list of (float, float, float)
+        Probability, memory in s, and factor on the assumed standard deviation (1 for white noise),
+        of those that matter.
+    """
+    tried, logs, factors, _ = _profiles(search, fit, None)
+    prior = np.array([1.0, *np.full(len(STEPS), 1 / len(STEPS))])
+    weights = prior * np.exp(logs - logs.max())
+    kept = weights > NEGLIGIBLE * weights.sum()
+    weights, tried, factors = weights[kept] / weights[kept].sum(), tried[kept], factors[kept]
+    factors = np.where(tried > 0, factors, 1.0)
+    return [tuple(map(float, row)) for row in zip(weights, tried, factors, strict=True)]
+
+
+def p_value_of(search, before, after, p_value):
+    """p-value of a term under all memories that the noise may have.
+
+    Under each, the laws are fitted again. The p-value is that of the fall of chi-squared, times the
+    number of things tried, which the given p-value says; their mean counts, by the probability of
+    each memory given the law with the term.
+
+    Parameters
+    ----------
+    search : EffectSearch
+    before, after : Fit
+        Of the law without and with the term.
+    p_value : float
+        Under the noise of the search's observation.
+
+    Returns
+    -------
+    float
+    """
+    observation = search.observation
+    if not observation.may_have_memory:
+        return p_value
+    free = max(len(after.parameters) - len(before.parameters), 1)
+    own = _log_p(before.chisqr - after.chisqr, free)
+    tried = np.clip(np.log(max(p_value, 1e-300)) - own, 0.0, np.log(MOST_TRIED))
+    total = 0.0
+    for weight, memory, factor in plausible_memories(search, after):
+        if memory == observation.memory:
+            total += weight * p_value
+            continue
+        other = with_memory(observation, memory, factor)
+        chisqr = [
+            other.fit(fit.law, sign_bounds(other, fit.law), start=fit.law).chisqr
+            for fit in (before, after)
+        ]
+        total += weight * np.exp(min(tried + _log_p(chisqr[0] - chisqr[1], free), 0.0))
+    return float(total)
+
+
+def _log_p(fall, free):
+    """Logarithm of the p-value of a fall of chi-squared; far out that of its exponential alone."""
+    value = chi2.logsf(max(fall, 0.0), free)
+    return value if np.isfinite(value) else -0.5 * fall
+
+
+def _profiles(search, fit, proposal):
+    """Memories tried, their log-likelihoods, factors on the noise level, and the rows."""
+    step = np.median(np.concatenate([np.diff(s.times) for s in search.observation.train]))
+    tried = np.array([0.0, *(step * k for k in STEPS)])
+    rows = [_profile(search, memory, fit, proposal) for memory in tried]
+    logs, factors, n = zip(*rows, strict=True)
+    return tried, np.array(logs), np.array(factors), n[0]
 
 
 def _peak(x, y, k):

@@ -6,14 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.bootstrap import ENOUGH, LEAST, _decided, _tail, bootstrap, strength
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
-from bsp_gp.loop.memory import estimate_memory, search_with_memory, widened, with_memory
+from bsp_gp.loop.memory import (
+    estimate_memory,
+    p_value_of,
+    plausible_memories,
+    search_with_memory,
+    widened,
+    with_memory,
+)
 from bsp_gp.loop.preparing import observe
-from tests.worlds import WEIGHT, flights, linear_drag, nothing, red_noise
+from tests.worlds import WEIGHT, flights, linear_drag, nothing, red_noise, wind
 
 STEP = 0.05
 TRUE = -STEP / math.log(0.8)  # of red_noise
@@ -95,6 +103,42 @@ def test_the_memory_of_many_tracks_is_known_better():
     few = estimate_memory(*searching(flights(0, nothing, noise=red_noise, n_train=2)))
     many = estimate_memory(*searching(flights(0, nothing, noise=red_noise, n_train=8)))
     assert many.spread < few.spread
+
+
+def test_memories_that_the_noise_may_have():
+    weights = {}
+    for kind, noise in (("white", None), ("red", red_noise)):
+        search, fit = searching(flights(0, nothing, noise=noise))
+        found = plausible_memories(search, fit)
+        assert sum(weight for weight, *_ in found) == pytest.approx(1.0)
+        weights[kind] = {memory: weight for weight, memory, _ in found}
+        assert all(factor == 1.0 for _, memory, factor in found if memory == 0)
+    assert weights["white"][0.0] > 0.7 and max(weights["white"]) < 2 * STEP
+    assert 0.0 not in weights["red"]
+    mean = sum(memory * weight for memory, weight in weights["red"].items())
+    assert mean == pytest.approx(TRUE, rel=0.35)
+
+
+def test_what_a_memory_would_explain_is_less_significant():
+    """A slight push on one short track, in white noise and in noise with a memory."""
+    grown = []
+    for noise in (lambda rng, shape: 0.02 * rng.standard_normal(shape), red_noise):
+        data = flights(4, lambda t, p, v, m, q: wind(t, p, v, m, q, c=0.1), noise=noise, n_train=1)
+        search, before = searching(data)
+        law = declared_law(data, [WEIGHT, "c * e_x"]).with_constants({"c": 0.0})
+        after = search.observation.fit(law, start=law)
+        p = 5 * chi2.sf(before.chisqr - after.chisqr, 1)
+        grown.append(p_value_of(search, before, after, p) / p)
+    assert 0.3 < grown[0] < 10
+    assert grown[1] > 100
+
+
+def test_a_strong_effect_stays_significant_whatever_the_memory():
+    data = flights(0, linear_drag)
+    search, before = searching(data)
+    law = declared_law(data, [WEIGHT, "c * v_i"]).with_constants({"c": 0.0})
+    after = search.observation.fit(law, start=law)
+    assert p_value_of(search, before, after, 1e-12) < 1e-11
 
 
 @pytest.mark.slow
