@@ -42,12 +42,14 @@ FIELD = {
     "Coulomb friction": "c1 * (m_i * normalize(v_i))",
 }
 """On one body alone."""
-TOUCHING = {
+BETWEEN = {
+    "an elastic pull between bodies": "c1 * (norm(p_i - p_j) * normalize(p_i - p_j))",
     "a loss of speed at contacts": "c1 * (along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j)"
                                    " * does_collide(s_i, p_i, s_j, p_j))",
     "Coulomb friction on a mat": "c1 * (m_i * mu_j * normalize(v_i) * is_on(s_i, p_i, s_j, p_j))",
 }  # fmt: skip
-"""Between bodies with an extent. Both as the grammar writes them, so that one law has one text."""
+"""Between two bodies, whatever their properties. All as the grammar writes them, so that one law
+has one text."""
 ACROSS = "c1 * ({0}_i * norm(v_i) * perp(normalize(v_i)))"
 PAIR = "c1 * ({0}_i * {0}_j * inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j))"
 START = 1e-5
@@ -161,7 +163,7 @@ def _effects(observation, law):
     """Effects that these data can speak of: (name, text, base, term of typical size)."""
     dataset = observation.dataset
     types = dataset_types(dataset)
-    texts = {**FIELD, **(TOUCHING if observation.sources else {})}
+    texts = {**FIELD, **(BETWEEN if observation.sources else {})}
     for column in dataset.property_names:
         short = SHORT.get(column, column)
         if column != "mass":
