@@ -48,7 +48,8 @@ def run(train, test, seed):
 def whole_starts(observation, law):
     """The same with starts fitted on all rows: what is left of the error is that of the law."""
     fit = fit_rollout(observation.test, law, observation.sigma, free=(), up="y",
-                      integrator=observation.integrator, substeps=observation.substeps)  # fmt: skip
+                      integrator=observation.integrator, substeps=observation.substeps,
+                      memory=observation.memory)  # fmt: skip
     last = observation.dataset.evaluation.endpoint_row - 1
     rows = []
     for batch, predicted in zip(fit.batches, fit.predicted, strict=True):

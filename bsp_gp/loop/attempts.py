@@ -131,7 +131,7 @@ def _confirmed(observation, model, able, best, n_eff, alpha):
         return best
     near = [a for a in able if a.score(n_eff) - best.score(n_eff) < CLASS_BIC]
     near.sort(key=lambda a: (a.score(n_eff), a.complexity))
-    kept = [a for a in near if not observation.held_out_contradict(model.law, a.fit.law)]
+    kept = [a for a in near if not observation.held_out_contradict(model.fit, a.fit)]
     for attempt in kept or near:
         if not examine_residual(observation, attempt.fit, alpha).is_missing:
             return attempt

@@ -70,9 +70,10 @@ class Turn:
     missing : Missing
     trace : Trace
         Under the noise of `search`.
-    first_trace : Trace
-        As the round began.
     guidance : Guidance
+    first_trace : Trace
+    first_guidance : Guidance
+        As the round began.
     proposals : Proposals
     attempts : list of Attempt
     """
@@ -91,8 +92,9 @@ class Turn:
     started: float
     missing: Missing = None
     trace: object = None
-    first_trace: object = None
     guidance: object = None
+    first_trace: object = None
+    first_guidance: object = None
     proposals: object = None
     attempts: list = None
 
@@ -104,10 +106,14 @@ class Turn:
         """Tell what is being done."""
         self.progress(f"round {self.number}: {text}")
 
+    def is_clear(self, evidence):
+        """Whether a finding is so far beyond all simulated residuals that no more are needed."""
+        return evidence >= STRONG * max(self.proposals.null_evidence, 1.0)
+
     def significance(self, evidence):
         """p-value of a finding of this evidence, nats, and how it came about."""
         proposals = self.proposals
-        is_weak = evidence < STRONG * max(proposals.null_evidence, 0.0)
+        is_weak = not self.is_clear(evidence)
         is_open = proposals.p_value <= self.alpha and is_weak and self.n_bootstrap
         if not is_open or self.observation.is_exact:
             return proposals.p_value, ""
@@ -256,14 +262,17 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
     """
     observation, model, alpha = turn.observation, turn.model, turn.alpha
     is_freed = shown is not chosen
-    p_value, how = turn.proposals.p_value, ""
+    p_value, how, is_clear = turn.proposals.p_value, "", False
     if np.isfinite(shown.p_value):  # it was tested by itself, beside the search
-        own = p_value_of(turn.search, model.fit, shown.fit, shown.p_value)
+        own = shown.p_value
+        if 2 * own <= alpha:
+            own = p_value_of(turn.search, model.fit, shown.fit, own)
         if 2 * own > alpha:
             p_value, how = turn.significance(strength(turn.proposals))
         p_value = min(1.0, 2 * min(p_value, own))
     elif not is_freed:
         p_value, how = turn.significance(strength(turn.proposals))
+        is_clear = turn.is_clear(strength(turn.proposals))
     turn.says(f"weighing {shown.name} on held-out data")
     after = evaluate(observation, shown.law, shown.fit)
     floor, copies = observation.floor(after.law, turn.rngs.floor)
@@ -277,7 +286,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             effect = freed_effect(observation, model, shown, p_value)
             reason = TURNED if effect.name.endswith("sign is wrong") else FREED
     else:
-        found = weigh(observation, model, after, floor, ratio, alpha)
+        found = weigh(observation, model, after, floor, ratio, alpha, is_clear)
         adopted, verdict, reason = verdict_of(
             observation, model, after, chosen, turn.attempts, found, p_value, alpha
         )

@@ -193,10 +193,11 @@ def _mixing(view, group, slopes, sigma):
             noise = (noise - felt) * scale
             if group.sizes is not None:
                 noise = noise * group.sizes[:, s, r, None]
-            if view.memory > 0:
-                noise = np.einsum("natb,tu->naub", noise, remembered)
             vectors = noise.reshape(n, n_dims, -1).transpose(0, 2, 1)  # (n, T d, d)
             felt = group.coordinates_of(vectors, s, r)
+            if view.memory > 0:
+                felt = felt.reshape(size, -1, n_dims)
+                felt = np.tensordot(felt, remembered, axes=(1, 0)).reshape(size, -1)
             covariance = felt @ felt.T
             dead = np.diag(covariance) < 1e-12
             covariance[dead, dead] = 1.0

@@ -36,7 +36,8 @@ class Fit:
         The fit to whole tracks, on noisy data.
     converged : bool
     dof : float
-        Degrees of freedom behind the level of the noise; inf where that was quoted or declared.
+        Degrees of freedom behind the level of the noise, or of the misfit where that is greater;
+        inf where the level was quoted or declared and nothing but noise is left.
     """
 
     law: ForceLaw

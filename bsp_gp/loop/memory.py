@@ -96,15 +96,16 @@ def plausible_memories(search, fit):
     Returns
     -------
     list of (float, float, float)
-        Probability, memory in s, and factor on the assumed standard deviation (1 for white noise),
-        of those that matter.
+        Probability, memory in s, and factor on the assumed standard deviation (1 for white noise
+        where that is assumed), of those that matter.
     """
     tried, logs, factors, _ = _profiles(search, fit, None)
     prior = np.array([1.0, *np.full(len(STEPS), 1 / len(STEPS))])
     weights = prior * np.exp(logs - logs.max())
     kept = weights > NEGLIGIBLE * weights.sum()
     weights, tried, factors = weights[kept] / weights[kept].sum(), tried[kept], factors[kept]
-    factors = np.where(tried > 0, factors, 1.0)
+    if not search.observation.memory:
+        factors = np.where(tried > 0, factors, 1.0)
     return [tuple(map(float, row)) for row in zip(weights, tried, factors, strict=True)]
 
 
@@ -138,7 +139,7 @@ def p_value_of(search, before, after, p_value):
         if memory == observation.memory:
             total += weight * p_value
             continue
-        other = with_memory(observation, memory, factor)
+        other = with_memory(observation, memory, factor, is_whole=False)
         chisqr = [
             other.fit(fit.law, sign_bounds(other, fit.law), start=fit.law).chisqr
             for fit in (before, after)
@@ -155,11 +156,16 @@ def _log_p(fall, free):
 
 def _profiles(search, fit, proposal):
     """Memories tried, their log-likelihoods, factors on the noise level, and the rows."""
-    step = np.median(np.concatenate([np.diff(s.times) for s in search.observation.train]))
+    step = _step(search.observation)
     tried = np.array([0.0, *(step * k for k in STEPS)])
     rows = [_profile(search, memory, fit, proposal) for memory in tried]
     logs, factors, n = zip(*rows, strict=True)
     return tried, np.array(logs), np.array(factors), n[0]
+
+
+def _step(observation):
+    """Median time step of the training scenes."""
+    return float(np.median(np.concatenate([np.diff(s.times) for s in observation.train])))
 
 
 def _peak(x, y, k):
@@ -192,7 +198,7 @@ def _profile(search, memory, fit, proposal):
     return log, float(np.sqrt(size / free)), n
 
 
-def with_memory(observation, memory, factor=1.0):
+def with_memory(observation, memory, factor=1.0, is_whole=True):
     """The observation under noise with a memory.
 
     Parameters
@@ -203,6 +209,8 @@ def with_memory(observation, memory, factor=1.0):
     factor : float
         On the standard deviation, where that was estimated: differences of positions see little
         of an error that hardly changes from one to the next.
+    is_whole : bool
+        Otherwise for fits alone: what is regressed on held-out tracks stays as it was.
     """
     factor = factor if observation.noise.source == "estimated" else 1.0
     changed = replace(
@@ -215,7 +223,9 @@ def with_memory(observation, memory, factor=1.0):
     return replace(
         changed,
         train_regression=changed.regression(observation.train),
-        test_regression=changed.regression(observation.test),
+        test_regression=(
+            changed.regression(observation.test) if is_whole else observation.test_regression
+        ),
     )
 
 
@@ -242,11 +252,14 @@ def widened(search, fit):
     if not (observation.memory and observation.may_have_memory and fit.parameters):
         return fit
     spread = estimate_memory(search, fit).spread
+    step = _step(observation)
     total = _WEIGHTS[0] * fit.covariance
     for weight, node in zip(_WEIGHTS[1:], _NODES, strict=True):
-        memory = observation.memory * np.exp(node * spread)
+        # No further than what was tried: beyond that the likelihood says nothing.
+        memory = observation.memory * np.exp(np.clip(node * spread, -50.0, 50.0))
+        memory = float(np.clip(memory, step * STEPS[0], step * STEPS[-1]))
         _, factor, _ = _profile(search, memory, fit, None)
-        other = with_memory(observation, memory, factor)
+        other = with_memory(observation, memory, factor, is_whole=False)
         again = other.fit(fit.law, sign_bounds(other, fit.law), start=fit.law)
         moved = again.values - fit.values
         total = total + weight * (again.covariance + np.outer(moved, moved))

@@ -40,39 +40,50 @@ _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 def describe(formula, value=None):
     """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
-    direction, condition, powers = _parts(formula)
-    return _phrase(direction, condition, powers, value)
+    direction, conditions, powers = _parts(formula)
+    return _phrase(direction, conditions[-1] if conditions else None, powers, value)
 
 
 def form_of(formula):
-    """What two ways to write one term have in common: its direction, condition and powers.
+    """What two ways to write one term have in common: its direction, conditions and powers.
 
-    ``m_i * inverse(m_i) * v_i`` has that of ``v_i``.
+    ``m_i * inverse(m_i) * v_i`` and ``norm(v_i) * normalize(v_i)`` have that of ``v_i``; the sign
+    is left to the constant.
 
     Returns
     -------
     tuple
         Hashable.
     """
-    direction, condition, powers = _parts(formula)
-    texts = tuple("" if part is None else to_text(part) for part in (direction, condition))
-    return *texts, tuple(sorted(item for item in powers.items() if item[1]))
+    direction, conditions, powers = _parts(formula)
+    if isinstance(direction, Call) and direction.operator == "normalize":
+        direction = direction.args[0]
+        length = to_text(Call("norm", direction))
+        powers[length] = powers.get(length, 0) - 1
+    texts = ["" if direction is None else to_text(direction), *sorted(map(to_text, conditions))]
+    left = [(name, power) for name, power in powers.items() if power]
+    return tuple(map(_turned, texts)), tuple(sorted((_turned(name), p) for name, p in left))
+
+
+def _turned(text):
+    """A text in which differences are taken one way."""
+    return text.replace("p_j - p_i", "p_i - p_j").replace("v_j - v_i", "v_i - v_j")
 
 
 def _parts(formula):
-    """Direction, condition and powers of the scalar factors of a term."""
+    """Direction, conditions and powers of the scalar factors of a term."""
     _, rest = split_linear(formula)
     above, below = factors(rest)
-    direction, condition, powers = None, None, {}
+    direction, conditions, powers = None, [], {}
     for sign, parts in ((1, above), (-1, below)):
         for part in parts:
             if part.type.shape == "vector":
                 direction = part
             elif part.type.shape == "bool":
-                condition = part
+                conditions.append(part)
             else:
                 _add_powers(part, sign, powers)
-    return direction, condition, powers
+    return direction, conditions, powers
 
 
 def _add_powers(part, sign, powers):

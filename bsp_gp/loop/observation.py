@@ -32,13 +32,24 @@ TOO_FAR = 2.33
 _SAME_CHISQR = 1e-6
 
 
-def contradicts(gain, sight):
-    """Whether held-out tracks contradict a law, of `held_out_gain` and `held_out_sight`.
+def contradicts(gain, sight, seen):
+    """Whether held-out tracks contradict a law.
 
     They must be less likely under it than without it, and more so than chance would have it were
-    it true. Unknown numbers contradict.
+    it true: the gain is the square of the sight, give or take twice the sight, and its part of
+    that square by which the term's strength is off. Unknown numbers contradict.
+
+    Parameters
+    ----------
+    gain, sight : float
+        Of `Observation.held_out_gain` and `Observation.held_out_sight`.
+    seen : float
+        Signal-to-noise ratio at which training tracks show what the law has more.
     """
-    return not (gain > 0 or gain > sight**2 - TOO_FAR * 2 * sight)
+    if gain > 0:
+        return False
+    spread = 2 * sight * np.hypot(1.0, sight / seen if seen > 0 else np.inf)
+    return not gain > sight**2 - TOO_FAR * spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +139,7 @@ class Observation:
             residual,
             whole=whole,
             converged=whole.converged,
-            dof=float(dof) if self.noise.source == "estimated" else np.inf,
+            dof=self.noise_dof if misfit == 1.0 else float(dof),
         )
 
     def track_blocks(self, whole):
@@ -205,6 +216,14 @@ class Observation:
     def may_have_memory(self):
         """Whether a correlation time of the noise is to be estimated."""
         return self.method == "gls" and self.dataset.noise_memory is None
+
+    @property
+    def noise_dof(self):
+        """Degrees of freedom behind the noise level; infinite for a declared one."""
+        if self.noise.source != "estimated" and self.method != "derivative":
+            return np.inf
+        counts = [n for n in self.noise.n_effective if np.isfinite(n)]
+        return float(sum(counts)) if counts else np.inf
 
     @property
     def velocity(self):
@@ -446,8 +465,9 @@ class Observation:
         """Signal-to-noise ratio at which held-out tracks would show that one law follows another.
 
         That of the tracks which the later law has for them against the best of the earlier law,
-        both with free initial states. Were it true, `held_out_gain` would be the square of the
-        ratio, give or take twice the ratio. Exact and measured-velocity data: nan.
+        both with free initial states. Were it true with these constants, `held_out_gain` would be
+        the square of the ratio, give or take twice the ratio. Exact and measured-velocity data:
+        nan.
 
         Parameters
         ----------
@@ -466,9 +486,18 @@ class Observation:
         return float(np.sqrt(self._fit_states(made, before).chisqr)) if made else float("nan")
 
     def held_out_contradict(self, before, after):
-        """Whether held-out tracks contradict that one law follows another, see `contradicts`."""
-        gain = self.held_out_gain(before, after)
-        return not gain > 0 and contradicts(gain, self.held_out_sight(before, after))
+        """Whether held-out tracks contradict that one fitted law follows another.
+
+        Parameters
+        ----------
+        before, after : Fit
+            See `contradicts`.
+        """
+        gain = self.held_out_gain(before.law, after.law)
+        if gain > 0:
+            return False
+        seen = np.sqrt(max(before.chisqr - after.chisqr, 0.0))
+        return contradicts(gain, self.held_out_sight(before.law, after.law), seen)
 
     def _held_out_fit(self, law):
         """Held-out tracks under a law that keeps its constants (kept)."""

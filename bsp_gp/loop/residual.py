@@ -55,7 +55,7 @@ def examine_residual(observation, fit, alpha):
         dof = max(observation.train_regression.n_rows - len(fit.parameters), 1)
         p_lag = ljung_box(observation.train_regression, fit.residual)
     size /= dof
-    n_noise = _noise_dof(observation)
+    n_noise = observation.noise_dof
     tests = {"size": _p_of_size(size * dof, dof, n_noise), "autocorrelation": p_lag}
     smooth = [] if fit.whole is None else _smooth_parts(observation, fit.whole, blocks)
     for degree, square, n in smooth:
@@ -85,7 +85,7 @@ def examine_residual(observation, fit, alpha):
 
 
 def _p_of_size(square, dof, n_noise):
-    """p-value of a whitened sum of squares; `n_noise` as of `_noise_dof`."""
+    """p-value of a whitened sum of squares; `n_noise` as of `Observation.noise_dof`."""
     from scipy import stats
 
     if np.isfinite(n_noise):
@@ -121,14 +121,6 @@ def _beside(rows, q):
     rows = rows - (rows @ q.T) @ q
     _, values, basis = np.linalg.svd(rows, full_matrices=False)
     return basis[values > 1e-6]
-
-
-def _noise_dof(observation):
-    """Degrees of freedom behind the noise level; infinite for a declared one."""
-    if observation.noise.source != "estimated" and observation.method != "derivative":
-        return np.inf
-    counts = [n for n in observation.noise.n_effective if np.isfinite(n)]
-    return float(sum(counts)) if counts else np.inf
 
 
 def durbin_watson(parts):
@@ -256,7 +248,7 @@ def _needed(observation, fit, alpha, n_effects):
 
     whole = fit.whole
     n_rows = whole.n_rows - whole.n_free if whole else observation.train_regression.n_rows
-    dof, n_noise = max(n_rows, 1), _noise_dof(observation)
+    dof, n_noise = max(n_rows, 1), observation.noise_dof
     if n_effects:
         dof, alpha = 1, alpha / n_effects
     bar = stats.chi2.isf(alpha, dof)

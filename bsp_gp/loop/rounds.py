@@ -77,6 +77,7 @@ def run_round(
     turn.says("tracing the residual")
     turn.trace = turn.first_trace = trace_residual(turn.observation, model.fit, turn.rngs.trace)
     turn.search, turn.guidance = guided(search, turn.trace, guide)
+    turn.first_guidance = turn.guidance
     ended = _defect_alone(turn)
     if ended is not None:
         return ended
@@ -185,7 +186,7 @@ def _as_it_began(turn, missing, attempts):
     """The turn under the noise with which the round began."""
     return replace(
         turn, search=turn.complete, model=turn.entering, missing=missing, attempts=attempts,
-        trace=turn.first_trace,
+        trace=turn.first_trace, guidance=turn.first_guidance,
     )  # fmt: skip
 
 

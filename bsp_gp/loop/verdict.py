@@ -51,7 +51,12 @@ class Weighed(NamedTuple):
     is_left : bool
         Whether the law with the term still leaves more than noise.
     sight : float
-        Signal-to-noise ratio at which held-out tracks would show the term; nan if unknown.
+        Signal-to-noise ratio at which held-out tracks would show the term; nan if not asked for.
+    seen : float
+        That at which training tracks show it.
+    is_clear : bool
+        Whether the search found it far beyond all simulated residuals, whose number bounds its
+        p-value.
     """
 
     floor: object
@@ -59,25 +64,31 @@ class Weighed(NamedTuple):
     held_out: float
     is_left: bool
     sight: float = float("nan")
+    seen: float = float("inf")
+    is_clear: bool = False
 
     def is_open(self, p_value, alpha):
         """Whether held-out tracks are too few to confirm a term that is beyond doubt without them.
 
         They do not contradict it either: were it true, their gain would be as small often enough.
         """
-        if self.held_out > 0 or contradicts(self.held_out, self.sight):
+        if self.held_out > 0 or contradicts(self.held_out, self.sight, self.seen):
             return False
-        return p_value <= BEYOND_DOUBT * alpha
+        return self.is_clear or p_value <= BEYOND_DOUBT * alpha
 
 
-def weigh(observation, model, after, floor, ratio, alpha):
-    """What held-out tracks and the residual say of a model with one more term, as `Weighed`."""
+def weigh(observation, model, after, floor, ratio, alpha, is_clear=False):
+    """What held-out tracks and the residual say of a model with one more term, as `Weighed`.
+
+    `is_clear` says that the search found it far beyond all simulated residuals.
+    """
     # A memory that was estimated takes up what a term leaves: then only errors can tell.
     is_blind = observation.is_exact or (observation.memory > 0 and observation.may_have_memory)
     is_left = is_blind or examine_residual(observation, after.fit, alpha).is_missing
     held_out = observation.held_out_gain(model.law, after.law)
-    sight = observation.held_out_sight(model.law, after.law)
-    return Weighed(floor, ratio, held_out, is_left, sight)
+    sight = observation.held_out_sight(model.law, after.law) if held_out <= 0 else float("nan")
+    seen = np.sqrt(max(model.fit.chisqr - after.fit.chisqr, 0.0))
+    return Weighed(floor, ratio, held_out, is_left, sight, float(seen), is_clear)
 
 
 def verdict_of(observation, model, after, chosen, attempts, found, p_value, alpha):

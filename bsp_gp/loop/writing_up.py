@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -58,7 +59,8 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         verdict = "seen, not adopted"
     if any(r.adopted for r in rounds) and "effect adopted" not in verdicts:
         verdict = "cannot tell"  # all that was adopted has a rival that explains as much
-    constants = constant_estimates(observation, widened(search, model.fit))
+    wide = replace(model, fit=widened(search, model.fit))
+    constants = constant_estimates(observation, wide.fit)
     units = {c.name: c.unit for c in constants if not c.entity}
     return LoopReport(
         dataset=_about(measured),
@@ -93,7 +95,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         notes=(
             *_effective(rounds),
             *_corrected(rounds),
-            *unsupported(observation, model),
+            *unsupported(observation, wide),
             *_one_and_the_same(observation, model.fit),
             *dataset.notes,
             observation.split_note,

@@ -210,3 +210,18 @@ def test_the_same_seed_gives_the_same_bits(world, found):
     observation, model, _ = world
     again = hidden_body(observation, model, np.random.default_rng(1))
     assert again.details["draws"] == found.details["draws"]
+
+
+@pytest.mark.slow
+def test_intervals_of_place_and_mass_cover_the_truth():
+    """90 %, all numbers of a world being one in the end; sources that hold or are open."""
+    held = []
+    for seed in range(7):
+        dataset, place = discs(seed, n_times=60)
+        found = hidden_body(*prepared(dataset), np.random.default_rng(1))
+        if found is not None and found.details["motion"] == REST:
+            truth = (*place, HIDDEN_MASS)
+            held.append([c.low <= t <= c.high for c, t in zip(found.constants, truth, strict=True)])
+    assert len(held) >= 5
+    # Three binomial standard errors, as if the three numbers of a world were one.
+    assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held)), held

@@ -119,6 +119,31 @@ def test_memories_that_the_noise_may_have():
     assert mean == pytest.approx(TRUE, rel=0.35)
 
 
+def test_white_noise_has_its_own_level_where_a_memory_was_taken_for_real():
+    search, fit = searching(flights(0, nothing))
+    level = search.observation.sigma[0]
+    noise = estimate_memory(search, fit)
+    assert noise.memory == 0
+    search = search.on(with_memory(search.observation, STEP, 1.3))
+    fit = search.observation.fit(fit.law)
+    white = {m: factor for _, m, factor in plausible_memories(search, fit)}[0.0]
+    assert white * search.observation.sigma[0] == pytest.approx(level, rel=0.1)
+
+
+def test_a_memory_beyond_what_was_tried_is_never_asked_about():
+    """A random walk: the likelihood hardly says how long the memory is."""
+    walk = lambda rng, shape: 0.01 * np.cumsum(rng.standard_normal(shape), axis=0)  # noqa: E731
+    data = flights(3, nothing, noise=walk, n_train=1)
+    law = declared_law(data, ["g * m_i * down"])
+    observation = observe(data, law, np.random.default_rng(0), sources=False)
+    search = EffectSearch(observation, load_grammar("physics"), 4, n_null=99)
+    noise = estimate_memory(search, observation.fit(law))
+    search = search.on(with_memory(observation, noise.memory, noise.factor))
+    fit = search.observation.fit(law)
+    wide = widened(search, fit)
+    assert np.isfinite(wide.intervals).all() and (wide.intervals >= 0.5 * fit.intervals).all()
+
+
 def test_what_a_memory_would_explain_is_less_significant():
     """A slight push on one short track, in white noise and in noise with a memory."""
     grown = []

@@ -22,6 +22,8 @@ def form(text):
         ("c * v_i", "c * (m_i * inverse(m_i) * v_i)", True),
         ("c * norm(v_i)^2 * normalize(v_i)", "c * norm(v_i) * norm(v_i) * normalize(v_i)", True),
         ("c * v_i / m_i", "c * inverse(m_i) * v_i", True),
+        ("c * v_i", "c * norm(v_i) * normalize(v_i)", True),
+        ("c * v_i", "c * normalize(v_i)", False),
         ("c * m_i * v_i", "c * v_i", False),
         ("c * v_i", "c * perp(v_i)", False),
         ("c * charge_i * e_x", "c * m_i * e_x", False),

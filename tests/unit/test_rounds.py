@@ -76,11 +76,12 @@ def judged(
     held_out=1e4,
     is_left=True,
     sight=np.nan,
+    is_clear=False,
 ):
     declared = declared or fit(20000.0)
     model = Model(ForceLaw(), declared, errors(before, before), [])
     new = Model(ForceLaw(), chosen.fit, errors(after, after), [])
-    found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left, sight)
+    found = Weighed(errors(0.05), Ratio(*ratio), held_out, is_left, sight, is_clear=is_clear)
     return verdict_of(observation, model, new, chosen, [chosen, *others], found, p, 0.01)
 
 
@@ -130,6 +131,9 @@ def test_held_out_tracks_that_could_not_show_a_term_do_not_refuse_what_is_beyond
     assert not judged(GOOD, **weak, held_out=-1.5, sight=6.0, p=1e-6)[0]  # they would have shown it
     assert not judged(GOOD, **weak, held_out=-9.0, sight=1.5, p=1e-6)[0]
     assert not judged(GOOD, **weak, held_out=-1.5, p=1e-6)[0]
+    # A p-value that so many simulated residuals bound, of a finding far beyond all of them.
+    assert judged(GOOD, **weak, held_out=-1.5, sight=1.5, p=0.003, is_clear=True)[0]
+    assert not judged(GOOD, **weak, held_out=-1.5, sight=6.0, p=0.003, is_clear=True)[0]
 
 
 def test_a_tie_that_explains_little_is_cannot_tell():
