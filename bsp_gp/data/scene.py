@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -208,6 +208,13 @@ class Scene:
     def dynamic(self):
         """Indices of the entities that forces move, shape (n,)."""
         return np.array([k for k, e in enumerate(self.entities) if not e.is_static], dtype=int)
+
+    def on_track(self, track):
+        """The same scene with its dynamic entities on a track (T, n, d), where they were seen."""
+        positions = np.array(self.positions)
+        seen = np.isfinite(positions[:, self.dynamic])
+        positions[:, self.dynamic] = np.where(seen, track, np.nan)
+        return replace(self, positions=positions)
 
     def rows(self, start, stop):
         """The same scene cut to rows ``start:stop`` of time."""

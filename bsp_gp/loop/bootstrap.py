@@ -138,11 +138,7 @@ class _Source:
 
     def __init__(self, search, fit):
         observation = search.observation
-        self.noises = [(1.0, observation.memory, 1.0)]
-        if observation.may_have_memory:
-            self.noises = plausible_memories(search, fit)
-        if observation.noise.source != "estimated":
-            self.noises = [(weight, memory, 1.0) for weight, memory, _ in self.noises]
+        self.noises = plausible_memories(search, fit)
         self.search = search
         self.law = fit.law
         self.tracks = tracks_of(fit.whole, observation.train)
@@ -170,9 +166,6 @@ class _Source:
         track, _ = self.tracks[scene.name]
         sigma, memory = noise
         drawn = track + draw_noise(scene, sigma, memory, rng)
-        positions = np.array(scene.positions)
-        seen = np.isfinite(positions[:, scene.dynamic])
         # An axis along which nothing moves has no noise and keeps its values.
-        drawn = np.where(np.isfinite(sigma), drawn, positions[:, scene.dynamic])
-        positions[:, scene.dynamic] = np.where(seen, drawn, np.nan)
-        return replace(scene, positions=positions, velocities=None)
+        drawn = np.where(np.isfinite(sigma), drawn, scene.positions[:, scene.dynamic])
+        return replace(scene.on_track(drawn), velocities=None)

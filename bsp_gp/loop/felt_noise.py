@@ -145,15 +145,16 @@ def linear_residual(observation, fit, along, scenes):
 
 
 def whole_sizes(batch, scenes, sigma):
-    """Errors of all points of the receivers as parts of sigma, (n + 2, S, R); None where alike.
+    """Errors of all points of the receivers as parts of sigma, (n + 2, S, R).
 
-    None as well where the errors of single points do not count in the regression.
+    None where no point quotes its own, or where they do not count in the regression.
     """
     by_name = {scene.name: scene for scene in scenes}
     own = [by_name[name] for name in batch.scene_names]
-    out = np.ones((len(batch.times) + 2, len(own), batch.target.shape[2]))
-    if batch.whitener is None or batch.whitener.ndim == 2:
+    is_one = batch.whitener is None or batch.whitener.ndim == 2
+    if is_one or all(scene.sigma is None for scene in own):
         return None
+    out = np.ones((len(batch.times) + 2, len(own), batch.target.shape[2]))
     for s, scene in enumerate(own):
         if scene.sigma is not None:
             sizes = sizes_of(scene.sigma[:, scene.dynamic], sigma)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student_t
 
 from bsp_gp.physics.force import ForceLaw
 
@@ -70,6 +69,8 @@ class Fit:
 
         Student's t where the level of the noise was estimated: its own uncertainty counts.
         """
+        from scipy.stats import t as student_t  # a slow import
+
         return student_t.ppf(0.95, self.dof) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 

@@ -6,7 +6,7 @@ leaves is taken off: the second differences of the fitted track itself, which ob
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,10 +88,5 @@ class Leftover:
         states = self._kept_of(self._tracks, regression.scenes)
         if len(states) < len(regression.scenes):
             return 0.0
-        scenes = []
-        for scene in regression.scenes:
-            positions = np.array(scene.positions)
-            seen = np.isfinite(positions[:, scene.dynamic])
-            positions[:, scene.dynamic] = np.where(seen, states[scene.name][0], np.nan)
-            scenes.append(replace(scene, positions=positions))
+        scenes = [scene.on_track(states[scene.name][0]) for scene in regression.scenes]
         return self._built(scenes, states).residual(self.along.law)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from bsp_gp.loop.effects import sign_bounds
 
@@ -96,16 +95,22 @@ def plausible_memories(search, fit):
     Returns
     -------
     list of (float, float, float)
-        Probability, memory in s, and factor on the assumed standard deviation (1 for white noise
-        where that is assumed), of those that matter.
+        Probability, memory in s, and factor on the assumed standard deviation (1 where that was
+        not estimated, and for white noise where that is assumed), of those that matter. One alone
+        where the memory was declared.
     """
+    observation = search.observation
+    if not observation.may_have_memory:
+        return [(1.0, observation.memory, 1.0)]
     tried, logs, factors, _ = _profiles(search, fit, None)
     prior = np.array([1.0, *np.full(len(STEPS), 1 / len(STEPS))])
     weights = prior * np.exp(logs - logs.max())
     kept = weights > NEGLIGIBLE * weights.sum()
     weights, tried, factors = weights[kept] / weights[kept].sum(), tried[kept], factors[kept]
-    if not search.observation.memory:
+    if not observation.memory:
         factors = np.where(tried > 0, factors, 1.0)
+    if observation.noise.source != "estimated":
+        factors = np.ones(len(factors))
     return [tuple(map(float, row)) for row in zip(weights, tried, factors, strict=True)]
 
 
@@ -129,8 +134,6 @@ def p_value_of(search, before, after, p_value):
     float
     """
     observation = search.observation
-    if not observation.may_have_memory:
-        return p_value
     free = max(len(after.parameters) - len(before.parameters), 1)
     own = _log_p(before.chisqr - after.chisqr, free)
     tried = np.clip(np.log(max(p_value, 1e-300)) - own, 0.0, np.log(MOST_TRIED))
@@ -150,6 +153,8 @@ def p_value_of(search, before, after, p_value):
 
 def _log_p(fall, free):
     """Logarithm of the p-value of a fall of chi-squared; far out that of its exponential alone."""
+    from scipy.stats import chi2  # a slow import
+
     value = chi2.logsf(max(fall, 0.0), free)
     return value if np.isfinite(value) else -0.5 * fall
 
@@ -252,12 +257,11 @@ def widened(search, fit):
     if not (observation.memory and observation.may_have_memory and fit.parameters):
         return fit
     spread = estimate_memory(search, fit).spread
-    step = _step(observation)
+    # No further than what was tried: beyond that the likelihood says nothing.
+    ends = np.log(_step(observation)) + np.log((STEPS[0], STEPS[-1]))
     total = _WEIGHTS[0] * fit.covariance
     for weight, node in zip(_WEIGHTS[1:], _NODES, strict=True):
-        # No further than what was tried: beyond that the likelihood says nothing.
-        memory = observation.memory * np.exp(np.clip(node * spread, -50.0, 50.0))
-        memory = float(np.clip(memory, step * STEPS[0], step * STEPS[-1]))
+        memory = float(np.exp(np.clip(np.log(observation.memory) + node * spread, *ends)))
         _, factor, _ = _profile(search, memory, fit, None)
         other = with_memory(observation, memory, factor, is_whole=False)
         again = other.fit(fit.law, sign_bounds(other, fit.law), start=fit.law)

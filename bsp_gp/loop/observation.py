@@ -412,12 +412,9 @@ class Observation:
         out = []
         for scene, predicted in zip(scenes, states, strict=True):
             noise = draw_noise(scene, self.sigma, self.memory, rng)
-            positions = np.array(scene.positions)
-            dynamic = scene.dynamic
-            seen = np.isfinite(positions[:, dynamic])
-            keep = np.where(np.isfinite(self.sigma), predicted, positions[:, dynamic])
-            positions[:, dynamic] = np.where(seen, keep + noise, np.nan)
-            out.append(replace(scene, positions=positions))
+            measured = scene.positions[:, scene.dynamic]
+            keep = np.where(np.isfinite(self.sigma), predicted, measured)
+            out.append(scene.on_track(keep + noise))
         return tuple(out)
 
     def _states(self, law, scenes):
@@ -475,14 +472,11 @@ class Observation:
         """
         if self.is_exact or self.velocity == "measured":
             return float("nan")
-        tracks = tracks_of(self._held_out_fit(after), self.test)
-        made = []
-        for scene in self.test:
-            if scene.name in tracks:
-                positions = np.array(scene.positions)
-                seen = np.isfinite(positions[:, scene.dynamic])
-                positions[:, scene.dynamic] = np.where(seen, tracks[scene.name][0], np.nan)
-                made.append(replace(scene, positions=positions, velocities=None))
+        tracks = self.held_out_tracks(after)
+        made = [
+            replace(scene.on_track(tracks[scene.name][0]), velocities=None)
+            for scene in self.test if scene.name in tracks
+        ]  # fmt: skip
         return float(np.sqrt(self._fit_states(made, before).chisqr)) if made else float("nan")
 
     def held_out_contradict(self, before, after):
@@ -498,6 +492,16 @@ class Observation:
             return False
         seen = np.sqrt(max(before.chisqr - after.chisqr, 0.0))
         return contradicts(gain, self.held_out_sight(before.law, after.law), seen)
+
+    def held_out_tracks(self, law):
+        """Held-out tracks under a law, initial states fitted on all rows, see `tracks_of`.
+
+        Parameters
+        ----------
+        law : ForceLaw
+            It keeps its constants.
+        """
+        return tracks_of(self._held_out_fit(law), self.test)
 
     def _held_out_fit(self, law):
         """Held-out tracks under a law that keeps its constants (kept)."""

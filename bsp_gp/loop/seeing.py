@@ -194,15 +194,11 @@ class Linearised:
         """The observation with the predicted positions of the training scenes, gaps kept."""
         if not self.tracks:
             return self.measured
-        scenes = []
-        for scene in self.measured.train:
-            if scene.name in self.tracks:
-                positions = np.array(scene.positions)
-                seen = np.isfinite(positions[:, scene.dynamic])
-                positions[:, scene.dynamic] = np.where(seen, self.tracks[scene.name], np.nan)
-                scene = replace(scene, positions=positions)
-            scenes.append(scene)
-        return replace(self.measured, train=tuple(scenes))
+        scenes = tuple(
+            scene.on_track(self.tracks[scene.name]) if scene.name in self.tracks else scene
+            for scene in self.measured.train
+        )
+        return replace(self.measured, train=scenes)
 
     def _residual_of(self, observation, law):
         """Whitened residual at the states of the fit, one array (S, n) per batch."""

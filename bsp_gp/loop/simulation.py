@@ -82,16 +82,14 @@ def simulate_law(
     paths = _paths(dataset, law, integrator, substeps)
     scenes = []
     for scene, path in zip(dataset.scenes, paths, strict=True):
-        positions = np.array(scene.positions)
-        seen = np.isfinite(positions[:, scene.dynamic])
+        seen = np.isfinite(scene.positions[:, scene.dynamic])
         if not np.isfinite(path[seen]).all():
             raise EvaluationError(
                 f"under this law the motion of scene {scene.name!r} leaves the range of numbers"
             )
         if any(noise):
             path = path + rng.standard_normal(path.shape) * np.array(noise)
-        positions[:, scene.dynamic] = np.where(seen, path, np.nan)
-        scenes.append(replace(scene, positions=positions, velocities=None, sigma=None))
+        scenes.append(replace(scene.on_track(path), velocities=None, sigma=None))
     return replace(
         dataset, name=f"{dataset.name} simulated", scenes=tuple(scenes), noise=noise,
         velocity="ignore", notes=(), provenance={

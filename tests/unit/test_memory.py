@@ -80,9 +80,6 @@ def test_memory_widens_what_is_estimated():
     assert red.fit(law).intervals[0] > 1.5 * white.fit(law).intervals[0]
 
 
-# --- bootstrap ------------------------------------------------------------------------------------
-
-
 def test_an_uncertain_memory_widens_intervals_further():
     data = flights(0, nothing, noise=red_noise, n_train=1)
     law = declared_law(data, ["g * m_i * down"])
@@ -181,6 +178,9 @@ def test_intervals_under_an_estimated_memory_cover_the_truth():
         held += list(np.abs(fit.values - (9.81, -0.3)) <= fit.intervals)
     # Three binomial standard errors either way.
     assert abs(np.mean(held) - 0.9) < 3 * np.sqrt(0.09 / len(held))
+
+
+# --- bootstrap ------------------------------------------------------------------------------------
 
 
 def test_it_stops_when_enough_findings_are_as_strong():
