@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test slow quick lint bench clean
+.PHONY: help setup demo test slow quick lint bench neural clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -35,7 +35,8 @@ test: $(VENV)/.ok  ## run the default tests
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
 
-EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 power undeclared_effects
+EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 null_data power \
+    undeclared_effects ball_drops
 
 quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
 	@mkdir -p runs/quick
@@ -54,6 +55,12 @@ bench: $(VENV)/.dev  ## time the searches, other tools beside them
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[peers]'
 	@$(BIN)/python experiments/bench/searches.py $(ARGS)
 	@$(BIN)/python experiments/bench/inference.py $(ARGS)
+
+neural: $(VENV)/.ok  ## test the networks and the other tools, and run their experiments in small
+	@$(PIP) -e '.[neural,peers]'
+	@$(BIN)/python -m pytest -n $(WORKERS) tests/unit/test_neural.py tests/unit/test_peers_tools.py \
+	    tests/golden/test_neural_efficiency.py $(ARGS)
+	@$(MAKE) --no-print-directory quick EXPERIMENTS="neural_efficiency neural_tuning peers" ARGS=
 
 clean:  ## remove .venv, build products and caches
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks

@@ -296,10 +296,10 @@ def _compare(args):
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
     with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
         progress("comparing searches")
-        rows, certificate = compare_searches(
+        rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
             seeds=args.seeds, n_scored=args.laws, exclude=excluded_inputs(args, grammar, dataset),
-            searches=args.searches, executor=pool, missing_inputs=missing,
+            searches=args.searches, executor=pool, missing_inputs=missing, method=args.likelihood,
         )  # fmt: skip
     table = pd.DataFrame(rows)
     for row in table.itertuples():
@@ -308,6 +308,7 @@ def _compare(args):
             f"{row.regret_nats:8.3g} nats, {row.n_evaluated:>9,} laws, {row.seconds:6.2f} s; "
             f"held-out data left {row.left_test:.4g} m/s^2\n    {row.constants}: {row.law}"
         )
+    print(f"Accelerations: {how}")
     print(f"Exhaustive: {certificate.text()}")
     if out is not None:
         texts = (table.to_csv(index=False), f"{certificate.text()}\n")

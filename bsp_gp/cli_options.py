@@ -203,6 +203,11 @@ def _add_compare(commands):
         help="inputs that laws may not use, such as v_i (t is always one)",
     )  # fmt: skip
     group.add_argument("--allow-time", action="store_true", help="let laws use t")
+    group.add_argument(
+        "--likelihood", choices=("gls", "weak"),
+        help="accelerations from noisy positions: differences with their covariance (the default), "
+        "or the weak form, integrated against smooth test functions",
+    )  # fmt: skip
     _workers(parser)
     _seed(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for results.csv and certificate.txt")

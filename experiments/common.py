@@ -8,13 +8,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def options(description, argv=None):
-    """``[--quick] [--seed S] [--out DIR] [--workers N]``."""
+def options(description, argv=None, declare=None):
+    """``[--quick] [--seed S] [--out DIR] [--workers N]``; `declare(parser)` adds a study's own."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="a small version, for a look")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None, help="folder (default: runs/NAME)")
     parser.add_argument("--workers", type=int, default=1)
+    if declare is not None:
+        declare(parser)
     args = parser.parse_args(argv)
     args.out = args.out or Path("runs") / Path(sys.argv[0]).stem
     return args

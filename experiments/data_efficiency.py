@@ -1,8 +1,8 @@
 """Error on held-out scenes against the number of training scenes (the paper's Figure 4).
 
 1 to 10 scenes out of 1 to 80 in five shuffled orders, each with a seed of its own; the paper's
-one-step nRMSE on scenes 81 to 100, true properties given. Symbolic searches and zero force; the
-same table has room for other methods.
+one-step nRMSE on scenes 81 to 100, true properties given. Symbolic searches and zero force; with
+the neural models, sums of forces, rollouts and other worlds: neural_efficiency.py.
 """
 
 import numpy as np

@@ -8,7 +8,6 @@ masses. Needs the extra `neural`; without it the symbolic rows alone: data_effic
 
 import functools
 import os
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +18,13 @@ from data_efficiency import (
     LEARNERS,
     PAPER_ZERO,
     TEST,
-    is_true,
     learned,
     objective_of,
     training_scenes,
 )  # fmt: skip
-from neural_judges import OTHER, free_of_contact, other_worlds, rolled
-from scenes import FRESH, scenario
+from neural_judges import free_of_contact, other_worlds, rolled
+from neural_summary import EXACT, NEURAL, PAPERS, SYMBOLIC, summary
+from scenes import scenario
 
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term
@@ -40,16 +39,13 @@ os.environ.setdefault(
 N_DRAWS = 5
 COUNTS = (1, 10, 5, 2, 3, 7, 4, 6, 8, 9)
 """Numbers of training scenes, in the order in which they are run: the ends first."""
-SYMBOLIC = ("zero force", "exhaustive", "exhaustive, sums", "cross_entropy", "genetic")
-NEURAL = ("MLP (position), paper", "IN, paper", "MLP (force), paper", "OGN, paper",
-          "MLP (position), tuned", "IN, tuned", "MLP (force), tuned", "OGN, tuned",
-          "HOGN, tuned")  # fmt: skip
-METHODS = (*SYMBOLIC, *NEURAL[4:], *NEURAL[:4])
-"""In the order in which they are run: the paper's trainings take longest."""
+METHODS = ("zero force", "exhaustive", "cross_entropy", "genetic", *NEURAL[4:], *PAPERS)
+"""In the order in which they are run: the paper's trainings take longest. "exhaustive" stands for
+"exhaustive, sums" too, which begins with it."""
+SPARED = {("bounce", "HOGN, tuned"): (1, 2, 5, 10)}
+"""Points at which a network that is not the paper's is asked where it takes long."""
 EXPLAINED = 1e-12
 """Share of the sum of squares up to which a law leaves nothing to a second one."""
-EXACT = 1e-9
-"""One-step nRMSE in metres below which a law is the true one."""
 DRAWN = 1e-6
 """Least error of the figure: below it are exact laws, whose rounding says nothing."""
 COLOURS = {"zero force": "#555555", "exhaustive": "#222222", "cross_entropy": "#0072b2",
@@ -61,71 +57,79 @@ COLOURS = {"zero force": "#555555", "exhaustive": "#222222", "cross_entropy": "#
 
 
 def work(folder, name, n_scenes, method, seed, n_draws, divisor):
-    """One point of a curve: a row per draw."""
+    """One point of a curve: a row per draw, of exhaustive search two."""
     draws = [training_scenes(name, n_scenes, shuffle) for shuffle in range(1, n_draws + 1)]
     work_on = symbolic if method in SYMBOLIC else neural
     rows = work_on(folder, name, draws, method, seed, divisor)
-    return [
-        {"scenario": name, "n_scenes": n_scenes, "shuffle": shuffle, "method": method,
-         "seed": seed, **row}
-        for shuffle, row in enumerate(rows, 1)
-    ]  # fmt: skip
+    point = {"scenario": name, "n_scenes": n_scenes}
+    return [{**point, "seed": seed, **row, **successes(row)} for row in rows]
+
+
+def successes(errors):
+    """Whether a law is the true one, constants included, where bodies do not touch and anywhere."""
+    return {"success_free": errors["nrmse_test_free"] < EXACT,
+            "success": errors["nrmse_test"] < EXACT}  # fmt: skip
 
 
 def symbolic(_, name, draws, method, seed, __):
     """Rows of a search."""
     rows = []
     for shuffle, scenes in enumerate(draws, 1):
-        law, found = ForceLaw(()), {"success": False, "seconds": 0.0, "law": ""}
-        if method != "zero force":
-            best, seconds = searched(name, scenes, method, seed, shuffle)
-            law = ForceLaw((Term(best.formula, best.kind),), best.constants)
-            found = {"success": is_right(name, law), "law": to_text(best.formula),
-                     "seconds": round(seconds, 3)}  # fmt: skip
-        rows.append({**symbolic_errors(name, law), **found})
+        for label, (best, seconds) in searched(name, scenes, method, seed, shuffle).items():
+            row = {"shuffle": shuffle, "method": label, "seconds": round(seconds, 3), "law": ""}
+            law = ForceLaw(())
+            if best is not None:
+                law = ForceLaw((Term(best.formula, best.kind),), best.constants)
+                row["law"] = to_text(best.formula)
+            rows.append({**row, **errors_on_test(name, law), **other_errors(name, law)})
     return rows
 
 
-def is_right(name, law):
-    """Whether a single law is the scenario's, and whether a sum leaves nothing on `FRESH`."""
-    formula = law.terms[0].formula
-    if getattr(formula, "operator", None) != "add":
-        return is_true(name, formula)
-    # No one law of the scenario's can be asked for where bodies touch as well.
-    return one_step_nrmse([scenario(name).scene(str(k)) for k in FRESH], law) < EXACT
-
-
 def searched(name, scenes, method, seed, shuffle):
-    """The best candidate of a search, and its processor time.
+    """The best candidates and processor times of a search: {method: (best, seconds)}."""
+    if method == "zero force":
+        return {method: (None, 0.0)}
+    if method == "exhaustive":
+        return exhaustive(name, scenes)
+    objective, _ = objective_of(name, scenes)
+    entropy = (list(PAPER_ZERO).index(name), len(scenes), shuffle, seed,
+               list(LEARNERS).index(method))  # fmt: skip
+    outcome = learned(objective, method, LEARNERS[method], seed, BUDGETS[method], entropy)
+    return {method: (outcome.best, outcome.seconds)}
 
-    "exhaustive, sums" goes on to sums of forces where no single law explains the scenes: a
-    collision in an NBODY scene pulls every single law off.
+
+def exhaustive(name, scenes):
+    """The best single law, and the best sum of forces where no single one explains the scenes.
+
+    A collision in an NBODY scene pulls every single law off.
     """
     objective, missing = objective_of(name, scenes)
-    if method in LEARNERS:
-        entropy = (list(PAPER_ZERO).index(name), len(scenes), shuffle, seed,
-                   list(LEARNERS).index(method))  # fmt: skip
-        outcome = learned(objective, method, LEARNERS[method], seed, BUDGETS[method], entropy)
-        return outcome.best, outcome.seconds
-    outcome = certified(objective, missing_inputs=missing)
-    if method == "exhaustive" or outcome.best.loss <= EXPLAINED * objective.total:
-        return outcome.best, outcome.seconds
-    objective, missing = objective_of(name, scenes, "newtonian_sum")
-    sums = certified(objective, missing_inputs=missing)
-    return sums.best, outcome.seconds + sums.seconds
+    single = certified(objective, missing_inputs=missing)
+    found = {"exhaustive": (single.best, single.seconds)}
+    sums = found["exhaustive"]
+    if single.best.loss > EXPLAINED * objective.total:
+        objective, missing = objective_of(name, scenes, "newtonian_sum")
+        outcome = certified(objective, missing_inputs=missing)
+        sums = (outcome.best, single.seconds + outcome.seconds)
+    return {**found, "exhaustive, sums": sums}
 
 
-def symbolic_errors(name, law):
-    """Errors of a law on the test scenes and in other worlds."""
+def errors_on_test(name, law):
+    """One-step errors of a law on the test scenes, all and those without contact, m."""
     test = [scenario(name).scene(k) for k in TEST]
-    free = free_of_contact(name, test)
+    return {"nrmse_test": one_step_nrmse(test, law),
+            "nrmse_test_free": one_step_nrmse(free_of_contact(name, test), law)}  # fmt: skip
+
+
+def other_errors(name, law):
+    """Distance of a law when run on over the test scenes, and its errors in other worlds, m."""
+    free = free_of_contact(name, [scenario(name).scene(k) for k in TEST])
     gaps = []
     for scene, path in zip(free, rolled(free, law), strict=True):
         gap = np.linalg.norm(path - scene.positions[2:, scene.dynamic], axis=-1).sum()
         gap /= len(scene.entities) * len(path)
         gaps.append(gap if np.isfinite(gap) else np.inf)
-    errors = {"nrmse_test": one_step_nrmse(test, law), "nrmse_test_free": one_step_nrmse(free, law),
-              "rollout": float(np.median(gaps))}  # fmt: skip
+    errors = {"rollout": float(np.median(gaps))}
     for label, sets in other_worlds(name).items():
         errors[label] = float(np.mean([one_step_nrmse(scenes, law) for scenes in sets]))
     return errors
@@ -142,19 +146,17 @@ def neural(folder, name, draws, method, seed, divisor):
     seeds = [(*entropy, shuffle) for shuffle in range(1, len(draws) + 1)]
     words = (name, len(draws[0]), *method.replace("(", "").replace(")", "").split(), seed)
     checkpoint = folder / "checkpoints" / ("-".join(map(str, words)).replace(",", "") + ".npz")
-    started = time.process_time()
     trained = train(model, training, draws, seeds, checkpoint)
-    seconds = (time.process_time() - started) / len(draws)
     rows = neural_errors(name, trained, len(draws[0][0].entities))
     checkpoint.unlink(missing_ok=True)
-    for row, steps in zip(rows, trained.steps, strict=True):
-        row.update(seconds=round(seconds, 2), steps=int(steps))
-    return rows
+    seconds = round(trained.seconds / len(draws), 2)
+    return [{"shuffle": k + 1, "method": method, "seconds": seconds, "law": "",
+             "steps": int(trained.steps[k]), **row} for k, row in enumerate(rows)]  # fmt: skip
 
 
 def neural_errors(name, trained, n_bodies):
     """Errors of the runs of a network on the test scenes and in other worlds."""
-    from neural.scores import can_be_asked, one_step, rollouts
+    from neural.scores import can_be_asked, one_step, rollouts, share_predicted
     from neural.worlds import load_worlds
 
     test = [scenario(name).scene(k) for k in TEST]
@@ -162,6 +164,7 @@ def neural_errors(name, trained, n_bodies):
     columns = {
         "nrmse_test": one_step(trained, load_worlds(test)).mean(axis=1),
         "nrmse_test_free": one_step(trained, load_worlds(free)).mean(axis=1),
+        "share_predicted": share_predicted(trained, load_worlds(test)),
         "rollout": np.median(rollouts(trained, load_worlds(free)), axis=1),
     }
     for label, sets in other_worlds(name).items():
@@ -176,108 +179,20 @@ def neural_errors(name, trained, n_bodies):
 
 def jobs_of(quick, seed):
     """The jobs: the ends of the curves first, so that an early look has something to see."""
-    counts, names = ((1, 2), ("mat", "nbody")) if quick else (COUNTS, ("mat", "nbody", "bounce"))
-    n_draws, divisor = (2, 20) if quick else (N_DRAWS, 1)
-    places = [(name, n) for n in counts for name in names]
-    ends = (1, 10)
-    places.sort(key=lambda p: (0, p[0] == "bounce") if p[1] in ends else (counts.index(p[1]), 0))
-    return [(name, n, method, seed, n_draws, divisor)
-            for name, n in places for method in METHODS]  # fmt: skip
+    if quick:
+        places = [("mat", 1), ("nbody", 1), ("mat", 2), ("nbody", 2), ("bounce", 1)]
+        n_draws, divisor = 2, 20
+    else:
+        # Of the ends BOUNCE last: its networks take longest.
+        places = [(name, n) for names in (("mat", "nbody"), ("bounce",)) for n in COUNTS[:2]
+                  for name in names]  # fmt: skip
+        places += [(name, n) for n in COUNTS[2:] for name in ("mat", "nbody", "bounce")]
+        n_draws, divisor = N_DRAWS, 1
+    return [(name, n, method, seed, n_draws, divisor) for name, n in places
+            for method in METHODS if n in SPARED.get((name, method), COUNTS)]  # fmt: skip
 
 
-# --- table and figure ---------------------------------------------------------------------------
-
-
-def summary(table):
-    """Median [quartiles] of every error, the ratio at the most scenes, and run times."""
-    lines = ["# Neural models and symbolic searches against the number of training scenes\n"]
-    for name in PAPER_ZERO:
-        part = table[table["scenario"] == name]
-        if len(part):
-            lines += [f"\n## {name.upper()}\n"]
-            if name in COLLIDING:
-                lines += errors_table(name, part, "nrmse_test_free", "17 scenes without contact")
-            lines += errors_table(name, part, "nrmse_test", "all 20 scenes")
-            lines += ["", ratio_line(name, part)]
-            lines += other_table(name, part)
-    lines += times_table(table)
-    return "\n".join(lines) + "\n"
-
-
-def errors_table(name, part, column, where):
-    """Test nRMSE against the number of scenes."""
-    counts = sorted(set(part["n_scenes"]))
-    rows = [f"\nMedian [quartiles] of the test nRMSE, {where}, m (zero force in the paper, on all: "
-            f"{PAPER_ZERO[name]})\n",
-            "| method | " + " | ".join(map(str, counts)) + " |",
-            "|---" * (1 + len(counts)) + "|"]  # fmt: skip
-    for method, mine in part.groupby("method", sort=False):
-        cells = []
-        for n in counts:
-            errors = mine.loc[mine["n_scenes"] == n, column]
-            if len(errors):
-                low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75])
-                cells.append(f"{middle:.2g} [{low:.2g}, {high:.2g}]")
-            else:
-                cells.append("")
-        rows.append(f"| {method} | " + " | ".join(cells) + " |")
-    return rows
-
-
-def ratio_line(name, part):
-    """How many times the best network's median error is larger, at the most scenes run."""
-    column = "nrmse_test_free" if name in COLLIDING else "nrmse_test"
-    neural_part = part[part["method"].isin(NEURAL)]
-    if not len(neural_part):
-        return ""
-    n = max(neural_part["n_scenes"])
-    median = part[part["n_scenes"] == n].groupby("method")[column].median()
-    best_net = median[median.index.isin(NEURAL)].idxmin()
-    best_law = median[median.index.isin(SYMBOLIC[1:])].idxmin()
-    zero = median["zero force"]
-    # Exact laws leave rounding; below 1e-12 m there is nothing to tell apart.
-    ratio = median[best_net] / max(median[best_law], 1e-12)
-    return (f"At n = {n} the best network ({best_net}) errs by {median[best_net]:.2g} m, "
-            f"{median[best_net] / zero:.2g} of zero force; the best search ({best_law}) by "
-            f"{median[best_law]:.2g}: {ratio:.1g} times less.")  # fmt: skip
-
-
-def other_table(name, part):
-    """Rollouts and other worlds at the most scenes run."""
-    n = max(part.loc[part["method"].isin(NEURAL), "n_scenes"], default=max(part["n_scenes"]))
-    columns = ["rollout", "other numbers", "other masses"]
-    rows = [f"\nAt n = {n}, medians, m: mean distance from the track over 49 steps run on "
-            "without correction (median scene), and one-step nRMSE in worlds with "
-            f"{_words(name)}\n",
-            "| method | rollout | other numbers of bodies | other masses |",
-            "|---|---|---|---|"]  # fmt: skip
-    for method, mine in part[part["n_scenes"] == n].groupby("method", sort=False):
-        cells = [mine[c].median() for c in columns]
-        cells = ["cannot be asked" if c != c else f"{c:.2g}" for c in cells]
-        rows.append(f"| {method} | " + " | ".join(cells) + " |")
-    return rows
-
-
-def _words(name):
-    said = [", ".join(f"{k} = {v}" for k, v in numbers.items())
-            for changes in OTHER[name].values() for numbers in changes]  # fmt: skip
-    return "; ".join(said)
-
-
-def times_table(table):
-    """Processor time of a run."""
-    counts = sorted(set(table["n_scenes"]))
-    rows = ["\n## Processor time of one run, seconds (median)\n",
-            "| scenario | method | " + " | ".join(map(str, counts)) + " |",
-            "|---" * (2 + len(counts)) + "|"]  # fmt: skip
-    by_scenario = table.sort_values("scenario", kind="stable")
-    for (name, method), mine in by_scenario.groupby(["scenario", "method"], sort=False):
-        if method == "zero force":
-            continue
-        seconds = mine.groupby("n_scenes")["seconds"].median()
-        cells = [f"{seconds[n]:.2g}" if n in seconds else "" for n in counts]
-        rows.append(f"| {name} | {method} | " + " | ".join(cells) + " |")
-    return rows
+# --- figure -----------------------------------------------------------------------------------
 
 
 def figure(table):

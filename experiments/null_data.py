@@ -1,8 +1,9 @@
 """Data that lack nothing: how often an effect is adopted all the same, and whether p is uniform.
 
 Worlds of pymunk under three declared models (thrown balls, a spring, two light bodies around a
-heavy one), with white noise and with noise that has a memory. The loop is closed on each; and,
-without its first test, the search and its bootstrap are run for a p-value of every set.
+heavy one), with white noise and with noise that has a memory. The loop is closed on each; its tests
+of the residual are asked by themselves, as if noise were white; and, without these, the search and
+its bootstrap are run for a p-value of every set.
 """
 
 import numpy as np
@@ -15,6 +16,7 @@ from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.preparing import observe
+from bsp_gp.loop.residual import examine_residual
 
 ALPHA = 0.01
 ALPHAS = (0.01, 0.05, 0.1, 0.2)
@@ -39,7 +41,6 @@ def work(declared, noise_kind, n_scenes, seed, n_bootstrap):
     """One data set: a row."""
     dataset, truth, entropy = data_set(declared, noise_kind, n_scenes, seed)
     loop_rng, observe_rng, search_rng, bootstrap_rng = np.random.default_rng(entropy).spawn(4)
-    report = close_loop(dataset, truth.declared, rng=loop_rng, alpha=ALPHA)
     law = declared_law(dataset, truth.declared)
     pairs = any(term.kind == "pair" for term in law.terms)
     observation = observe(dataset, law, observe_rng, sources=pairs)
@@ -49,14 +50,37 @@ def work(declared, noise_kind, n_scenes, seed, n_bootstrap):
     test = bootstrap(
         search, fit, strength(proposals), bootstrap_rng, alpha=ALPHA, n_max=n_bootstrap
     )
-    first = report.rounds[0]
     return [{
         "declared": declared, "noise_kind": noise_kind, "n_scenes": n_scenes, "seed": seed,
-        "n_rows": sum(len(s.times) * len(s.dynamic) for s in observation.train),
-        "p_value": test.p_value, "n_simulated": test.n_done, "p_first_test": first.missing.p_value,
-        "memory": first.noise_memory, "adopted": any(r.adopted for r in report.rounds),
-        "verdict": report.verdict, "law": report.law_text if first.adopted else "",
+        "n_rows": sum(len(s.times) * len(s.dynamic) for s in dataset.scenes),
+        "p_value": test.p_value, "n_simulated": test.n_done, "is_tail": test.is_extrapolated,
+        **closed(dataset, truth, loop_rng), **residual_tests(observation, fit),
     }]  # fmt: skip
+
+
+def closed(dataset, truth, rng):
+    """What the loop says."""
+    report = close_loop(dataset, truth.declared, rng=rng, alpha=ALPHA)
+    first = report.rounds[0]
+    return {
+        "p_effect": first.effect.p_value if first.effect else "", "memory": first.noise_memory,
+        "adopted": any(r.adopted for r in report.rounds), "verdict": report.verdict,
+        "law": report.law_text if first.adopted else "",
+    }  # fmt: skip
+
+
+def residual_tests(observation, fit):
+    """p-values of the tests of the residual under white noise, and of all together."""
+    missing = examine_residual(observation, fit, ALPHA)
+    kinds = {"smooth part": "smooth", "common effects": "common", "a period": "period"}
+    found = {}
+    for name, p in missing.tests.items():
+        kind = next((short for words, short in kinds.items() if name.startswith(words)), name)
+        found.setdefault(f"p_{kind}", []).append(p)
+    return {
+        **{kind: min(1.0, len(p) * min(p)) for kind, p in found.items()},
+        "p_residual": missing.p_value,
+    }
 
 
 def jobs_of(quick, seed):
@@ -88,6 +112,18 @@ def summary(table):
         lines.append("| " + " | ".join(cells) + " |")
     bounds = [f"{a + 2 * np.sqrt(a * (1 - a) / n):.3f}" for a in ALPHAS]
     lines.append("| allowed | | | " + " | ".join(bounds) + " |")
+    white = table[table["noise_kind"] == "white"]
+    lines += [
+        f"\nTests of the residual, {len(white)} sets with white noise, each kind by itself:\n",
+        "| test | " + " | ".join(f"p <= {a:g}" for a in ALPHAS) + " |",
+        "|---" * (1 + len(ALPHAS)) + "|",
+    ]
+    for column in ("p_size", "p_autocorrelation", "p_smooth", "p_common", "p_period", "p_residual"):
+        p = white[column].dropna()
+        shares = " | ".join(f"{(p <= a).mean():.3f}" for a in ALPHAS)
+        lines.append(f"| {column[2:]} | {shares} |")
+    bounds = [f"{a + 2 * np.sqrt(a * (1 - a) / max(len(white), 1)):.3f}" for a in ALPHAS]
+    lines.append("| allowed | " + " | ".join(bounds) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -97,7 +133,7 @@ def figure(table):
 
     fig, ax = plt.subplots(figsize=(4.6, 4.4), layout="constrained")
     levels = np.linspace(0, 1, 101)
-    n = len(table)
+    n = len(table) / table["noise_kind"].nunique()
     error = 2 * np.sqrt(levels * (1 - levels) / n)
     ax.fill_between(levels, levels - error, levels + error, color="#cccccc", lw=0,
                     label="uniform, 2 standard errors")  # fmt: skip

@@ -1,9 +1,11 @@
 """Other tools for symbolic regression beside ours: the same laws, from tables and from motion.
 
-Every tool has one set-up for all laws, the best that we know of; where a tool cannot be told that
-forces add up over pairs, that is coded around it by hand. Ours gets the motion itself; of the
-table it gets every row as a disc beside a fixed one. Needs the extra `peers` (a tool that is not
-installed is left out).
+Every tool has one set-up for all laws, the best that we know of (`peers_tools.py`), and one budget
+of processor time for a run; what of ours is over it counts as failed. Ours gets the motion itself;
+of the table it gets every row as a disc beside a fixed one. Its grammar of laws with constants
+inside, `peers_inner.toml`, has 90 forms, and the three laws of that kind that are asked for are
+among them: those rows say that a short list with free constants is fitted well, not that ours
+would come upon any such law. Needs the extra `peers` (a tool that is not installed is left out).
 """
 
 import sys
@@ -21,11 +23,11 @@ from peers_tasks import (
     TOLERANCE,
     dataset_of,
     motion,
-    pairs_of,
     relative,
     table,
     table_scenes,
 )
+from peers_tools import gplearn, pyoperon, pysindy
 from threadpoolctl import threadpool_limits
 
 from bsp_gp.language.grammar import load_grammar
@@ -40,19 +42,23 @@ from bsp_gp.search.run import Budget, run_search
 
 TOOLS = ("bsp_gp", "pyoperon", "gplearn", "pysindy")
 FORMS = ("table", "motion")
+BUDGET, QUICK_BUDGET = 120.0, 10.0
+"""Processor seconds of a run."""
+INNER = str(Path(__file__).with_name("peers_inner.toml"))
 EXPLAINED, EXACT = 1e-12, 1e-18
 """Shares of the sum of squares: below the first a grammar suffices, below the second no law of it
 can do better."""
-ARITHMETIC = "add,sub,mul,div,constant,variable"
 COLOURS = {"bsp_gp": "#222222", "pyoperon": "#0072b2", "gplearn": "#d55e00", "pysindy": "#009e73"}
 CANNOT = {
-    "bsp_gp": "inner constants only where a grammar of such laws is given (`peers_inner.toml`); "
-              "no free-form functions",
-    "pyoperon": "sums over pairs, vectors and units: here a Python callback sums the pairs, and "
-                "constants are then not optimised but mutated",
+    "bsp_gp": "inner constants only where a grammar of such laws is given (`peers_inner.toml`: "
+              "{n_forms} forms, the three laws of that kind asked for here among them); no "
+              "free-form functions",
+    "pyoperon": "sums over pairs, vectors and units: here a Python callback sums the pairs, "
+                "constants are then mutated, and fitted in the final tree only",
     "gplearn": "sums over pairs, vectors and units: here a metric sums the pairs; constants are "
-               "drawn, not fitted",
-    "pysindy": "anything that is not in its dictionary: exponents and lengths inside, contact",
+               "drawn, and fitted in the final program of motion only",
+    "pysindy": "anything that is not in its dictionary: exponents that are no half-integers, "
+               "lengths inside but for a decade of ranges, contact",
 }  # fmt: skip
 """What each cannot express or do."""
 
@@ -69,12 +75,13 @@ def ours(task, form, seed, seconds):
     types = set(dataset_types(dataset_of(parts[0])))
     started = time.process_time()
     best = None
-    for name in ("physics", str(Path(__file__).with_name("peers_inner.toml")), "newtonian_sum"):
+    for name in ("physics", INNER, "newtonian_sum"):
         grammar, missing = load_grammar(name).masked(types, 2)
         objective = Objective(known, grammar, "pair", starts=6)
         if name.endswith(".toml"):
             # No exhaustive search of laws with constants inside: all of its few laws are drawn.
-            budget = Budget(seconds=seconds, n_steps=100)
+            left = seconds - (time.process_time() - started)
+            budget = Budget(seconds=max(left, 1.0), n_steps=100)
             result = run_search(
                 Genetic(population=30, offspring=30), objective, budget, keep=1,
                 rng=np.random.default_rng((seed, 5)),
@@ -100,204 +107,6 @@ def best_loss(objective):
     return min((score.loss for _, score in objective.best.values()), default=np.inf)
 
 
-# --- the others -----------------------------------------------------------------------------------
-
-
-def pull_of(task, form, seed, fit):
-    """Let a tool find the pull of a pair; its error on fresh data.
-
-    Parameters
-    ----------
-    fit : callable
-        ``fit(x, y, pairs) -> (predict, text)``; y is None where pulls are not seen, pairs is None
-        where they are.
-    """
-    started = time.process_time()
-    if form == "table":
-        (x, y), (x_fresh, y_fresh) = table(task, seed)
-        predict, text = fit(x, y, None)
-        spent = time.process_time() - started
-        return relative(predict(x_fresh) - y_fresh, y_fresh), spent, text
-    known, fresh = (pairs_of(task, scenes) for scenes in motion(task, seed))
-    predict, text = fit(known.x, None, known)
-    spent = time.process_time() - started
-    factor = scale_of(known, predict(known.x))
-    error = factor * fresh.summed(predict(fresh.x)) - fresh.seen
-    return relative(error, fresh.seen), spent, f"{factor:.6g} * ({text})"
-
-
-def scale_of(pairs, pull):
-    """The factor with which pulls explain the accelerations best."""
-    a = pairs.summed(pull)
-    return float((a * pairs.seen).sum() / max((a * a).sum(), 1e-300))
-
-
-def misfit(pairs, pull):
-    """Share of the accelerations' sum of squares that pulls leave, with their best factor."""
-    if not np.isfinite(pull).all():
-        return 1.0
-    a = pairs.summed(np.asarray(pull, dtype=float))
-    size = (a * a).sum()
-    if not 0 < size < np.inf:
-        return 1.0
-    return float(1 - (a * pairs.seen).sum() ** 2 / (size * (pairs.seen**2).sum()))
-
-
-def pyoperon(task, form, seed, seconds):
-    """C++ genetic programming; constants by Levenberg-Marquardt where pulls are seen.
-
-    Arithmetic alone first, then more functions: each has half of the time.
-    """
-    import pyoperon as op
-    from pyoperon.sklearn import SymbolicRegressor
-
-    class Summed(SymbolicRegressor):
-        """Judged by the accelerations that summed pairs make."""
-
-        def _init_evaluator(self, objective, problem, dtable, uncertainty):
-            rows = op.Range(0, len(self.pairs.x))
-
-            def judge(_, individual):
-                pull = op.Evaluate(dtable, individual.Genotype, self.data, rows)
-                return [misfit(self.pairs, pull)]
-
-            return op.UserDefinedEvaluator(problem, judge)
-
-    def once(x, y, pairs, symbols):
-        common = {
-            "allowed_symbols": symbols, "population_size": 1000, "generations": 10**6,
-            "max_evaluations": 10**9, "max_length": 25, "epsilon": 1e-9, "n_threads": 1,
-            "max_time": max(1, int(seconds / 2)), "random_state": seed,
-        }  # fmt: skip
-        if pairs is None:
-            return SymbolicRegressor(optimizer_iterations=10, **common).fit(x, y)
-        # "c2" asks for no scaling of the model; the evaluator above takes its place.
-        model = Summed(objectives=["c2"], optimizer_iterations=0, add_model_scale_term=False,
-                       add_model_intercept_term=False, **common)  # fmt: skip
-        model.pairs, model.data = pairs, op.Dataset(np.asfortranarray(np.column_stack((x, y))))
-        return model.fit(x, y)
-
-    def fit(x, y, pairs):
-        best = None
-        # Where pulls are not seen a target is asked for all the same, and not looked at.
-        target = np.arange(len(x)) % 2 * 1.0 if y is None else y
-        for symbols in (ARITHMETIC, ARITHMETIC + ",square,sqrt,pow,exp,fmax"):
-            model = once(x, target, pairs, symbols)
-            pull = np.asarray(model.predict(x), dtype=float)
-            left = misfit(pairs, pull) if pairs else relative(pull - y, y) ** 2
-            if best is None or left < best[0]:
-                best = (left, model)
-            if left < 1e-10:
-                break
-        model = best[1]
-        text = model.get_model_string(model.model_, precision=5)
-        return lambda x: np.asarray(model.predict(x), dtype=float), text
-
-    return pull_of(task, form, seed, fit)
-
-
-def gplearn(task, form, seed, seconds):
-    """Genetic programming in Python, warm-started generation by generation until time is up."""
-    import warnings
-
-    from gplearn.fitness import make_fitness
-    from gplearn.functions import make_function
-    from gplearn.genetic import SymbolicRegressor
-
-    def exp(x):
-        return np.exp(np.clip(x, -50, 50))
-
-    def fit(x, y, pairs):
-        def judge(y, y_pred, _):
-            # gplearn tries the metric on two rows first.
-            return 1.0 if pairs is None or len(y_pred) != len(x) else misfit(pairs, y_pred)
-
-        summed = make_fitness(function=judge, greater_is_better=False, wrap=False)
-        metric = "pearson" if pairs is None else summed
-        functions = ("add", "sub", "mul", "div", "sqrt", "inv", "max",
-                     make_function(function=exp, name="exp", arity=1, wrap=False))  # fmt: skip
-        model = SymbolicRegressor(
-            population_size=1000, generations=1, metric=metric, function_set=functions,
-            stopping_criteria=1 - 1e-9 if pairs is None else 1e-9, const_range=(-10.0, 10.0),
-            parsimony_coefficient=1e-4, init_depth=(2, 5), random_state=seed, warm_start=True,
-        )  # fmt: skip
-        dummy = np.arange(len(x)) % 2 * 1.0 if y is None else y
-        started = time.process_time()
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            model.fit(x, dummy)
-            while time.process_time() - started < seconds and not done(model, pairs):
-                model.set_params(generations=model.generations + 1)
-                model.fit(x, dummy)
-        program = model._program
-        slope, offset = 1.0, 0.0
-        if y is not None:
-            slope, offset = np.polyfit(program.execute(x), y, 1)
-
-        def predict(x):
-            with np.errstate(all="ignore"):
-                return slope * program.execute(x) + offset
-
-        return predict, f"{slope:.6g} * {program} + {offset:.3g}" if y is not None else str(program)
-
-    return pull_of(task, form, seed, fit)
-
-
-def done(model, pairs):
-    """Whether gplearn's best program explains the data."""
-    best = model.run_details_["best_fitness"][-1]
-    return best >= 1 - 1e-9 if pairs is None else best <= 1e-9
-
-
-def pysindy(task, form, seed, seconds):
-    """Sequentially thresholded regression on a dictionary of monomials; the pair sum by hand.
-
-    The threshold is the one whose terms err least on the last fifth of the rows, the fewest
-    terms among equals.
-    """
-    from pysindy import STLSQ
-
-    def fit(x, y, pairs):
-        columns = dictionary(x)
-        names = list(columns)
-        if pairs is None:
-            theta, target = np.column_stack(list(columns.values())), y
-        else:
-            theta = np.column_stack([pairs.summed(c).ravel() for c in columns.values()])
-            target = pairs.seen.ravel()
-        scale = np.linalg.norm(theta, axis=0)
-        cut = len(target) * 4 // 5
-        best = None
-        for threshold in np.linalg.norm(target) * np.logspace(-6, -0.5, 23):
-            model = STLSQ(threshold=threshold, alpha=0.0, max_iter=50)
-            weights = fitted(model, theta[:cut] / scale, target[:cut]) / scale
-            error = relative(theta[cut:] @ weights - target[cut:], target[cut:])
-            key = (max(error, 1e-9), int((weights != 0).sum()))
-            if best is None or key < best[0]:
-                best = (key, weights)
-        weights = best[1]
-        text = " + ".join(f"{w:.5g} {n}" for w, n in zip(weights, names, strict=True) if w)
-        return lambda x: np.column_stack(list(dictionary(x).values())) @ weights, text or "0"
-
-    return pull_of(task, form, seed, fit)
-
-
-def fitted(model, theta, target):
-    """Weights; zero where the threshold leaves no term."""
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return model.fit(theta, target[:, None]).coef_[0]
-
-
-def dictionary(x):
-    """Products of masses, whole powers of the distance."""
-    m_i, m_j, r = x[:, 0], x[:, 1], x[:, 2]
-    masses = {"1": 1.0 + 0 * r, "m_i": m_i, "m_j": m_j, "m_i m_j": m_i * m_j}
-    return {f"{name} r^{k}": m * r**k for name, m in masses.items() for k in range(-4, 5)}
-
-
 # --- the table --------------------------------------------------------------------------------
 
 
@@ -311,13 +120,16 @@ def work(task, form, tool, seed, seconds):
         print(f"{tool} is not installed; left out", file=sys.stderr)
         return []
     row = {"law": task, "form": form, "tool": tool, "seed": seed, "error": error}
-    return [{**row, "success": error <= TOLERANCE, "seconds": round(spent, 3), "found": found}]
+    # The others are stopped by the budget themselves, ours is not in the midst of a search.
+    success = error <= TOLERANCE and (tool != "bsp_gp" or spent <= seconds)
+    return [{**row, "success": success, "seconds": round(spent, 3), "found": found}]
 
 
-def jobs_of(quick, seed):
+def jobs_of(quick, seed, budget=None):
     """Laws, forms, tools, seeds and seconds."""
     names = ("gravity", "softened gravity") if quick else tuple(TASKS)
-    n_seeds, seconds = (1, 3.0) if quick else (5, 30.0)
+    n_seeds = 1 if quick else 5
+    seconds = budget or (QUICK_BUDGET if quick else BUDGET)
     return [(name, form, tool, s, seconds) for s in range(seed, seed + n_seeds)
             for form in FORMS for name in names for tool in TOOLS]  # fmt: skip
 
@@ -328,8 +140,10 @@ def summary(table, seconds):
              f"A law is found if its error on fresh data is below {TOLERANCE:g} of that of no "
              f"force. Table: up to {N_TABLE} pulls of single pairs; motion: {N_SCENES} scenes of "
              f"four discs, {N_FRAMES} frames. Cells: found / runs, median error, median processor "
-             f"time. Seeds {', '.join(map(str, sorted(set(table['seed']))))}; at most {seconds:g} "
-             "s a run (pyoperon by the clock; ours for laws with constants inside).\n"]  # fmt: skip
+             f"time. Seeds {', '.join(map(str, sorted(set(table['seed']))))}. One budget for all: "
+             f"{seconds:g} s of processor time a run. What of ours is over it counts as failed; "
+             "pyoperon is stopped by the clock, gplearn after the generation under way. A run cut "
+             "by time is not reproducible by its seed.\n"]  # fmt: skip
     for form in FORMS:
         part = table[table["form"] == form]
         tools = [tool for tool in TOOLS if tool in set(part["tool"])]
@@ -339,9 +153,15 @@ def summary(table, seconds):
             cells = [cell(mine[mine["tool"] == tool]) for tool in tools]
             lines.append(f"| {name}: {TASKS[name].text} | " + " | ".join(cells) + " |")
     lines += ["\n## What each cannot express or do\n"]
-    lines += [f"- {tool}: {CANNOT[tool]}" for tool in TOOLS]
+    lines += [f"- {tool}: {CANNOT[tool].format(n_forms=n_forms())}" for tool in TOOLS]
     lines += ["\nVersions: " + ", ".join(f"{tool} {known_version(tool)}" for tool in TOOLS)]
     return "\n".join(lines) + "\n"
+
+
+def n_forms():
+    """Laws of the grammar with constants inside, but for the values of their constants."""
+    grammar = load_grammar(INNER)
+    return grammar.count(grammar.start["pair"], len(grammar.types))
 
 
 def cell(some):
@@ -387,8 +207,10 @@ def figure(table):
 
 
 def main():
-    args = options(__doc__.splitlines()[0])
-    jobs = jobs_of(args.quick, args.seed)
+    args = options(__doc__.splitlines()[0], declare=lambda parser: parser.add_argument(
+        "--budget", type=float, help=f"processor seconds of a run (default: {BUDGET:g}, "
+        f"quick {QUICK_BUDGET:g})"))  # fmt: skip
+    jobs = jobs_of(args.quick, args.seed, args.budget)
     found = run_jobs(jobs, work, args.out, args.workers)
     write_study(summary(found, jobs[0][-1]), figure(found), args.out, "peers")
 

@@ -15,6 +15,8 @@ MIN_SCENES = 4
 TEST_SHARE = 0.25
 HELD_OUT_TIME = 0.3
 MAX_GAP = 0.1
+MEMORIES = 3.0
+"""Correlation times of the noise that a gap is long at least."""
 MIN_ROWS = 3
 
 
@@ -30,7 +32,8 @@ def choose_split(dataset, rng):
     """Divide a data set into scenes to train on and scenes held out.
 
     A declared split wins. Without one, from four scenes on a random quarter is held out; with
-    fewer, the last 30 % of the time of every scene, after a gap of one correlation time.
+    fewer, the last 30 % of the time of every scene, after a gap of one correlation time of the
+    motion or three of the noise (where it is declared to have a memory), at most a tenth.
 
     Parameters
     ----------
@@ -80,7 +83,7 @@ def _random(dataset, rng):
 def _in_time(dataset):
     train, test, gaps = [], [], []
     for scene in dataset.scenes:
-        gap = _correlation_rows(scene)
+        gap = _correlation_rows(scene, dataset.noise_memory or 0.0)
         begin = scene.times[0] + (1 - HELD_OUT_TIME) * (scene.times[-1] - scene.times[0])
         start = int(np.searchsorted(scene.times, begin))
         start = min(start, len(scene.times) - MIN_ROWS)
@@ -111,10 +114,13 @@ def _renamed(scene, suffix):
     )
 
 
-def _correlation_rows(scene):
-    """Correlation time of the velocity fluctuations in rows, at least 1, at most a tenth."""
+def _correlation_rows(scene, memory):
+    """Correlation time of the velocity fluctuations in rows, at least 1, at most a tenth.
+
+    And no less than three correlation times of the noise, `memory` in seconds.
+    """
     most = max(1, int(MAX_GAP * len(scene.times)))
-    longest = 1
+    longest = max(1, int(np.ceil(MEMORIES * memory / np.median(np.diff(scene.times)))))
     for entity in scene.dynamic:
         for axis in range(scene.n_dims):
             x = scene.positions[:, entity, axis]

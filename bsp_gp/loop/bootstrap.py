@@ -1,11 +1,12 @@
 """Question 5 through the whole search: how often a complete model looks as incomplete.
 
 The declared model is taken for the truth: its fitted tracks with noise as large and with as long a
-memory as its residual may have, drawn anew for every data set. On every such data set everything is
-done again: the model is fitted, the tracks are denoised, the noise is estimated, all laws are
-searched. The p-value counts how often the best law is as strong as the one that was found. Rounds
-need no further correction: a round is only reached if all before it adopted something, so that at
-most one of them meets a complete model first (a gatekeeping procedure).
+memory as its residual may have, drawn anew for every data set. On every such data set the search is
+done again from the start: the model is fitted, the tracks are denoised, the noise is estimated, all
+laws are searched. The p-value counts how often the best law is as strong as the one that was found.
+What is tested beside the search, common effects and rivals, has p-values of its own, and counts
+double. Rounds need no further correction: a round is only reached if all before it adopted
+something, so that at most one of them meets a complete model first (a gatekeeping procedure).
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def strength(proposals):
 
 
 def bootstrap(search, fit, observed, rng, *, alpha=0.01, n_max=99, workers=None):
-    """p-value of a finding, with everything that led to it done again on simulated data.
+    """p-value of a finding of the search, which is done again on simulated data.
 
     Parameters
     ----------

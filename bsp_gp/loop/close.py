@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from bsp_gp.loop.memory import with_memory
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.pruning import prune
 from bsp_gp.loop.rounds import run_round
+from bsp_gp.loop.seeing import with_scenes
 from bsp_gp.loop.writing_up import corrections, write_up
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.evaluation import unknown_receivers
@@ -105,8 +107,9 @@ def close_loop(
         What the trace of the residual does for the search: "order" (laws of the leading channels
         stand first among equals), "restrict" (only they are searched), or "off".
     ask_held_out : bool
-        Whether the held-out tracks are asked as well before nothing is called missing. Not where
-        what is known of their bodies was inferred from their first rows.
+        Whether the held-out tracks are asked as well before nothing is called missing; if they
+        alone lack something, and the split was not declared, it is turned round. Not where what is
+        known of their bodies was inferred from their first rows.
     seed : int, optional
         Recorded in the report.
     workers : concurrent.futures.Executor, optional
@@ -163,17 +166,17 @@ def close_loop(
         raise SettingsError(
             f"grammar {grammar.name} knows forces between bodies only, and no scene has two bodies"
         )
-    progress("fitting the declared model")
-    first = model = evaluate(observation, law)
-    rounds = []
-    for number, round_rng in enumerate(round_rngs, 1):
-        done, model, search = run_round(
-            number, model, search, alpha, round_rng, progress, workers, n_bootstrap, guide,
-            ask_held_out,
-        )  # fmt: skip
-        rounds.append(done)
-        if not done.adopted:
-            break
+    first, model, search, rounds = _rounds(
+        law, search, alpha, round_rngs, progress, workers, n_bootstrap, guide, ask_held_out
+    )
+    there = rounds[0].missing_held_out
+    if there is not None and there.is_missing and not (dataset.train or dataset.test):
+        progress("what is missing shows in the held-out scenes: learning from them")
+        observation = _turned_round(observation, rounds[0].missing, there)
+        search = search.on(observation)
+        first, model, search, rounds = _rounds(
+            law, search, alpha, rng.spawn(max_rounds), progress, workers, n_bootstrap, guide, False
+        )
     progress("writing up")
     model, rounds = prune(search.observation, model, rounds, alpha)
     measured = _as_measured(observation, search.observation, rounds)
@@ -183,6 +186,37 @@ def close_loop(
     return write_up(
         search, measured, law, first, model, rounds, grammar, alpha, seed, final_rng, started
     )
+
+
+def _rounds(law, search, alpha, rngs, progress, workers, n_bootstrap, guide, ask_held_out):
+    """Rounds up to the first that adopts nothing: the declared model, the last, search, rounds."""
+    progress("fitting the declared model")
+    first = model = evaluate(search.observation, law)
+    rounds = []
+    for number, rng in enumerate(rngs, 1):
+        done, model, search = run_round(
+            number, model, search, alpha, rng, progress, workers, n_bootstrap, guide, ask_held_out
+        )
+        rounds.append(done)
+        if not done.adopted:
+            break
+    return first, model, search, rounds
+
+
+def _turned_round(observation, here, there):
+    """The observation that learns from the scenes held out, and holds out the others.
+
+    What was drawn to be held out is as good as what was drawn to be learned from, as long as one
+    part is learned from and the other is not. On data that lack nothing this is come by with the
+    probability alpha at most, in which at most so much is added to that of a false finding.
+    """
+    turned = with_scenes(observation, observation.test, observation.train)
+    note = (
+        f"the split was turned round: nothing is missing from the scenes that were drawn to be "
+        f"learned from (p = {here.p_value:.3g}), and something from those that were held out "
+        f"(p = {there.p_value:.3g}); these are learned from here, and the others held out"
+    )
+    return replace(turned, split_note=f"{observation.split_note}; {note}")
 
 
 def _as_measured(observation, final, rounds):

@@ -33,6 +33,7 @@ def compare_searches(
     searches=None,
     executor=None,
     missing_inputs=(),
+    method=None,
 ):
     """Search what a declared model leaves with every strategy, from several seeds.
 
@@ -58,6 +59,8 @@ def compare_searches(
     executor : concurrent.futures.Executor, optional
     missing_inputs : tuple of str
         For the certificate.
+    method : str, optional
+        How accelerations are read off noisy positions, see `observe`.
 
     Returns
     -------
@@ -66,6 +69,8 @@ def compare_searches(
         length, regret, n_evaluated, seconds, and the residual accelerations that are left on
         training and held-out data, m/s^2.
     certificate : Certificate
+    how : str
+        How accelerations were read off the positions.
     """
     names = tuple(STRATEGIES) if searches is None else tuple(searches)
     unknown = [name for name in names if name not in STRATEGIES]
@@ -73,7 +78,7 @@ def compare_searches(
         raise SettingsError(f"search must be one of {', '.join(STRATEGIES)}, got {unknown[0]!r}")
     kind = kind or next(iter(grammar.start))
     law = declared_law(dataset, laws)
-    observation = observe(dataset, law, rng.spawn(1)[0])
+    observation = observe(dataset, law, rng.spawn(1)[0], method=method)
     regression = observation.train_regression
     fit = fit_constants(regression, law)
     objective = Objective(
@@ -95,7 +100,9 @@ def compare_searches(
     )
     optimum = outcomes[0].cost
     rows = [_row(outcome, optimum, fit.law, observation) for outcome in outcomes]
-    return rows, outcomes[0].certificate
+    widths = regression.widths
+    how = regression.method + (f", {widths.text()}" if widths is not None else "")
+    return rows, outcomes[0].certificate, how
 
 
 def _row(outcome, optimum, law, observation):

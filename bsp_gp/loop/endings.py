@@ -10,6 +10,7 @@ import numpy as np
 
 from bsp_gp.errors import DataError, EvaluationError
 from bsp_gp.loop.attempts import evaluate
+from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.bootstrap import bootstrap, strength
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
@@ -136,14 +137,18 @@ class Turn:
         """What a round with an adoption hands on: (round, model, search)."""
         return done, *_without_spurious_memory(after, search.whole or search)
 
-    def round(self, **told):
-        """The round, of what is known and `told`."""
+    def round(self, errors=None, **told):
+        """The round, of what is known, what held-out data say (`BeforeAfter`) and `told`."""
+        if errors is None:
+            told.update(before=self.model.errors, after=None, ratio=None)
+        else:
+            told.update(before=errors.before, after=errors.after, ratio=errors.ratio,
+                        ratios=errors.ratios)  # fmt: skip
         told = {"certificate": "; ".join(self.proposals.certificates) if self.proposals else "",
                 "trace": self.trace, "guidance": self.guidance,
                 "noise_memory": self.observation.memory, **told}  # fmt: skip
         seconds = time.perf_counter() - self.started
-        return Round(number=self.number, missing=self.missing, before=self.model.errors,
-                     seconds=seconds, **told)  # fmt: skip
+        return Round(number=self.number, missing=self.missing, seconds=seconds, **told)
 
 
 def ends_quiet(turn):
@@ -161,7 +166,7 @@ def ends_quiet(turn):
             "them can find it"
         )  # fmt: skip
     return turn.unchanged(turn.round(
-        effect=None, rivals=(), adopted=False, after=None, floor=turn.floor(), ratio=None,
+        effect=None, rivals=(), adopted=False, floor=turn.floor(),
         held_out=(), verdict=verdict, certificate="", reason=reason, missing_held_out=there,
     ))  # fmt: skip
 
@@ -183,7 +188,7 @@ def ends_in_noise(turn):
     """A round in which noise with a memory explains what is left."""
     unit = turn.observation.dataset.units.text(Unit.of(s=1))
     return turn.unchanged(turn.round(
-        effect=None, rivals=(), adopted=False, after=None, floor=turn.floor(), ratio=None,
+        effect=None, rivals=(), adopted=False, floor=turn.floor(),
         held_out=(), verdict="cannot tell", certificate="",
         reason=(
             "positions are wrong for longer than a frame, and that explains what is left: noise "
@@ -203,8 +208,8 @@ def ends_empty(turn, others):
     ]  # fmt: skip
     rivals = [*tried, *ranked, *freed_numbers(turn.observation, turn.model), *ruled_out]
     return turn.unchanged(turn.round(
-        effect=None, rivals=tuple(rivals), adopted=False, after=None, floor=turn.floor(),
-        ratio=None, held_out=(), verdict="seen, not adopted",
+        effect=None, rivals=tuple(rivals), adopted=False, floor=turn.floor(),
+        held_out=(), verdict="seen, not adopted",
         reason=(
             "something is left, but every law that was tried is ruled out by its sign or is only "
             "a change of a declared number"
@@ -236,7 +241,7 @@ def ends_in_rival(turn, winner, others):
     ]  # fmt: skip
     done = turn.round(
         effect=judged.effect, rivals=tuple(rivals), adopted=judged.adopted, reason=judged.reason,
-        after=judged.after.errors, floor=judged.floor, ratio=judged.ratio, significance=how,
+        errors=judged.errors, floor=judged.floor, significance=how,
         held_out=tuple(held_out_rows(model.rows, judged.after.rows)), verdict=judged.verdict,
     )  # fmt: skip
     if not judged.adopted:
@@ -276,7 +281,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
     turn.says(f"weighing {shown.name} on held-out data")
     after = evaluate(observation, shown.law, shown.fit)
     floor, copies = observation.floor(after.law, turn.rngs.floor)
-    ratio = observation.ratio(model.rows, after.rows, turn.rngs.ratio, copies, model.law, after.law)
+    errors = compared(observation, model, after, copies, turn.rngs.ratio)
     refuted = None
     if is_freed:
         adopted, verdict, reason = False, "cannot tell", FREED
@@ -286,7 +291,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             effect = freed_effect(observation, model, shown, p_value)
             reason = TURNED if effect.name.endswith("sign is wrong") else FREED
     else:
-        found = weigh(observation, model, after, floor, ratio, alpha, is_clear)
+        found = weigh(observation, model, after, floor, errors.ratio, alpha, is_clear)
         adopted, verdict, reason = verdict_of(
             observation, model, after, chosen, turn.attempts, found, p_value, alpha
         )
@@ -297,7 +302,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
         if refuted is not None:
             chosen = shown = refuted.chosen
             adopted, verdict, reason = True, "effect adopted", refuted.reason
-            after, ratio = refuted.after, refuted.ratio
+            after, errors = refuted.after, refuted.errors
         told = replace(chosen, fit=widened(turn.search, chosen.fit))
         effect = effect_of(observation, told, turn.attempts, p_value, near)
     rivals = rivals_of(observation, model, shown, turn.attempts)
@@ -314,7 +319,7 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
         certificates.append(f"{n_failed} proposals without a finite fit were left out")
     done = turn.round(
         effect=effect, rivals=(*first, *rivals, *ranked, *numbers, *ruled_out), adopted=adopted,
-        reason=reason, after=after.errors, floor=floor, ratio=ratio, significance=how,
+        reason=reason, errors=errors, floor=floor, significance=how,
         held_out=tuple(held_out_rows(model.rows, after.rows)), verdict=verdict,
         certificate="; ".join(certificates), undecided=undecided,
     )  # fmt: skip

@@ -12,12 +12,17 @@ import numpy as np
 
 from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
+from bsp_gp.loop.before_after import error_of
 from bsp_gp.loop.denoise import tracks_of
 from bsp_gp.loop.fitted import Fit
-from bsp_gp.loop.outcome import Errors, Ratio
+from bsp_gp.loop.outcome import METRICS, Errors
 from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
 from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
+from bsp_gp.physics.metrics import (
+    one_step_errors,
+    residual_acceleration,
+    residual_accelerations,
+)
 from bsp_gp.physics.noise import draw_noise
 from bsp_gp.physics.shooting import cut_segments, fit_rollout, predict, track_blocks
 from bsp_gp.search.constants import fit_constants
@@ -25,11 +30,16 @@ from bsp_gp.units import ACCELERATION, Unit
 
 __all__ = ["Observation", "contradicts"]
 
-N_FLOOR = 8
+N_FLOOR = 64
 """Simulated copies of the held-out data behind the noise floor and parametric intervals."""
+FEWEST_FLOOR = 8
+"""The same where so many would have more than `MOST_POINTS` points."""
+MOST_POINTS = 500_000
 TOO_FAR = 2.33
 """Standard errors by which held-out tracks must fall short of a law to contradict it (1 %)."""
 _SAME_CHISQR = 1e-6
+NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
+"""Note on a data set."""
 
 
 def contradicts(gain, sight, seen):
@@ -226,6 +236,11 @@ class Observation:
         return float(sum(counts)) if counts else np.inf
 
     @property
+    def has_masses(self):
+        """Whether bodies have masses that were measured, and not ones in their place."""
+        return NO_MASS not in self.dataset.notes
+
+    @property
     def velocity(self):
         return "measured" if self.method == "derivative" else "ignore"
 
@@ -262,34 +277,31 @@ class Observation:
         return np.isfinite(head).all(axis=-1).sum(axis=0) < least
 
     def errors(self, law, scenes=None):
-        """Errors of a law on held-out scenes, and the sums behind them.
+        """Errors of a law on held-out scenes, and what they are made of.
 
         Returns
         -------
         errors : Errors
-        per_scene : list of dict
-            scene, sum_squares, n, endpoint (per scene, receivers averaged).
+        rows : list of dict
+            Per scene: scene; sum_squares and n of positions; endpoints, those of the bodies that
+            have one; and nan where there is none, vectors along the last axis: track (T, R, d),
+            ends (R, d), steps (T - 2, N, 1), accelerations (n, R, d).
         """
-        scenes = self.test if scenes is None else scenes
-        per_scene = self._score(law, scenes)
-        total = sum(row["sum_squares"] for row in per_scene)
-        count = sum(row["n"] for row in per_scene)
-        ends = [end for row in per_scene for end in row["endpoints"]]
-        regression = (
-            self.test_regression
-            if scenes is self.test
-            else self.regression(scenes)
-        )
+        rows = self._rows(law, self.test if scenes is None else scenes)
         units = self.dataset.units
         return Errors(
-            residual_acceleration=residual_acceleration(regression, law),
-            one_step_nrmse=one_step_nrmse(scenes, law, self.dataset.up),
-            rollout_rmse=float(np.sqrt(total / count)) if count else float("nan"),
-            endpoint=float(np.median(ends)) if ends else float("nan"),
-            unit=units.text(Unit.of(m=1)),
-            endpoint_mean=float(np.mean(ends)) if ends else float("nan"),
-            acceleration_unit=units.text(ACCELERATION),
-        ), per_scene
+            **{metric: error_of(metric, rows) for metric in METRICS},
+            unit=units.text(Unit.of(m=1)), acceleration_unit=units.text(ACCELERATION),
+        ), rows  # fmt: skip
+
+    def _rows(self, law, scenes):
+        regression = self.test_regression if scenes is self.test else self.regression(scenes)
+        accelerations = residual_accelerations(regression, law)
+        steps = one_step_errors(scenes, law, self.dataset.up)
+        rows = self._score(law, scenes)
+        for scene, row, step in zip(scenes, rows, steps, strict=True):
+            row.update(steps=step[..., None], accelerations=accelerations[scene.name])
+        return rows
 
     def headline_error(self, law):
         """The one held-out error by which laws are compared: cheap, one number.
@@ -316,26 +328,29 @@ class Observation:
             for scene, predicted in zip(scenes, self.predictions(law, scenes), strict=True)
         ]
 
-    def _score_copies(self, law, copies):
-        """The same for copies of the held-out scenes, rolled out together: a list of lists."""
+    def score_copies(self, law, copies):
+        """Rows of `errors` of copies of the held-out scenes, made together: a list of lists."""
         scenes = [scene for copy in copies for scene in copy]
-        rows = iter(self._score(law, scenes) if scenes else ())
+        rows = iter(self._rows(law, scenes) if scenes else ())
         return [[next(rows) for _ in copy] for copy in copies]
 
     def _scene_errors(self, scene, predicted):
         observed = scene.positions[:, scene.dynamic]
         error = np.where(np.isfinite(self.sigma), observed - predicted, 0.0)
+        error[: self.n_initial(scene)] = np.nan
         squares = np.square(error).sum(axis=-1)
-        squares[: self.n_initial(scene)] = np.nan
         row = self.dataset.evaluation.endpoint_row
         index = (row - 1) if row is not None else len(scene.times) - 1
         # Where a track ends before the end-point row there is no end-point to score.
-        ends = np.sqrt(squares[index]) if index < len(scene.times) else np.array([])
+        ends = error[index] if index < len(scene.times) else np.full_like(error[0], np.nan)
+        sizes = np.linalg.norm(ends, axis=-1)
         return {
             "scene": scene.name,
             "sum_squares": float(np.nansum(squares)),
             "n": int(np.isfinite(squares).sum()),
-            "endpoints": [float(end) for end in ends if np.isfinite(end)],
+            "endpoints": [float(end) for end in sizes if np.isfinite(end)],
+            "track": error,
+            "ends": ends,
         }
 
     def regression(self, scenes, states=None):
@@ -382,7 +397,9 @@ class Observation:
     def _simulated_floor(self, law, rng):
         copies = []
         states = self._states(law, self.test)
-        for k, child in enumerate(rng.spawn(N_FLOOR)):
+        points = sum(scene.positions.size for scene in self.test)
+        n_copies = int(np.clip(MOST_POINTS // max(points, 1), FEWEST_FLOOR, N_FLOOR))
+        for k, child in enumerate(rng.spawn(n_copies)):
             copy = self._noisy(states, self.test, child)
             copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
         errors, _ = self.errors(law, [scene for copy in copies for scene in copy])
@@ -516,42 +533,3 @@ class Observation:
             integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
             memory=self.memory,
         )  # fmt: skip
-
-    def ratio(self, before, after, rng, copies=None, law_before=None, law_after=None):
-        """After / before of the rollout error on held-out data, with a 90 % interval.
-
-        Five or more held-out scenes: resampling of whole scenes. Fewer: parametric, from
-        simulated copies of the held-out data; exact data have no noise to simulate.
-        """
-
-        def value(rows_after, rows_before):
-            top = sum(row["sum_squares"] for row in rows_after)
-            bottom = sum(row["sum_squares"] for row in rows_before)
-            return float(np.sqrt(top / bottom)) if bottom > 0 else float("nan")
-
-        point = value(after, before)
-        if len(before) >= 5:
-            draws = []
-            for _ in range(400):
-                pick = rng.integers(len(before), size=len(before))
-                draws.append(value([after[k] for k in pick], [before[k] for k in pick]))
-            method = f"resampling {len(before)} held-out scenes"
-        else:
-            draws = []
-            copies = copies or ()
-            rows_after, rows_before = (
-                self._score_copies(law, copies) for law in (law_after, law_before)
-            )
-            # The copies carry the noise of the adopted law; its misfit is carried over.
-            observed = sum(r["sum_squares"] for r in after)
-            for mine_after, mine_before in zip(rows_after, rows_before, strict=True):
-                top = sum(r["sum_squares"] for r in mine_after)
-                bottom = sum(r["sum_squares"] for r in mine_before)
-                top += max(observed - top, 0.0)
-                draws.append(float(np.sqrt(top / bottom)) if bottom > 0 else float("nan"))
-            method = "parametric: fewer than five held-out scenes"
-        draws = [d for d in draws if np.isfinite(d)]
-        if not draws:
-            return Ratio(point, float("nan"), float("nan"), method)
-        low, high = np.quantile(draws, [0.05, 0.95])
-        return Ratio(point, float(min(low, point)), float(max(high, point)), method)

@@ -27,6 +27,8 @@ __all__ = [
 ]
 
 SCHEMA = "bsp_gp/report/1"
+METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "endpoint_mean")
+"""Errors of a model on held-out data, as `Errors` has them."""
 VERDICTS = ("effect adopted", "nothing missing", "seen, not adopted", "cannot tell")
 
 
@@ -46,6 +48,8 @@ class Errors:
         Median position error at the end-point row, in `unit`.
     endpoint_mean : float
     unit, acceleration_unit : str
+    intervals : dict of str to (float, float)
+        90 % intervals of the errors, nan where there is none.
     """
 
     residual_acceleration: float
@@ -55,6 +59,7 @@ class Errors:
     unit: str
     endpoint_mean: float = math.nan
     acceleration_unit: str = ""
+    intervals: dict = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -99,9 +104,13 @@ class Missing:
         Whitened residual sum of squares per degree of freedom (1 = noise alone).
     p_value : float
         Chance of as much, or as strongly autocorrelated a residual, from noise alone.
+    detectable_force, detectable_share : float
+        Smallest constant force, one for all bodies, that would have been seen with 95 % power,
+        `detectable_force_unit`, and in parts of the root mean square of the declared force; nan
+        where a mass is not known.
     detectable : float
-        Smallest constant acceleration that would have been seen with 95 % power,
-        `detectable_unit`.
+        The acceleration that it gives to a body of typical (median) mass, `detectable_unit`; where
+        a mass is not known, the smallest acceleration that is one for all.
     tests : dict of str to float
         p-values of the single tests.
     is_missing : bool
@@ -125,6 +134,9 @@ class Missing:
     directions: tuple = field(default=(), repr=False)
     together: tuple = field(default=(), repr=False)
     durbin_watson: float = math.nan
+    detectable_force: float = math.nan
+    detectable_force_unit: str = ""
+    detectable_share: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -201,6 +213,8 @@ class Round:
 
     Attributes
     ----------
+    ratio : Ratio or None
+        Of the rollout errors; `ratios` has all, by name.
     significance : str
         How the p-value came about, where data sets were simulated and searched.
     noise_memory : float
@@ -240,6 +254,7 @@ class Round:
     undecided: tuple[str, ...] = ()
     removed: str = ""
     missing_held_out: Missing | None = None
+    ratios: dict = field(default_factory=dict)
 
     @property
     def is_something_missing(self):
@@ -319,7 +334,7 @@ class LoopReport:
     noise : dict
         sigma (list per axis or float), unit, source.
     total : dict
-        before, after, floor (Errors), ratio (Ratio).
+        before, after, floor (Errors), ratio (Ratio) of the rollout errors, ratios (dict) of all.
     verdict, stop_reason : str
     overlays : tuple of Overlay
     residuals : ResidualTable or None
@@ -391,8 +406,12 @@ class LoopReport:
         for r in self.rounds:
             for label, errors in (("before", r.before), ("after", r.after), ("floor", r.floor)):
                 if errors is not None:
+                    told = _plain(errors)
+                    intervals = told.pop("intervals")
+                    for metric, (low, high) in intervals.items():
+                        told |= {f"{metric}_low": low, f"{metric}_high": high}
                     rows.append(
-                        {"round": r.number, "model": label, "adopted": r.adopted, **_plain(errors)}
+                        {"round": r.number, "model": label, "adopted": r.adopted, **told}
                     )
         return pd.DataFrame(rows)
 

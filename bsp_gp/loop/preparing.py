@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,10 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.point_errors import with_point_errors
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
-from bsp_gp.errors import DataError
-from bsp_gp.loop.observation import Observation
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.loop.observation import NO_MASS, Observation
 from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.differences import too_many
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.shooting import cut_segments, guess_state
@@ -43,7 +45,7 @@ CHAOS = 30.0
 """Growth of a small change of the initial state at which a track is cut for shooting."""
 
 
-def observe(dataset, law, rng, *, sources=True, noise=None):
+def observe(dataset, law, rng, *, sources=True, noise=None, method=None):
     """Make a data set ready for the loop.
 
     Parameters
@@ -58,10 +60,18 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
         Whether laws may name other bodies.
     noise : NoiseEstimate, optional
         Overrides the data set's.
+    method : str, optional
+        How accelerations are read off noisy positions: "gls" (the default) or "weak", see
+        `build_regression`.
 
     Returns
     -------
     Observation
+
+    Raises
+    ------
+    SettingsError
+        If a method is asked for that these data have no use for.
     """
     dataset = _thinned(_with_usable_masses(dataset))
     estimate = noise or estimate_noise(dataset)
@@ -77,6 +87,8 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
         dataset, more = with_point_errors(dataset, estimate)
         estimate = replace(estimate, notes=(*estimate.notes, *more))
     train, test, note = choose_split(dataset, rng)
+    if not is_exact:
+        estimate = replace(estimate, notes=(*estimate.notes, *_unheeded(train)))
     if is_exact and not measured and not _made_in_steps(train, law, dataset.up, sources):
         is_exact = False
         sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)
@@ -84,7 +96,14 @@ def observe(dataset, law, rng, *, sources=True, noise=None):
             f"; the positions are exact and the motion looks continuous: they are fitted to "
             f"{RESOLUTION:g} of their range"
         )
-    method = "derivative" if measured else "one_step" if is_exact else "gls"
+    given, method = method, "derivative" if measured else "one_step" if is_exact else "gls"
+    if given is not None:
+        if method != "gls" or given not in ("gls", "weak"):
+            raise SettingsError(
+                f"accelerations are read off these data by {method!r}, not by {given!r}: 'gls' and "
+                "'weak' are for positions with noise"
+            )
+        method = given
     regression_sigma = _acceleration_sigma(train, dataset.up) if measured else sigma
     integrator = "euler" if _touches(law) or method == "one_step" else "rk4"
     memory = dataset.noise_memory or 0.0
@@ -150,6 +169,18 @@ def _extent(dataset):
     return float(np.max(spans)) or 1.0
 
 
+def _unheeded(scenes):
+    """A note where errors of single points are too many to count in the search as well."""
+    tracks = Counter()
+    for scene in scenes:
+        tracks[len(scene.times)] += len(scene.dynamic)
+    if any(s.sigma is not None for s in scenes) and any(too_many(*t) for t in tracks.items()):
+        yield (
+            "errors of single points count in fits to whole tracks; the search takes one error "
+            "for all, since these data are too large for more"
+        )
+
+
 def _touches(law):
     return any(node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c"))
 
@@ -168,8 +199,7 @@ def _with_usable_masses(dataset):
         replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
         for scene in dataset.scenes
     ]
-    note = "no mass is known: constants are per unit mass of the body that moves"
-    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, NO_MASS))
 
 
 def _thinned(dataset):

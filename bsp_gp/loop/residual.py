@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from bsp_gp.loop.directed import directed_test
 from bsp_gp.loop.outcome import Missing
 from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
-from bsp_gp.units import ACCELERATION
+from bsp_gp.units import ACCELERATION, FORCE
 
 __all__ = ["LAGS", "durbin_watson", "examine_residual", "ljung_box"]
 
@@ -70,11 +72,15 @@ def examine_residual(observation, fit, alpha):
     if rhythm is not None:
         tests["a period"] = rhythm.p_value
     p_value = min(1.0, len(tests) * min(tests.values()))
+    detectable = _detectable(observation, fit, alpha / len(tests), len(directions))
     return Missing(
         statistic=size,
         p_value=p_value,
-        detectable=_detectable(observation, fit, alpha / len(tests), len(directions)),
+        detectable=detectable.acceleration,
         detectable_unit=observation.dataset.units.text(ACCELERATION),
+        detectable_force=detectable.force,
+        detectable_force_unit=observation.dataset.units.text(FORCE),
+        detectable_share=detectable.share,
         tests=tests,
         is_missing=bool(p_value <= alpha),
         rhythm=rhythm,
@@ -210,13 +216,31 @@ def _pooled_ljung_box(parts, n, lags, mean=0.0, covariance=0.0):
     return float(stats.chi2.sf(float(z @ np.linalg.pinv(spread) @ z), lags))
 
 
+class _Detectable(NamedTuple):
+    """Smallest effect that would have been seen.
+
+    As the acceleration of a body of typical mass, m/s^2; as a force, and in parts of the declared
+    force (nan where a mass is not known).
+    """
+
+    acceleration: float
+    force: float
+    share: float
+
+
 def _detectable(observation, fit, alpha, n_effects):
-    """Smallest uniform acceleration that would have been seen with 95 % power at level `alpha`.
+    """Smallest constant force, one for all bodies, seen with 95 % power at level `alpha`.
 
     On whole tracks it is one of the common effects that are looked for. Along the worst axis on
-    which anything moves, after the law's own constants are refitted.
+    which anything moves, after the law's own constants are refitted. Where a mass is not known it
+    is an acceleration that is one for all.
     """
     regression = observation.train_regression
+    masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in regression.batches]
+    is_known = observation.has_masses and all(np.isfinite(m).all() for m in masses)
+    if not is_known:
+        masses = [np.ones_like(m) for m in masses]
+    typical = float(np.median(np.concatenate([np.ravel(m) for m in masses])))
     needed = _needed(observation, fit, alpha, n_effects)
     q = (
         np.linalg.qr(_live(fit.jacobian))[0]
@@ -229,9 +253,9 @@ def _detectable(observation, fit, alpha, n_effects):
         if not np.isfinite(regression.sigma[axis]):
             continue
         parts = []
-        for batch in regression.batches:
+        for batch, mass in zip(regression.batches, masses, strict=True):
             push = np.zeros_like(batch.target)
-            push[..., axis] = 1.0
+            push[..., axis] = typical / mass
             parts.append(batch.whiten(push).ravel())
         column = np.concatenate(parts)
         left = column - q @ (q.T @ column)
@@ -239,7 +263,23 @@ def _detectable(observation, fit, alpha, n_effects):
         if left @ left > 1e-8 * (column @ column):
             size = np.sqrt(needed / (left @ left))
             worst = max(worst, float(size) * scale)
-    return worst if worst else float("nan")
+    if not worst:
+        return _Detectable(*(float("nan"),) * 3)
+    if not is_known:
+        return _Detectable(worst, float("nan"), float("nan"))
+    force, declared = worst * typical, _declared_force(regression, fit.law, masses)
+    return _Detectable(worst, force, force / declared if declared > 0 else float("nan"))
+
+
+def _declared_force(regression, law, masses):
+    """Root mean square of what the declared terms say acts on a body, newtons."""
+    declared = replace(law, terms=tuple(term for term in law.terms if term.is_declared))
+    squares = [np.zeros(0)]
+    for batch, mass in zip(regression.batches, masses, strict=True):
+        force = regression.predict(batch, declared) * mass[..., None]
+        squares.append(np.square(force).sum(axis=-1)[batch.valid.any(axis=-1)])
+    squares = np.concatenate(squares)
+    return float(np.sqrt(squares.mean())) if len(squares) else float("nan")
 
 
 def _needed(observation, fit, alpha, n_effects):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
+from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.explanation import HIDDEN_BODY
 from bsp_gp.loop.hidden import hidden_body
@@ -250,8 +251,8 @@ class Judged:
     effect : Effect
     after : Model
         Under the explanation; its errors are those of positions as they were by it.
-    floor, ratio
-        As in a round.
+    floor : Errors
+    errors : BeforeAfter
     """
 
     adopted: bool
@@ -260,7 +261,7 @@ class Judged:
     effect: Effect
     after: object
     floor: object
-    ratio: object
+    errors: object
 
 
 def judge(observation, model, best, found, p_value, alpha, rng):
@@ -288,7 +289,7 @@ def judge(observation, model, best, found, p_value, alpha, rng):
     after = evaluate(seen, best.fit.law, best.fit)
     floor_rng, ratio_rng = rng.spawn(2)
     floor, copies = seen.floor(after.law, floor_rng)
-    ratio = seen.ratio(model.rows, after.rows, ratio_rng, copies, model.law, after.law)
+    errors = compared(seen, model, after, copies, ratio_rng)
     p_value = max(p_value, best.details.get("p_value", p_value))
     alike = [e for e in in_class(best.fit, found, best.n_free) if e is not best]
     names = list(dict.fromkeys((*best.equivalents, *(e.name for e in alike))))
@@ -298,7 +299,7 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         if freed.fit.bic(n_eff) < best.bic(n_eff) + CLASS_BIC:
             names.append(freed.name)
     adopted, verdict, reason = _verdict(
-        observation, model, best, after, names, floor, ratio, p_value, alpha
+        observation, model, best, after, names, floor, errors.ratio, p_value, alpha
     )
     separated_by = best.separated_by
     if names:
@@ -310,7 +311,7 @@ def judge(observation, model, best, found, p_value, alpha, rng):
         best.name, best.kind, best.text, best.latex, (), best.constants, p_value,
         tuple(names), separated_by, best.details if best.kind == HIDDEN_BODY else {},
     )  # fmt: skip
-    return Judged(adopted, verdict, reason, effect, after, floor, ratio)
+    return Judged(adopted, verdict, reason, effect, after, floor, errors)
 
 
 def _verdict(observation, model, best, after, names, floor, ratio, p_value, alpha):

@@ -150,8 +150,10 @@ class Resampling:
             tops, bottoms = self.weights @ net, self.weights @ self.total
         else:
             tops, bottoms = self._simulated(explained)
-        shares = np.where(bottoms > 0, tops / np.where(bottoms > 0, bottoms, 1.0), 0.0)
-        low, high = np.quantile(shares, LEVELS)
+        left = bottoms > 0  # a resample in which nothing is left above noise has no share
+        if not left.any():
+            return _clipped(share), float("nan"), float("nan")
+        low, high = np.quantile(tops[left] / bottoms[left], LEVELS)
         return _clipped(share), _clipped(low), _clipped(high)
 
     def _simulated(self, explained):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
+from bsp_gp.loop.before_after import BeforeAfter, compared
 from bsp_gp.loop.models import Attempt, Model
 from bsp_gp.loop.observation import contradicts
 from bsp_gp.loop.outcome import Rival
@@ -171,8 +172,11 @@ def verdict_of(observation, model, after, chosen, attempts, found, p_value, alph
             "seen, not adopted",
             (f"beside it {blur}: these data hardly tell the two terms apart"),
         )
-    is_open = found.is_open(p_value, alpha)
-    if not observation.is_exact and (not (held_out > 0 or is_open) or not ratio.low <= 1):
+    is_confirmed = held_out > 0 or found.is_open(p_value, alpha)
+    # Predictions from the first rows test a law on the same tracks, and bluntly: they are asked
+    # where more than noise is left, so that the likelihood of all rows is no judge.
+    is_worse = found.is_left and not ratio.low <= 1
+    if not observation.is_exact and (not is_confirmed or is_worse):
         return (
             False,
             "seen, not adopted",
@@ -216,7 +220,7 @@ class _Refuted:
 
     chosen: Attempt
     after: Model
-    ratio: object
+    errors: BeforeAfter
     reason: str
     rival: Rival
 
@@ -232,8 +236,8 @@ def put_in_place(observation, model, both, chosen, attempts, p_value, alpha, rng
         return None
     after = evaluate(observation, attempt.law, attempt.fit)
     floor, copies = observation.floor(after.law, rng)
-    ratio = observation.ratio(model.rows, after.rows, rng, copies, model.law, after.law)
-    found = weigh(observation, model, after, floor, ratio, alpha)
+    errors = compared(observation, model, after, copies, rng)
+    found = weigh(observation, model, after, floor, errors.ratio, alpha)
     adopted, _, reason = verdict_of(
         observation, model, after, attempt, attempts, found, p_value, alpha
     )
@@ -241,7 +245,7 @@ def put_in_place(observation, model, both, chosen, attempts, p_value, alpha, rng
         return None
     left = observation.headline_error(both.law) / observation.headline_error(after.law)
     rival = refuted_rival(model, attempt, chosen, left)
-    return _Refuted(attempt, after, ratio, reason, rival)
+    return _Refuted(attempt, after, errors, reason, rival)
 
 
 def number_wins(model, chosen, attempts, p_value, alpha):

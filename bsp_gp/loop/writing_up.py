@@ -8,8 +8,10 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
+from scipy import special
 
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.measurement import parted_by
 from bsp_gp.loop.memory import widened
@@ -20,6 +22,8 @@ from bsp_gp.units import Unit
 
 __all__ = ["corrections", "write_up"]
 
+TOO_QUIET = 0.001
+"""Chance of as little residual from the declared noise, below which that is said to be too much."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 
 
@@ -52,7 +56,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
     floor_rng, ratio_rng = rng.spawn(2)
     dataset = observation.dataset
     floor, copies = observation.floor(model.law, floor_rng)
-    ratio = observation.ratio(first.rows, model.rows, ratio_rng, copies, first.law, model.law)
+    errors = compared(observation, first, model, copies, ratio_rng)
     verdicts = {r.verdict for r in rounds}
     verdict = next(v for v in VERDICTS if v in verdicts)
     if verdict == "nothing missing" and "seen, not adopted" in verdicts:
@@ -84,7 +88,8 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
         law_text=model.law.text(units=units),
         law_latex=model.law.latex(units=units),
         constants=constants,
-        total={"before": first.errors, "after": model.errors, "floor": floor, "ratio": ratio},
+        total={"before": errors.before, "after": errors.after, "floor": floor,
+               "ratio": errors.ratio, "ratios": errors.ratios},  # fmt: skip
         verdict=verdict,
         stop_reason=_stop_reason(rounds),
         versions=_versions(),
@@ -99,6 +104,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
             *_one_and_the_same(observation, model.fit),
             *dataset.notes,
             observation.split_note,
+            *_too_much_noise(observation, model.fit),
             *_caveats(observation, search),
         ),
     )
@@ -150,6 +156,21 @@ def _stop_reason(rounds):
     if last.adopted:
         return f"the limit of {len(rounds)} rounds was reached; more may be left"
     return last.reason
+
+
+def _too_much_noise(observation, fit):
+    """A warning where the declared noise is more than what is left can be."""
+    if fit.whole is None or observation.noise.source not in ("declared", "quoted"):
+        return
+    if not np.allclose(observation.sigma, observation.noise.sigma, equal_nan=True):
+        return  # exact data, fitted to a resolution
+    dof = max(fit.whole.n_rows - fit.whole.n_free, 1)
+    if special.chdtr(dof, fit.whole.chisqr) < TOO_QUIET:
+        yield (
+            "the declared noise is more than there is: what is left has "
+            f"{fit.whole.chisqr / dof:.2g} of its variance; weak effects go unseen for it, and "
+            "intervals are too wide"
+        )
 
 
 def _caveats(observation, search):

@@ -6,7 +6,9 @@ import numpy as np
 
 from bsp_gp.errors import DataError
 
-__all__ = ["DENSE_LIMIT", "difference_matrix", "difference_weights", "gls_whitener"]
+__all__ = [
+    "DENSE_LIMIT", "difference_matrix", "difference_weights", "gls_whitener", "too_many",
+]  # fmt: skip
 
 DENSE_LIMIT = 1500
 """Longest track (rows) whose whitening matrix is kept dense."""
@@ -66,6 +68,11 @@ def difference_matrix(times):
     return matrix
 
 
+def too_many(n_times, n_tracks):
+    """Whether errors of single points of so many like tracks cannot all be heeded."""
+    return n_tracks * n_times**2 > MOST_NUMBERS
+
+
 def gls_whitener(times, valid, sizes=None, memory=0.0):
     """Inverse Cholesky factors of the covariance of second differences, per unit sigma.
 
@@ -81,7 +88,7 @@ def gls_whitener(times, valid, sizes=None, memory=0.0):
             f"tracks of {n_times} rows with gaps, differing times or errors of single points are "
             "too long for the exact covariance; split them into scenes of at most 1500 rows"
         )
-    if sizes is not None and n_scenes * valid.shape[2] * n_times**2 > MOST_NUMBERS:
+    if sizes is not None and too_many(n_times, n_scenes * valid.shape[2]):
         # One error for all then, or memory would run out; fits to whole tracks heed them still.
         return gls_whitener(times, valid, None, memory)
     blocks = np.zeros((n_scenes, valid.shape[2], n_times - 2, n_times - 2))

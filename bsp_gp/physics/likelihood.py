@@ -100,6 +100,8 @@ def build_regression(
     ------
     DataError
         If there is no scene, or no row is left.
+    SettingsError
+        If the method is unknown, or takes no noise with a memory.
     """
     if method not in METHODS:
         raise SettingsError(f"likelihood must be one of {', '.join(METHODS)}, got {method!r}")
@@ -112,6 +114,11 @@ def build_regression(
     level = sigma
     sigma = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, dtype=float), (n_dims,))
     is_weak = method in ("weak", "one_step_weak")
+    if is_weak and memory:
+        raise SettingsError(
+            f"the weak form takes noise for white, and a memory of {memory:g} s was given; "
+            "use gls"
+        )
     measured = "measured" if method == "derivative" or (is_weak and velocity == "measured") else ""
     batches = stack(scenes, up, measured or "ignore")
     if is_weak:

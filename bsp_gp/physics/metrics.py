@@ -7,7 +7,9 @@ import numpy as np
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.likelihood import build_regression
 
-__all__ = ["one_step_errors", "one_step_nrmse", "residual_acceleration"]
+__all__ = [
+    "one_step_errors", "one_step_nrmse", "residual_acceleration", "residual_accelerations",
+]  # fmt: skip
 
 
 def one_step_errors(scenes, law, up=None):
@@ -44,6 +46,15 @@ def one_step_nrmse(scenes, law, up=None):
     1.768 / 0.05984 / 0.001199 (NBODY / BOUNCE / MAT).
     """
     return float(np.mean([np.nanmean(errors) for errors in one_step_errors(scenes, law, up)]))
+
+
+def residual_accelerations(regression, law):
+    """Observed minus predicted accelerations by scene, {name: (n, R, d)}, m/s^2; nan = no row."""
+    return {
+        name: part[:, s]
+        for batch, part in zip(regression.batches, regression.raw_residuals(law), strict=True)
+        for s, name in enumerate(batch.scene_names)
+    }
 
 
 def residual_acceleration(regression, law):

@@ -53,7 +53,6 @@ _KINDS = {
     "measurement": "measurement",
     "declared_term_change": "change of a declared term",
 }
-_TESTS = {"chi2": "χ²", "ljung_box": "Ljung–Box", "durbin_watson": "Durbin–Watson"}
 _TONES = {
     "effect adopted": "found",
     "nothing missing": "clean",
@@ -115,6 +114,7 @@ def render_html(report, run_info=None, figures=None):
         own=[(group_range(*g), g[0], pretty_unit(g[1]), [_constant(c) for c in g[2]]) for g in own],
         figures={name: _figure(f) for name, f in figures.items()},
         total=_total_table(report),
+        intervals=_intervals_note(report),
         rounds=[_round(r, report) for r in report.rounds],
         extras=[_extra(e) for e in report.extras],
         stop_reason=report.stop_reason,
@@ -181,33 +181,46 @@ def _figure(figure):
     return {"uri": f"data:image/svg+xml;base64,{data}", "caption": figure.caption}
 
 
-def _error_table(before, after, floor, ratio):
+def _error_table(before, after, floor, ratios):
     rows = []
     for metric, label, unit_of in _ERRORS:
         unit = next((getattr(e, unit_of) for e in (before, after, floor) if e is not None), "")
-        values = [getattr(e, metric) if e is not None else None for e in (before, after, floor)]
-        if not any(is_number(v) for v in values):
+        if not any(is_number(getattr(e, metric, None)) for e in (before, after, floor)):
             continue
-        quotient = NOT_KNOWN
-        if metric == "rollout_rmse" and ratio is not None:
-            quotient = format_ratio(ratio)
-        elif is_number(values[0]) and is_number(values[1]) and values[0] > 0:
-            quotient = format_number(values[1] / values[0], 2)
-        rows.append([label, *(format_number(v) for v in values), quotient, pretty_unit(unit)])
+        values = [_error(e, metric) for e in (before, after, floor)]
+        rows.append([label, *values, format_ratio(ratios.get(metric)), pretty_unit(unit)])
     return rows
 
 
+def _error(errors, metric):
+    """An error with its interval, without unit."""
+    if errors is None:
+        return NOT_KNOWN
+    value, interval = getattr(errors, metric), errors.intervals.get(metric, ())
+    if not all(map(is_number, interval)) or not interval:
+        return format_number(value)
+    return format_value(value, *interval)
+
+
 def _total_table(report):
-    keys = ("before", "after", "floor", "ratio")
-    before, after, floor, ratio = (report.total.get(k) for k in keys)
+    before, after, floor = (report.total.get(k) for k in ("before", "after", "floor"))
+    ratios = report.total.get("ratios", {})
     if not adopted_rounds(report):
-        after = ratio = None
-    return _error_table(before, after, floor, ratio)
+        after, ratios = None, {}
+    return _error_table(before, after, floor, ratios)
+
+
+def _intervals_note(report):
+    """Where the intervals of errors come from."""
+    ratio = report.total.get("ratio")
+    if ratio is None or not is_number(ratio.low):
+        return ""
+    return f"In brackets: 90 % intervals ({ratio.method})."
 
 
 def _round(r, report):
     effect = r.effect
-    table = _error_table(r.before, r.after, r.floor, r.ratio)
+    table = _error_table(r.before, r.after, r.floor, r.ratios)
     shared, own = constant_groups(effect.constants if effect is not None else ())
     title = effect.name if effect is not None else (r.verdict or "no effect traced")
     rivals = [
@@ -230,9 +243,8 @@ def _round(r, report):
         "title": title,
         "state": _state(r),
         "missing": missing_sentence(r, report.alpha),
-        "tests": [
-            (_TESTS.get(k, k), format_p(p)) for k, p in r.missing.tests.items()
-        ],
+        "tests": [(k, format_p(p)) for k, p in r.missing.tests.items()],
+        "durbin_watson": format_number(r.missing.durbin_watson),
         "trace": trace_section(r),
         "outcome": outcome_sentence(r),
         "effect": effect,

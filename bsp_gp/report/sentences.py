@@ -118,13 +118,24 @@ def verdict_parts(report):
     return f"Verdict: {report.verdict}.", ""
 
 
+_SHORT = {"kg m/s^2": "N"}
+
+
 def _detectable(missing):
-    if not is_number(missing.detectable):
+    if is_number(missing.detectable_force):
+        unit = _SHORT.get(missing.detectable_force_unit, missing.detectable_force_unit)
+        size = with_unit(format_number(missing.detectable_force, 2), unit)
+        what = f"force of {size}"
+        if is_number(missing.detectable_share):
+            what += f" ({format_number(100 * missing.detectable_share, 2)} % of the declared force)"
+    elif is_number(missing.detectable):
+        size = with_unit(format_number(missing.detectable, 2), missing.detectable_unit)
+        what = f"acceleration of {size}"
+    else:
         return ""
-    size = with_unit(format_number(missing.detectable, 2), missing.detectable_unit)
     return (
-        f"A constant extra acceleration of {size} or more would have been seen with 95 % power; "
-        "a smaller one may hide in the noise."
+        f"A constant extra {what} or more would have been seen with 95 % power; a smaller one may "
+        "hide in the noise."
     )
 
 
@@ -141,6 +152,7 @@ def missing_sentence(round_, alpha):
     if not is_number(missing.statistic):
         text = text.replace("whitened χ² per degree of freedom ", "")
     level = f" Tested at {format_level(alpha)}."
+    # Beside what is missing, an effect would have to be as large to be seen.
     smallest = "" if missing.is_missing else _detectable(missing)
     return f"{text}{level} {smallest}".strip()
 

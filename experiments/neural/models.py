@@ -6,9 +6,10 @@ and inputs of its code (github.com/xukai92/bsp): 100 hidden units, embeddings of
 HOGN gives an energy of which the force is the gradient (Sanchez-Gonzalez et al., 2019), with OGN's
 layers.
 
-Two deviations, both in the networks' favour: the Interaction Network's last network is applied
+Three deviations, none to the networks' harm: the Interaction Network's last network is applied
 to every body with its own velocity, as by Battaglia et al. (2016), where the paper's takes all
-bodies at once; and bodies that cannot move are not asked to be predicted.
+bodies at once; bodies that cannot move are not asked to be predicted; and IN and MLP (position)
+do not put out velocities, which a loss of one step's positions leaves untrained.
 """
 
 from dataclasses import dataclass
@@ -33,11 +34,19 @@ class Inputs:
     is_excess : bool
         IN and MLP (position) predict the excess of a step, otherwise the whole displacement.
     activation : str
+    has_dynamic : bool
+        Pair networks are told which bodies can move, as the paper tells its Interaction Network.
     """
 
     is_relative: bool = False
     is_excess: bool = False
     activation: str = "relu"
+    has_dynamic: bool = False
+
+    @property
+    def n_pair(self):
+        """Features of one end of a pair."""
+        return 12 + self.is_relative + self.has_dynamic
 
 
 def others(n_moving, n_bodies):
@@ -47,7 +56,7 @@ def others(n_moving, n_bodies):
 
 
 def pair_features(row, p, n_moving, inputs):
-    """What a pair network sees of receiver and source: two arrays (R, N - 1, 12 or 13)."""
+    """What a pair network sees of receiver and source: two arrays (R, N - 1, `n_pair`)."""
     r = n_moving
     j = others(r, p.shape[0])
     p_i, p_j = p[:r, None], p[j]
@@ -63,14 +72,15 @@ def pair_features(row, p, n_moving, inputs):
         mass_i, mass_j = jnp.log(mass_i), jnp.log(mass_j)
         extra = (0.5 * jnp.log(jnp.sum(contact**2, -1, keepdims=True) + 1e-6),)
 
-    def of(mass, friction, shape, sign):
+    def of(mass, friction, shape, moves, sign):
+        dynamic = (moves[..., None],) if inputs.has_dynamic else ()
         columns = (mass[..., None], friction[..., None], shape, contact, sign * half,
-                   sign * half_v, *extra)  # fmt: skip
+                   sign * half_v, *extra, *dynamic)  # fmt: skip
         lead = half.shape[:-1]
         return jnp.concatenate([jnp.broadcast_to(c, (*lead, c.shape[-1])) for c in columns], -1)
 
-    f_i = of(mass_i, row["friction"][:r, None], row["shape"][:r, None], 1.0)
-    return f_i, of(mass_j, row["friction"][j], row["shape"][j], -1.0)
+    f_i = of(mass_i, *(row[name][:r, None] for name in ("friction", "shape", "moves")), 1.0)
+    return f_i, of(mass_j, *(row[name][j] for name in ("friction", "shape", "moves")), -1.0)
 
 
 def _mixed(p_x, p_y):
@@ -227,7 +237,7 @@ FIXED_NUMBER = ("MLP (position)",)
 
 def init_model(name, rng, n_bodies, n_moving, inputs):
     """Parameters of a network, drawn from a numpy generator."""
-    return MODELS[name][0](rng, n_bodies, n_moving, 13 if inputs.is_relative else 12)
+    return MODELS[name][0](rng, n_bodies, n_moving, inputs.n_pair)
 
 
 def excess_of_row(name, params, norm, row, n_moving, dt, inputs):

@@ -24,6 +24,19 @@ def one_step(trained, worlds):
     return error.reshape(trained.n_runs, worlds.n_scenes, -1).sum(axis=-1) * worlds.n_scenes
 
 
+def share_predicted(trained, worlds):
+    """Mean size of what is predicted over that of what there is: near 0, it predicts no force.
+
+    Returns
+    -------
+    ndarray, shape (n_runs,)
+    """
+    rows = rows_of(worlds)
+    predicted, true = (np.linalg.norm(excess, axis=-1) * rows.weights
+                       for excess in (trained.excess(worlds), rows.excess))  # fmt: skip
+    return predicted.sum(axis=(1, 2)) / true.sum()
+
+
 @partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
 def _roll(model, n_moving, dt, inputs, n_steps, params, norm, bodies, p, v):
     one = partial(excess_of_row, model, n_moving=n_moving, dt=dt, inputs=inputs)

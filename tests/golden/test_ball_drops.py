@@ -1,5 +1,7 @@
 """The published protocol on measured falls (see the README beside the data)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,20 +41,39 @@ def test_twenty_predictions(reports):
     print("median", np.median(ends), "mean", np.mean(ends), "before", np.median(before))
     assert len(ends) == 20
     assert all(end is not None for end in ends)
-    assert np.median(ends) <= 1.2
-    assert np.mean(ends) <= 1.2
+    # The median is that of starts known by twelve rows: 0.1 where they are fitted on all.
+    assert np.median(ends) <= 1.05
+    assert np.mean(ends) <= 1.05
     # Gravity alone, from the README: an independent fit, initial states under white noise. Here
     # the noise has a memory, and they differ a little.
     assert np.median(before) == pytest.approx(6.10, abs=0.2)
     assert np.mean(before) == pytest.approx(7.34, abs=0.2)
 
 
-def test_the_form_is_chosen_on_training_alone(reports):
+def test_the_law_is_named(reports):
     for report in reports:
         first = report.rounds[0]
         assert (first.verdict, first.effect.name) == ("effect adopted", "drag, linear in speed")
         assert not any(r.adopted for r in report.rounds[1:])
         assert not set(report.dataset["train"]) & set(report.dataset["test"])
+
+
+def test_training_drops_alone_choose_the_same_law(reports, shared_data):
+    """The first 70 % of each against the rest: no other drop has a part in it."""
+    for report in reports:
+        dataset = load_dataset(shared_data / "measured" / "ball_drops")
+        parts = {"early": [], "late": []}
+        for scene in dataset.select(report.dataset["train"]):
+            cut = int(0.7 * len(scene.times))
+            parts["early"].append(replace(scene.rows(0, cut), name=f"{scene.name} early"))
+            parts["late"].append(replace(scene.rows(cut + 1, None), name=f"{scene.name} late"))
+        names = {part: tuple(s.name for s in scenes) for part, scenes in parts.items()}
+        alone = replace(
+            dataset, scenes=(*parts["early"], *parts["late"]), train=names["early"],
+            test=names["late"], evaluation=replace(dataset.evaluation, endpoint_row=None),
+        )  # fmt: skip
+        found = close_loop(alone, [WEIGHT], rng=np.random.default_rng(0), max_rounds=1)
+        assert found.rounds[0].effect.law == report.rounds[0].effect.law
 
 
 def test_no_ball_is_pushed_forward(reports):

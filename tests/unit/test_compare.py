@@ -11,7 +11,9 @@ from bsp_gp.cli_inputs import masked_grammar
 from bsp_gp.data.tables import save_dataset
 from bsp_gp.errors import SettingsError
 from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.close import declared_law
 from bsp_gp.loop.comparison import compare_searches
+from bsp_gp.loop.preparing import observe
 from bsp_gp.search.compare import certified, compare, run_one
 from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.objective import Objective
@@ -68,18 +70,34 @@ def test_a_model_on_a_users_data():
     """Drag is missing from orbits: the learners and the certified search find the same law."""
     dataset = orbit_dataset(0, n_train=2, n_test=2, drag=0.05, sigma=1e-3)
     grammar, missing = masked_grammar(load_grammar("physics"), dataset)
-    rows, certificate = compare_searches(
+    rows, certificate, how = compare_searches(
         dataset, ["1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"],
         grammar, rng=np.random.default_rng(0), kind="field", seeds=2, n_scored=150,
         searches=("cross_entropy",), exclude=("t",), missing_inputs=missing,
     )  # fmt: skip
     assert [row["search"] for row in rows] == ["exhaustive", "cross_entropy", "cross_entropy"]
+    assert how == "gls"
     assert rows[0]["regret_nats"] == 0
     assert "not sayable" in certificate.text()
     for row in rows:
         assert "v_i" in row["law"]
         assert row["share"] > 0.5
         assert row["left_test"] > 0
+
+
+def test_the_weak_form_on_a_users_data():
+    dataset = orbit_dataset(0, n_train=2, n_test=2, drag=0.05, sigma=1e-3)
+    grammar, _ = masked_grammar(load_grammar("physics"), dataset)
+    rows, _, how = compare_searches(
+        dataset, ["1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"],
+        grammar, rng=np.random.default_rng(0), kind="field", seeds=1, searches=(), exclude=("t",),
+        method="weak",
+    )  # fmt: skip
+    assert how.startswith("weak, test functions of ")
+    assert "v_i" in rows[0]["law"] and rows[0]["share"] > 0.5
+    law = declared_law(dataset, ["-1 [kg/s] * v_i"])
+    with pytest.raises(SettingsError, match="not by 'one_step'"):
+        observe(dataset, law, np.random.default_rng(0), method="one_step")
 
 
 def test_unknown_searches_are_refused():

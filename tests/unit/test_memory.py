@@ -1,8 +1,9 @@
 """Noise with a memory beside a law, and findings tested by the whole search on simulated data."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -210,7 +211,7 @@ def test_the_answer_does_not_depend_on_workers():
     search, fit = searching(flights(3, nothing, n_train=3, n_test=1), max_levels=3)
     _, _, proposals = search_with_memory(search, fit, np.random.default_rng(0), n_null=0)
     alone = bootstrap(search, fit, strength(proposals), np.random.default_rng(5))
-    with ThreadPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         shared = bootstrap(search, fit, strength(proposals), np.random.default_rng(5), workers=pool)
     assert alone == shared
     assert 0 < alone.p_value <= 1 and "simulated data sets" in alone.text()

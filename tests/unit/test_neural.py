@@ -1,6 +1,7 @@
 """The neural baselines of the experiments (extra `neural`)."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,11 +14,11 @@ jax = pytest.importorskip("jax", reason="pip install 'bsp_gp[neural]'")
 pytest.importorskip("optax", reason="pip install 'bsp_gp[neural]'")
 from experiments.neural import training as T  # noqa: E402
 from experiments.neural.models import FIXED_NUMBER, MODELS, Inputs, init_model, normaliser  # noqa: E402
-from experiments.neural.scores import can_be_asked, one_step, rollouts  # noqa: E402
+from experiments.neural.scores import can_be_asked, one_step, rollouts, share_predicted  # noqa: E402
 from experiments.neural.worlds import load_worlds, rows_of  # noqa: E402
 
 NUMBER_FREE = [name for name in MODELS if name not in FIXED_NUMBER]
-KINDS = {"raw": Inputs(), "relative": Inputs(True, True, "silu")}
+KINDS = {"raw": Inputs(has_dynamic=True), "relative": Inputs(True, True, "silu")}
 
 
 def scenes(name="bounce", n=2, **numbers):
@@ -71,8 +72,10 @@ def test_padding_does_not_matter(model):
 def test_without_force_the_error_is_that_of_no_law(name):
     made = scenes(name, 3)
     worlds = load_worlds(made)
-    mine = one_step(silent(untrained("OGN", worlds)), worlds).mean()
+    still = silent(untrained("OGN", worlds))
+    mine = one_step(still, worlds).mean()
     assert mine == pytest.approx(one_step_nrmse(made, ForceLaw(())), rel=1e-6)
+    assert share_predicted(still, worlds) == [0.0]
 
 
 def test_a_displacement_network_that_stays_errs_by_the_displacement():
@@ -127,10 +130,14 @@ def test_a_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
     training = replace(T.tuned_training("MLP (force)"), n_steps=15 * T.CHUNK, batch=8)
     whole, _ = trained("MLP (force)", training)
     file = tmp_path / "state.npz"
-    assert trained("MLP (force)", training, checkpoint=file, stop_after=10 * T.CHUNK)[0] is None
+    stop = 2 * T.SAVED * T.CHUNK
+    assert trained("MLP (force)", training, checkpoint=file, stop_after=stop)[0] is None
+    with np.load(file) as saved:
+        before = float(saved["seconds"])
     seen = []
     resumed, _ = trained("MLP (force)", training, checkpoint=file, progress=seen.append)
-    assert seen[0] == 11 * T.CHUNK
+    assert seen[0] == stop + T.CHUNK
+    assert resumed.seconds > before > 0  # of both sittings
     for a, b in zip(jax.tree.leaves(whole.params), jax.tree.leaves(resumed.params), strict=True):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
     np.testing.assert_array_equal(whole.steps, resumed.steps)
@@ -144,13 +151,97 @@ def test_a_run_does_not_depend_on_the_runs_beside_it():
         np.testing.assert_array_equal(np.asarray(a)[1], np.asarray(b)[0])
 
 
-def test_a_checkpoint_of_another_network_is_refused(tmp_path, monkeypatch):
+def test_a_checkpoint_of_another_training_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(T, "CHUNK", 2)
     file = tmp_path / "state.npz"
-    training = replace(T.tuned_training("MLP (force)"), n_steps=10 * T.CHUNK, batch=8)
-    trained("MLP (force)", training, checkpoint=file)
-    with pytest.raises(ValueError, match="another training"):
-        trained("OGN", training, checkpoint=file)
+    training = replace(T.tuned_training("MLP (force)"), n_steps=T.SAVED * T.CHUNK, batch=8)
+    _, made = trained("MLP (force)", training, checkpoint=file)
+    draws = [made[:3], made[3:]]
+    others = [
+        ("OGN", training, draws, [1, 2]),
+        ("MLP (force)", replace(training, rate=1e-4), draws, [1, 2]),
+        ("MLP (force)", training, draws, [1, 3]),
+        ("MLP (force)", training, draws[::-1], [1, 2]),
+    ]
+    for other in others:
+        with pytest.raises(ValueError, match="another training"):
+            T.train(*other, checkpoint=file)
+
+
+def test_the_paper_s_shortest_training_has_a_checkpoint():
+    steps = [T.paper_training(model).n_steps for model in T.PAPER]
+    assert T.SAVED * T.CHUNK < min(steps)
+
+
+@pytest.mark.parametrize(
+    ("model", "n_steps", "rate", "width"),
+    [("OGN", 2000, 2e-3, 12), ("MLP (force)", 2000, 1e-3, 12), ("IN", 400, 1e-3, 13),
+     ("MLP (position)", 400, 1e-3, 11)],
+)  # fmt: skip
+def test_layers_rates_and_passes_are_the_paper_s(model, n_steps, rate, width):
+    """100 hidden units, embeddings of 50; the inputs as in its code."""
+    training = T.paper_training(model)
+    assert (training.n_steps, training.rate) == (n_steps, rate)
+    assert training.inputs.activation == "relu"
+    n_bodies, n_moving = 4, 3
+    params = init_model(model, np.random.default_rng(0), n_bodies, n_moving, training.inputs)
+    sizes = {name: [layers[0]["w"].shape[0], *(layer["w"].shape[1] for layer in layers)]
+             for name, layers in params.items()}  # fmt: skip
+    hidden = [100, 100, 100]
+    assert sizes == {
+        "OGN": {"node": [width, 100, 50], "edge": [100, *hidden, 2]},
+        "IN": {"node": [width, 100, 50], "edge": [100, *hidden, 50], "body": [54, *hidden, 2]},
+        "MLP (force)": {"net": [2 * width, *hidden, 2]},
+        "MLP (position)": {"net": [width * n_bodies, *hidden, 2 * n_moving]},
+    }[model]
+
+
+def test_the_step_that_is_kept_is_that_of_least_held_out_error(monkeypatch):
+    monkeypatch.setattr(T, "CHUNK", 1)
+    advance, met = T._Loop.advance, []
+
+    def watched(*args):
+        state = advance(*args)
+        met.append(state["params"])
+        return state
+
+    monkeypatch.setattr(T._Loop, "advance", watched)
+    # At this rate the steps are too long to end at the best.
+    training = replace(T.tuned_training("MLP (force)"), n_steps=6, rate=3.0, decays=False)
+    found, made = trained("MLP (force)", training)
+    for run, draw in enumerate((made[:3], made[3:])):
+        held = T.split(draw, training.held_out, (4, 3))[1]
+        errors = [held_error(replace(found, params=params), held)[run] for params in met]
+        assert found.steps[run] == 1 + np.argmin(errors)
+    assert min(found.steps) < training.n_steps
+
+
+def held_error(network, held):
+    apply = partial(T._apply, network.model, held.excess.shape[1], held.dt, network.inputs)
+    predicted = [apply(T.run_of(network.params, k), T.run_of(network.norm, k), held.tree())
+                 for k in range(network.n_runs)]  # fmt: skip
+    return [(np.linalg.norm(p - held.excess, axis=-1) * held.weights).sum() for p in predicted]
+
+
+def test_hogn_s_forces_on_two_bodies_are_opposite():
+    made = scenes("nbody", n_bodies=2)
+    # Both may move, so that both forces are predicted.
+    made = [replace(s, entities=tuple(replace(e, is_static=False) for e in s.entities))
+            for s in made]  # fmt: skip
+    worlds = load_worlds(made)
+    excess = untrained("HOGN", worlds).excess(worlds)[0]
+    momentum = excess * rows_of(worlds).bodies.mass[..., None]
+    size = np.abs(momentum).max()
+    assert size > 0
+    np.testing.assert_allclose(momentum.sum(axis=1), 0.0, atol=1e-5 * size)
+
+
+def test_squared_errors_are_another_training():
+    squared = replace(T.tuned_training("MLP (force)"), n_steps=10, batch=0, is_squared=True)
+    after, made = trained("MLP (force)", squared)
+    norm, _ = trained("MLP (force)", replace(squared, is_squared=False))
+    worlds = load_worlds(made[:3])
+    assert not np.array_equal(after.excess(worlds), norm.excess(worlds))
 
 
 def test_held_out_rows_are_not_trained_on():

@@ -254,49 +254,6 @@ def test_the_floor_of_exact_data_is_numerical():
     assert floor.residual_acceleration > 0
 
 
-def rows_of(observation, law):
-    return observation.errors(law)[1]
-
-
-def test_ratio_by_resampling_of_five_scenes(noisy):
-    observation, right = observed(noisy, GRAVITY, f"-{C1} [kg/s] * v_i")
-    wrong = declared_law(noisy, [GRAVITY])
-    before, after = rows_of(observation, wrong), rows_of(observation, right)
-    ratio = observation.ratio(before, after, rng())
-    assert ratio.method == "resampling 5 held-out scenes"
-    assert 0 < ratio.low < ratio.value < ratio.high < 0.2
-    top, bottom = (sum(r["sum_squares"] for r in rows) for rows in (after, before))
-    assert ratio.value == pytest.approx(np.sqrt(top / bottom))
-    same = observation.ratio(before, before, rng())
-    assert (same.value, same.low, same.high) == (1, 1, 1)
-
-
-def test_ratio_is_parametric_below_five_scenes(noisy):
-    data = replace(noisy, test=("s1", "s3", "s4", "s6"))
-    observation, right = observed(data, GRAVITY, f"-{C1} [kg/s] * v_i")
-    wrong = declared_law(data, [GRAVITY])
-    before, after = rows_of(observation, wrong), rows_of(observation, right)
-    _, copies = observation.floor(right, rng())
-    ratio = observation.ratio(before, after, rng(), copies, wrong, right)
-    assert ratio.method == "parametric: fewer than five held-out scenes"
-    assert 0 < ratio.low <= ratio.value <= ratio.high < 0.2
-    none = observation.ratio(before, after, rng(), (), wrong, right)
-    assert none.value == ratio.value and np.isnan(none.low) and np.isnan(none.high)
-
-
-def test_ratio_carries_the_misfit_of_the_adopted_law_over(noisy):
-    """A law that does not fit must not get an interval that presumes that it does."""
-    data = replace(noisy, test=("s1", "s3"))
-    observation, _ = observed(data, GRAVITY)
-    wrong, half = (
-        declared_law(data, [GRAVITY]),
-        declared_law(data, [GRAVITY, f"-{C1 / 2} [kg/s] * v_i"]),
-    )
-    before, after = rows_of(observation, wrong), rows_of(observation, half)
-    ratio = observation.ratio(before, after, rng(), observation.floor(half, rng())[1], wrong, half)
-    assert 0.3 < ratio.low <= ratio.value <= ratio.high
-
-
 # --- tracks that depend strongly on their start ---------------------------------------------------
 
 

@@ -330,7 +330,7 @@ def test_report_json_keeps_its_contract(name):
     data = json.loads(folder_module._json(sample.ALL[name]().to_dict()))
     assert set(CONTRACT) <= set(data)
     assert list(data)[0] == "schema"
-    assert set(data["total"]) == {"before", "after", "floor", "ratio"}
+    assert {"before", "after", "floor", "ratio"} <= set(data["total"])
     for key in ("before", "floor"):
         assert {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint",
                 "unit"} <= set(data["total"][key])  # fmt: skip

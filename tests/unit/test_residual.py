@@ -18,13 +18,13 @@ SIGMA = 0.01
 LAWS = (GRAVITY, "c1 * m_i * e_y")
 
 
-def parabolas(n_scenes=5, n_times=16):
+def parabolas(n_scenes=5, n_times=16, masses=(0.5,)):
     """Throws without drag, exact; the last scene is held out."""
     t = 0.05 * np.arange(n_times)[:, None]
     scenes = []
     for k in range(n_scenes):
         p = np.array([0.0, 10.0]) + t * [3.0 + k, 4.0 - k] - t**2 * [0.0, 9.81 / 2]
-        ball = Entity("ball", properties={"mass": 0.5})
+        ball = Entity("ball", properties={"mass": masses[k % len(masses)]})
         scenes.append(Scene(f"s{k}", t[:, 0], p[:, None], [ball]))
     names = tuple(scene.name for scene in scenes)
     return Dataset(
@@ -32,13 +32,14 @@ def parabolas(n_scenes=5, n_times=16):
     )
 
 
-def drawn(rng, push=0.0, sigma=SIGMA, **settings):
-    """Fresh noise, and a uniform acceleration along x added."""
-    exact = parabolas()
+def drawn(rng, push=0.0, sigma=SIGMA, masses=(0.5,), **settings):
+    """Fresh noise, and a push of 0.5 N per m/s^2 along x, one for all, added."""
+    exact = parabolas(masses=masses)
     scenes = []
     for scene in exact.scenes:
         p = scene.positions + sigma * rng.standard_normal(scene.positions.shape)
-        p = p + 0.5 * push * scene.times[:, None, None] ** 2 * np.array([1.0, 0.0])
+        size = 0.5 * push / scene.entities[0].properties["mass"]
+        p = p + 0.5 * size * scene.times[:, None, None] ** 2 * np.array([1.0, 0.0])
         scenes.append(replace(scene, positions=p))
     return replace(exact, scenes=tuple(scenes), **settings)
 
@@ -105,6 +106,38 @@ def test_a_push_of_the_detectable_size_is_detected(null):
     ]
     assert np.mean(found) >= 0.9
     assert size < 2.0  # and it is no idle promise: 20 % of the weight
+
+
+def test_the_detectable_force_is_one_for_all_masses(null):
+    """The same force on light and on heavy bodies, as it is looked for."""
+    masses = (0.05, 5.0)
+    missing = examined(drawn(np.random.default_rng(1), masses=masses))
+    assert missing.detectable_force_unit == "kg m/s^2"
+    assert missing.detectable_force == pytest.approx(missing.detectable * np.median(masses))
+    weights = 9.81 * np.array(masses)
+    share = missing.detectable_force / np.sqrt(np.square(weights).mean())
+    assert missing.detectable_share == pytest.approx(share, rel=0.01)
+
+    def power(force):
+        draws = np.random.default_rng(3).spawn(DETECT_DRAWS)
+        return np.mean([examined(drawn(rng, push=force / 0.5, masses=masses)).is_missing
+                        for rng in draws])  # fmt: skip
+
+    assert power(missing.detectable_force) >= 0.88
+    assert power(missing.detectable_force / 2) < 0.8
+    equal = null[0]
+    assert equal.detectable_force == pytest.approx(0.5 * equal.detectable)
+    # A force of which light bodies show most is seen sooner than one in proportion to the mass.
+    assert missing.detectable_force < 0.3 * equal.detectable_force
+
+
+def test_without_masses_an_acceleration_is_detectable():
+    dataset = drawn(np.random.default_rng(1))
+    bare = [replace(s, entities=(Entity("ball"),)) for s in dataset.scenes]
+    law = declared_law(replace(dataset, scenes=tuple(bare)), [GRAVITY])
+    observation = observe(replace(dataset, scenes=tuple(bare)), law, np.random.default_rng(0))
+    missing = examine_residual(observation, observation.fit(law), 0.01)
+    assert missing.detectable > 0 and np.isnan(missing.detectable_force)
 
 
 def test_power_grows_with_the_push():

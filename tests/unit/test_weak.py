@@ -9,7 +9,7 @@ from scipy import stats
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.data.tables import load_dataset
-from bsp_gp.errors import DataError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
@@ -455,3 +455,10 @@ def test_tracks_that_are_all_gaps_are_refused_with_a_remedy():
     with pytest.raises(DataError, match="velocit") as caught:
         weak(Scene("s", t, falling(t)[:, None], BALL), velocity="measured")
     assert caught.value.remedy
+
+
+def test_noise_with_a_memory_is_refused():
+    t = uneven(20)
+    scene = noisy(t, falling(t), 0.0, np.random.default_rng(0))
+    with pytest.raises(SettingsError, match=r"white, and a memory of 0\.5 s"):
+        weak(scene, memory=0.5)

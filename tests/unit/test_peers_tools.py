@@ -1,0 +1,103 @@
+"""The set-ups around the other tools: objective, polishing, dictionary; no tool is needed."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bsp_gp.language.expression import derive
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.language.parse import parse_formula
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+ANSWERS = [  # 5 m_i m_j / r^1.37; softened; screened
+    "c1 * ((m_i * m_j) * pow(norm(p_i - p_j), c3) * normalize(p_j - p_i))",
+    "c1 * ((m_i * m_j) * (norm(p_i - p_j) * pow(square(norm(p_i - p_j)) + square(c2), c3)) "
+    "* normalize(p_j - p_i))",
+    "c1 * ((m_i * m_j) * inverse(square(norm(p_i - p_j))) * exp(neg(norm(p_i - p_j) / c2)) "
+    "* normalize(p_j - p_i))",
+]
+
+
+@pytest.fixture(scope="module")
+def tools():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(EXPERIMENTS))
+        import peers_tools
+
+        yield peers_tools
+    for name in ("peers_tools", "peers_tasks", "peers", "common"):
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture(scope="module")
+def pairs(tools):
+    """Gravity in motion, and what is pulled of which."""
+    task = sys.modules["peers_tasks"].TASKS["gravity"]
+    return tools.pairs_of(task, tools.motion(task, 0)[0])
+
+
+def test_the_misfit_of_the_truth_is_nothing_whatever_its_factor(tools, pairs):
+    assert tools.misfit(pairs, pairs.pull) < 1e-12
+    assert tools.misfit(pairs, -3 * pairs.pull) < 1e-12
+
+
+def test_the_misfit_is_what_the_best_factor_leaves(tools, pairs):
+    pull = pairs.pull * (1 + 0.5 * np.sin(np.arange(len(pairs.pull))))
+    factor = tools.scale_of(pairs, pull)
+    left = [((f * pairs.summed(pull) - pairs.seen) ** 2).sum() / (pairs.seen**2).sum()
+            for f in (factor, 1.01 * factor, 0.99 * factor)]  # fmt: skip
+    assert tools.misfit(pairs, pull) == pytest.approx(left[0])
+    assert left[0] < min(left[1:])
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_pulls_that_explain_nothing_leave_all(tools, pairs, value):
+    assert tools.misfit(pairs, np.full(len(pairs.pull), value)) == 1.0
+
+
+def test_the_factor_is_that_of_the_law(tools, pairs):
+    m_i, m_j, r = pairs.x.T
+    assert tools.scale_of(pairs, m_i * m_j / r**2) == pytest.approx(50.0)
+
+
+def test_constants_are_polished_to_the_truth_and_never_worsened(tools, pairs):
+    m_i, m_j, r = pairs.x.T
+
+    def pull_with(constants):
+        return constants[0] * m_i * m_j * r ** constants[1]
+
+    assert tools.polished(pairs, pull_with, [1.0, -1.5])[1] == pytest.approx(-2.0, abs=1e-6)
+    np.testing.assert_array_equal(tools.polished(pairs, pull_with, [7.0, -2.0]), [7.0, -2.0])
+    nothing = tools.polished(pairs, lambda constants: m_i * np.nan, [1.0])
+    np.testing.assert_array_equal(nothing, [1.0])
+    assert len(tools.polished(pairs, lambda constants: m_i, [])) == 0
+
+
+def test_a_program_of_gplearn_gets_other_constants(tools):
+    program = SimpleNamespace(program=["mul", 0.5, "exp", 2, 1.5])
+    assert tools.with_constants(program, [3.0, 4.0]).program == ["mul", 3.0, "exp", 2, 4.0]
+    assert program.program == ["mul", 0.5, "exp", 2, 1.5]
+
+
+@pytest.mark.parametrize(("is_wide", "n"), [(False, 36), (True, 4 * (17 + 9))])
+def test_the_dictionary_has_what_its_names_say(tools, is_wide, n):
+    x = np.array([[2.0, 3.0, 4.0], [5.0, 7.0, 9.0]])
+    columns = tools.dictionary(x, is_wide)
+    assert len(columns) == n
+    np.testing.assert_allclose(columns["m_i m_j r^-2"], [6 / 16, 35 / 81])
+    np.testing.assert_allclose(columns["1 r^0"], 1.0)
+    if is_wide:
+        np.testing.assert_allclose(columns["m_j r^-1.5"], [3 / 8, 7 / 27])
+        np.testing.assert_allclose(columns["m_i exp(-r/3) r^-1"], x[:, 0] * np.exp(-x[:, 2] / 3)
+                                   / x[:, 2])  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ANSWERS)
+def test_our_grammar_of_inner_constants_has_the_answers(text):
+    grammar = load_grammar(str(EXPERIMENTS / "peers_inner.toml"))
+    formula = parse_formula(text, grammar.inputs)
+    assert derive(formula, grammar, grammar.start["pair"]) is not None
+    assert grammar.count(grammar.start["pair"], len(grammar.types)) == 90
