@@ -67,6 +67,7 @@ def with_hidden(observation, pull, motion, parameters, strength):
         observation, train=train, test=test, segments=tuple(map(extended, observation.segments)),
         train_regression=observation.regression(train),
         test_regression=observation.regression(test) if test else observation.test_regression,
+        n_unseen=observation.n_unseen + 1,
     )  # fmt: skip
 
 

@@ -83,6 +83,8 @@ class Observation:
     sources: bool
     memory: float = 0.0
     segment_rows: int | None = None
+    n_unseen: int = 0
+    """Bodies that no track shows, the last of every scene: never scored."""
 
     def __getstate__(self):
         """What travels to workers: everything but what is kept for the running loop."""
@@ -285,7 +287,7 @@ class Observation:
         rows : list of dict
             Per scene: scene; sum_squares and n of positions; endpoints, those of the bodies that
             have one; and nan where there is none, vectors along the last axis: track (T, R, d),
-            ends (R, d), steps (T - 2, N, 1), accelerations (n, R, d).
+            ends (R, d), steps (T - 2, N, 1) of all bodies seen, accelerations (n, R, d).
         """
         rows = self._rows(law, self.test if scenes is None else scenes)
         units = self.dataset.units
@@ -300,7 +302,8 @@ class Observation:
         steps = one_step_errors(scenes, law, self.dataset.up)
         rows = self._score(law, scenes)
         for scene, row, step in zip(scenes, rows, steps, strict=True):
-            row.update(steps=step[..., None], accelerations=accelerations[scene.name])
+            step = step[:, : len(scene.entities) - self.n_unseen, None]
+            row.update(steps=step, accelerations=accelerations[scene.name])
         return rows
 
     def headline_error(self, law):

@@ -1,6 +1,7 @@
 """The published protocol on measured falls (see the README beside the data)."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from bsp_gp.loop.close import close_loop
 
 pytestmark = pytest.mark.slow
 
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 WEIGHT = "9.81 [m/s^2] * m_i * down"
 
 
@@ -58,21 +60,15 @@ def test_the_law_is_named(reports):
         assert not set(report.dataset["train"]) & set(report.dataset["test"])
 
 
-def test_training_drops_alone_choose_the_same_law(reports, shared_data):
+def test_training_drops_alone_choose_the_same_law(reports, shared_data, monkeypatch):
     """The first 70 % of each against the rest: no other drop has a part in it."""
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+    from ball_drops import in_time
+
     for report in reports:
-        dataset = load_dataset(shared_data / "measured" / "ball_drops")
-        parts = {"early": [], "late": []}
-        for scene in dataset.select(report.dataset["train"]):
-            cut = int(0.7 * len(scene.times))
-            parts["early"].append(replace(scene.rows(0, cut), name=f"{scene.name} early"))
-            parts["late"].append(replace(scene.rows(cut + 1, None), name=f"{scene.name} late"))
-        names = {part: tuple(s.name for s in scenes) for part, scenes in parts.items()}
-        alone = replace(
-            dataset, scenes=(*parts["early"], *parts["late"]), train=names["early"],
-            test=names["late"], evaluation=replace(dataset.evaluation, endpoint_row=None),
-        )  # fmt: skip
-        found = close_loop(alone, [WEIGHT], rng=np.random.default_rng(0), max_rounds=1)
+        sides = {side: tuple(report.dataset[side]) for side in ("train", "test")}
+        dataset = replace(load_dataset(shared_data / "measured" / "ball_drops"), **sides)
+        found = close_loop(in_time(dataset), [WEIGHT], rng=np.random.default_rng(0), max_rounds=1)
         assert found.rounds[0].effect.law == report.rounds[0].effect.law
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.attempts import evaluate
+from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.close import declared_law
 from bsp_gp.loop.explanation import HIDDEN_BODY
 from bsp_gp.loop.hidden import hidden_body
@@ -196,6 +197,22 @@ def test_predictions_use_the_source(world, found):
         for o, law in ((observation, model.law), (found.observation, found.fit.law))
     )
     assert after < before
+
+
+def test_errors_are_those_of_the_bodies_seen(world, found):
+    observation, model, _ = world
+    after = evaluate(found.observation, found.fit.law, found.fit)
+    n_seen = len(observation.test[0].entities)
+    assert [row["steps"].shape[1] for row in after.rows] == [n_seen] * len(after.rows)
+    # Fewer scenes than five: held-out data are simulated, the hidden body among them.
+    few = replace(found.observation, test=found.observation.test[:2])
+    before = evaluate(replace(observation, test=observation.test[:2]), model.law, model.fit)
+    after = evaluate(few, found.fit.law, found.fit)
+    _, copies = few.floor(after.law, np.random.default_rng(2))
+    assert copies
+    errors = compared(few, before, after, copies, np.random.default_rng(3))
+    for ratio in errors.ratios.values():
+        assert ratio.low <= ratio.value <= ratio.high
 
 
 def test_details_are_json_and_make_a_map(found):
