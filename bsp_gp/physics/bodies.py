@@ -130,8 +130,8 @@ class PairInputs(_Inputs):
 
     def _state(self, values, role):
         if role == "i":
-            return values[..., self.bodies.receivers, None, :]
-        return values[..., self.bodies.others, :]
+            return values.take(self.bodies.receivers, axis=-2)[..., None, :]
+        return values.take(self.bodies.others, axis=-2)
 
     def _property(self, values, role):
         if role == "i":
@@ -146,7 +146,7 @@ class FieldInputs(_Inputs):
 
     def _state(self, values, role):
         self._no_source(role)
-        return values[..., self.bodies.receivers, :]
+        return values.take(self.bodies.receivers, axis=-2)
 
     def _property(self, values, role):
         self._no_source(role)

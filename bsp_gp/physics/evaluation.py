@@ -19,6 +19,8 @@ CHANGING = ("p_i", "p_j", "v_i", "v_j", "p_c", "t")
 """Inputs that differ from instant to instant; all others belong to the scene."""
 FEW = 8
 """Sources up to which their forces are added one by one."""
+CONTACTS = ("does_collide", "is_on")
+"""Operators whose value is 1 or 0: where no bodies meet, a force that they multiply is zero."""
 
 
 class PreparedLaw:
@@ -30,9 +32,12 @@ class PreparedLaw:
     bodies : Bodies
     values : dict, optional
         Constants as `ForceLaw.values` gives them; they may have leading axes for copies.
+    skips : bool
+        Compute no force of contact at instants when no bodies meet. Then such a force is zero
+        also for bodies of which it is not known where they are.
     """
 
-    def __init__(self, law, bodies, values=None):
+    def __init__(self, law, bodies, values=None, skips=False):
         self.bodies = bodies
         values = law.values(bodies) if values is None else values
         self._programs = []
@@ -40,7 +45,8 @@ class PreparedLaw:
             terms = [term for term in law.terms if term.kind == kind]
             settlings = [Settling(term, bodies, law.is_per_entity(term)) for term in terms]
             formulas = [term.acceleration_formula for term in terms]
-            self._programs.append((_Program(kind, formulas, bodies, values[kind]), settlings))
+            program = _Program(kind, formulas, bodies, values[kind], skips)
+            self._programs.append((program, settlings))
 
     def acceleration(self, positions, velocities, times):
         """Acceleration of every receiver, shape (..., S, R, d), m/s^2; see `ForceLaw`."""
@@ -53,26 +59,35 @@ class PreparedLaw:
             for program, settlings in self._programs:
                 forces = program.run(positions, velocities, times)
                 for force, settling in zip(forces, settlings, strict=True):
-                    total = total + settling(force, shape)
+                    if force is not None:
+                        total = total + settling(force, shape)
         return total
 
 
 class _Program:
-    """Formulas of one kind as a list of steps on numbered values."""
+    """Formulas of one kind as a list of steps on numbered values.
 
-    def __init__(self, kind, formulas, bodies, constants):
+    With `skips`, contacts are asked first, and then only what the forces need that do not wait for
+    another contact than those there are.
+    """
+
+    def __init__(self, kind, formulas, bodies, constants, skips):
         self.kind = kind
         self.bodies = bodies
         self.start = []
-        self.inputs = []
-        self.steps = []
+        self._inputs = {}
+        self._steps = {}
         self._numbers = {}
         self._scene = law_inputs(kind, bodies, None, None, None)
         with np.errstate(all="ignore"):
             self.results = [self._add(formula, constants) for formula in formulas]
+        contacts = [_contacts_of(formula) if skips else () for formula in formulas]
+        self.contacts = [[self._numbers[node] for node in nodes] for nodes in contacts]
+        self._first = self._plan({k for numbers in self.contacts for k in numbers}, set())
+        self._plans = {}
 
     def _add(self, node, constants):
-        """Number of a node's value; its steps are appended on first sight."""
+        """Number of a node's value; its step is put down on first sight."""
         if node in self._numbers:
             return self._numbers[node]
         value = step = None
@@ -94,20 +109,53 @@ class _Program:
         number = self._numbers[node] = len(self.start)
         self.start.append(value)
         if step is not None:
-            self.steps.append((number, *step))
+            self._steps[number] = step
         elif value is None:
-            self.inputs.append((number, node.name))
+            self._inputs[number] = node.name
         return number
 
+    def _plan(self, wanted, known):
+        """Inputs and steps to the values that are wanted, those known left out."""
+        wanted = set(wanted)
+        for number in sorted(self._steps, reverse=True):  # arguments have lower numbers
+            if number in wanted:
+                wanted.update(self._steps[number][2])
+        wanted -= known
+        inputs = [(n, name) for n, name in self._inputs.items() if n in wanted]
+        return inputs, [(n, *step) for n, step in self._steps.items() if n in wanted], wanted
+
     def run(self, positions, velocities, times):
-        """Values of the formulas."""
+        """Values of the formulas; None where one is zero for want of a contact."""
         values = self.start.copy()
         lookup = law_inputs(self.kind, self.bodies, positions, velocities, times)
-        for number, name in self.inputs:
-            values[number] = lookup[name]
-        for number, compute, types, arguments in self.steps:
-            values[number] = compute(types, *[values[k] for k in arguments])
-        return [values[k] for k in self.results]
+        _follow(self._first, values, lookup)
+        is_open = tuple(all(values[k].any() for k in numbers) for numbers in self.contacts)
+        if is_open not in self._plans:
+            results = {k for k, needed in zip(self.results, is_open, strict=True) if needed}
+            self._plans[is_open] = self._plan(results, self._first[2])
+        _follow(self._plans[is_open], values, lookup)
+        return [values[k] if needed else None
+                for k, needed in zip(self.results, is_open, strict=True)]  # fmt: skip
+
+
+def _follow(plan, values, lookup):
+    """Compute the values of a plan in place."""
+    inputs, steps, _ = plan
+    for number, name in inputs:
+        values[number] = lookup[name]
+    for number, compute, types, arguments in steps:
+        values[number] = compute(types, *[values[k] for k in arguments])
+
+
+def _contacts_of(formula):
+    """Contacts among the factors of a formula."""
+    if not isinstance(formula, Call):
+        return ()
+    if formula.operator in CONTACTS:
+        return (formula,)
+    if formula.operator == "mul":
+        return tuple(node for arg in formula.args for node in _contacts_of(arg))
+    return _contacts_of(formula.args[0]) if formula.operator in ("neg", "div") else ()
 
 
 class Settling:

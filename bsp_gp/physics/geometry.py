@@ -41,20 +41,36 @@ class Shapes:
         and |dy| < H/2 + r, the wall being the other.
         """
         gap = np.asarray(p_self) - p_other
-        disc = self.code == DISC
-        pairs, walls = disc & (other.code == DISC), disc & (other.code == WALL)
-        touching = np.zeros(np.broadcast_shapes(gap.shape[:-1], pairs.shape), dtype=bool)
+        pairs, reach, walls, half_width, half_height, shape = self._sizes_with(other)
+        touching = np.zeros(np.broadcast_shapes(gap.shape[:-1], shape), dtype=bool)
         # Most scenes have one sort of contact or none: a rollout asks at every instant.
         with np.errstate(invalid="ignore"):
-            if pairs.any():
+            if pairs is not None:
                 square = sum(gap[..., k] * gap[..., k] for k in range(gap.shape[-1]))
-                touching = touching | pairs & (square < (self.radius + other.radius) ** 2)
-            if walls.any():
-                inside = (np.abs(gap[..., 0]) < other.width / 2 + self.radius) & (
-                    np.abs(gap[..., 1]) < other.height / 2 + self.radius
-                )
+                touching = touching | pairs & (square < reach)
+            if walls is not None:
+                inside = (np.abs(gap[..., 0]) < half_width) & (np.abs(gap[..., 1]) < half_height)
                 touching = touching | walls & inside
         return touching.astype(float)
+
+    def _sizes_with(self, other):
+        """What `collides` compares with, kept for the last other.
+
+        Pairs of discs and their squared reach, walls and their half sizes, None if there are none;
+        and the shape of all.
+        """
+        kept = self.__dict__.get("_met")
+        if kept is not None and kept[0] is other:
+            return kept[1]
+        disc = self.code == DISC
+        pairs, walls = disc & (other.code == DISC), disc & (other.code == WALL)
+        sizes = (
+            pairs if pairs.any() else None, (self.radius + other.radius) ** 2,
+            walls if walls.any() else None,
+            other.width / 2 + self.radius, other.height / 2 + self.radius, pairs.shape,
+        )  # fmt: skip
+        self.__dict__["_met"] = (other, sizes)
+        return sizes
 
     def is_on(self, p_self, other, p_other):
         """1.0 where the centre is over a mat: |dx| <= W/2 and |dy| <= H/2, else 0.0."""
