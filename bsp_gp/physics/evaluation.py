@@ -67,8 +67,8 @@ class PreparedLaw:
 class _Program:
     """Formulas of one kind as a list of steps on numbered values.
 
-    With `skips`, contacts are asked first, and then only what the forces need that do not wait for
-    another contact than those there are.
+    With `skips`, contacts are computed first, and after them only what forces need none of whose
+    contacts is missing.
     """
 
     def __init__(self, kind, formulas, bodies, constants, skips):
@@ -80,10 +80,13 @@ class _Program:
         self._numbers = {}
         self._scene = law_inputs(kind, bodies, None, None, None)
         with np.errstate(all="ignore"):
-            self.results = [self._add(formula, constants) for formula in formulas]
-        contacts = [_contacts_of(formula) if skips else () for formula in formulas]
-        self.contacts = [[self._numbers[node] for node in nodes] for nodes in contacts]
-        self._first = self._plan({k for numbers in self.contacts for k in numbers}, set())
+            self._results = [self._add(formula, constants) for formula in formulas]
+        self._awaited = [
+            {self._numbers[node] for node in _contacts_of(formula)} if skips else set()
+            for formula in formulas
+        ]
+        self._contacts = sorted(set().union(*self._awaited))
+        self._first, self._known = self._plan(self._contacts, set())
         self._plans = {}
 
     def _add(self, node, constants):
@@ -115,32 +118,39 @@ class _Program:
         return number
 
     def _plan(self, wanted, known):
-        """Inputs and steps to the values that are wanted, those known left out."""
+        """Inputs and steps that lead to the values wanted from those known, and their numbers."""
         wanted = set(wanted)
         for number in sorted(self._steps, reverse=True):  # arguments have lower numbers
             if number in wanted:
                 wanted.update(self._steps[number][2])
-        wanted -= known
-        inputs = [(n, name) for n, name in self._inputs.items() if n in wanted]
-        return inputs, [(n, *step) for n, step in self._steps.items() if n in wanted], wanted
+        inputs = [(n, name) for n, name in self._inputs.items() if n in wanted - known]
+        steps = [(n, *step) for n, step in self._steps.items() if n in wanted - known]
+        return (inputs, steps), wanted
+
+    def _plan_where(self, met):
+        """Plan and numbers of the results (None: zero) where these contacts are made."""
+        results = [
+            number if awaited <= set(met) else None
+            for number, awaited in zip(self._results, self._awaited, strict=True)
+        ]
+        return self._plan([k for k in results if k is not None], self._known)[0], results
 
     def run(self, positions, velocities, times):
         """Values of the formulas; None where one is zero for want of a contact."""
         values = self.start.copy()
         lookup = law_inputs(self.kind, self.bodies, positions, velocities, times)
         _follow(self._first, values, lookup)
-        is_open = tuple(all(values[k].any() for k in numbers) for numbers in self.contacts)
-        if is_open not in self._plans:
-            results = {k for k, needed in zip(self.results, is_open, strict=True) if needed}
-            self._plans[is_open] = self._plan(results, self._first[2])
-        _follow(self._plans[is_open], values, lookup)
-        return [values[k] if needed else None
-                for k, needed in zip(self.results, is_open, strict=True)]  # fmt: skip
+        met = tuple([k for k in self._contacts if values[k].any()])
+        if met not in self._plans:
+            self._plans[met] = self._plan_where(met)
+        plan, results = self._plans[met]
+        _follow(plan, values, lookup)
+        return [None if k is None else values[k] for k in results]
 
 
 def _follow(plan, values, lookup):
     """Compute the values of a plan in place."""
-    inputs, steps, _ = plan
+    inputs, steps = plan
     for number, name in inputs:
         values[number] = lookup[name]
     for number, compute, types, arguments in steps:

@@ -5,6 +5,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.errors import SettingsError
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics import evaluation
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import INTEGRATORS, Tracks, rollout
 from bsp_gp.physics.force import ForceLaw, Term
@@ -296,6 +297,27 @@ def test_copies_of_states_and_constants_are_independent():
     for b, k1 in enumerate(constants):
         alone = rollout(law.with_constants({"k1": k1}), batch, p[b], v[b])
         np.testing.assert_array_equal(together[:, b], alone)
+
+
+def test_contacts_are_computed_where_bodies_meet_alone(monkeypatch):
+    """The same bits as where every force is computed at every instant."""
+    crew = [Entity(n, "disc", radius=0.3, properties={"mass": 1.0 + k}) for k, n in enumerate("ab")]
+    apart = np.arange(42.0).reshape(21, 2)[..., None] * [1, 1]
+    (batch,) = stack([Scene("s", np.linspace(0, 2, 21), apart, tuple(crew))])
+    touch = "does_collide(s_i, p_i, s_j, p_j)"
+    law = law_of(f"80 * (p_i - p_j) * {touch}", f"-(2 * (v_i - v_j) * {touch}) / 3",
+                 "m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)")  # fmt: skip
+    # Two copies; in the second they pass each other by.
+    p = np.array([[[-1.0, 0.1], [1.0, 0.0]], [[-1.0, 2.0], [1.0, -2.0]]])[:, None]
+    v = np.broadcast_to([[3.0, 0.0], [-0.5, 0.1]], p.shape)
+    for terms in (law.terms, law.terms[:2], law.terms[:1]):
+        found = rollout(ForceLaw(terms), batch, p, v, substeps=3)
+        gap = np.linalg.norm(found[..., 0, :] - found[..., 1, :], axis=-1).min(axis=0)
+        assert gap[0] < 0.6 < gap[1]
+        with monkeypatch.context() as patch:
+            patch.setattr(evaluation, "CONTACTS", ())
+            whole = rollout(ForceLaw(terms), batch, p, v, substeps=3)
+        np.testing.assert_array_equal(found, whole)
 
 
 def test_runaway_motion_gives_no_numbers_and_no_warning():
