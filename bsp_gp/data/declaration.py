@@ -42,7 +42,8 @@ class Declaration:
     angle_from, angle_turns : str
         Axis on which an angle is 0, and how it turns, see `polar.from_polar`.
     up, dt, fps, noise, noise_memory, velocity
-        As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units.
+        As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units. Noise may be
+        a mapping of bodies, or of globs of them, to their own.
     columns : mapping of str to str
         Our name of a column -> its name in the file.
     latents : tuple of LatentDeclaration
@@ -61,7 +62,7 @@ class Declaration:
     angle_turns: str = "counter-clockwise"
     dt: float | None = None
     fps: float | None = None
-    noise: tuple[float, ...] | None = None
+    noise: tuple[float, ...] | Mapping | None = None
     noise_memory: float | None = None
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
@@ -78,10 +79,12 @@ class Declaration:
                 "dt and fps are both given", file=self.file, remedy="keep the one you measured"
             )
 
-    def override(self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None):
+    def override(
+        self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None, noise=None
+    ):
         """Let the caller's arguments win over the file."""
-        reader = _Reader({}, "arguments")
-        changes = {}
+        reader = _Reader({"noise": noise}, "arguments")
+        changes = {} if noise is None else {"noise": reader.noise()}
         if units is not None:
             changes["units"] = {**self.units, **reader.texts(units, "units")}
         if columns is not None:
@@ -213,14 +216,21 @@ class _Reader:
 
     def noise(self):
         value = self.content.get("noise")
-        if value is None:
-            return None
-        items = value if isinstance(value, list) else [value]
-        values = tuple(self.number(item, "noise") for item in items)
+        if not isinstance(value, Mapping):
+            return None if value is None else self.levels(value, "noise")
+        of_bodies = {body: self.levels(item, f"noise of {body}") for body, item in value.items()}
+        for body, values in of_bodies.items():
+            if min(values) == 0:
+                self.fail(f"noise of {body} must be positive", remedy="noise = 0: all are exact")
+        return of_bodies
+
+    def levels(self, value, key):
+        items = value if isinstance(value, list | tuple) else [value]
+        values = tuple(self.number(item, key) for item in items)
         if len(values) not in (1, 2, 3):
-            self.fail(f"noise must be a number or one per axis, got {value!r:.60}")
+            self.fail(f"{key} must be a number or one per axis, got {value!r:.60}")
         if min(values) < 0:
-            self.fail(f"noise must not be negative, got {min(values):g}", remedy="0 means exact")
+            self.fail(f"{key} must not be negative, got {min(values):g}", remedy="0 means exact")
         return values
 
     def noise_memory(self):

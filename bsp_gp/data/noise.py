@@ -37,7 +37,8 @@ class NoiseEstimate:
     sigma : tuple of float, length d, metres
         Per axis; nan on an inactive axis, never below 1e-12 of the range of the positions.
     source : str
-        "quoted" (columns sx, sy, sz), "declared" (``noise``) or "estimated".
+        "quoted" (columns sx, sy, sz, or ``noise`` body by body), "declared" (``noise``) or
+        "estimated".
     n_effective : tuple of float, length d
         Independent differences behind each estimate; inf where sigma was not estimated.
     inactive_axes : tuple of str
@@ -96,7 +97,7 @@ def estimate_noise(data):
             continue
         label, n_effective = "xyz"[axis], math.inf
         if quoted[axis] is not None:
-            value, source, how = quoted[axis], "quoted", f"rms of column s{label}"
+            value, source, how = quoted[axis], "quoted", "rms of the errors of its points"
         elif declared is not None:
             value, source, how = declared[axis % len(declared)], "declared", "as declared"
         else:

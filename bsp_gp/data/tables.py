@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from bsp_gp.data.assembly import build_rows, build_scenes
@@ -133,10 +134,10 @@ def dataset_from_frames(
     -------
     Dataset
     """
-    noise = None if noise is None else tuple(noise) if hasattr(noise, "__len__") else (noise,)
+    noise = noise.tolist() if hasattr(noise, "tolist") else noise  # of numpy
     declaration = Declaration(
-        name=name, up=up, noise=noise, provenance=dict(provenance or {}), file="arguments"
-    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test)
+        name=name, up=up, provenance=dict(provenance or {}), file="arguments"
+    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, noise=noise)
     if isinstance(frames, Mapping):
         if not frames:
             raise DataError("frames is an empty mapping; at least one scene is needed")
@@ -202,6 +203,7 @@ def _assemble(table, roster, declaration, default_name):
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
     scenes, idle = build_scenes(rows, roster)
+    scenes = _with_noise_of_bodies(scenes, declaration, conversion, rows.entity_names)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
     notes = [
@@ -329,14 +331,47 @@ def _up(declaration, n_dims):
 
 
 def _noise(declaration, conversion, n_dims):
-    if declaration.noise is None:
+    """Noise of all bodies; None where each has its own."""
+    if declaration.noise is None or isinstance(declaration.noise, Mapping):
         return None
-    if len(declaration.noise) not in (1, n_dims):
+    return _levels(declaration.noise, "noise", declaration, conversion, n_dims)
+
+
+def _levels(values, what, declaration, conversion, n_dims):
+    if len(values) not in (1, n_dims):
         raise DataError(
-            f"noise must be one number or one per axis ({n_dims}), got {len(declaration.noise)}",
+            f"{what} must be one number or one per axis ({n_dims}), got {len(values)}",
             file=declaration.file, column="noise",
         )  # fmt: skip
-    return tuple(value * conversion.length("x") for value in declaration.noise)
+    return tuple(value * conversion.length("x") for value in values)
+
+
+def _with_noise_of_bodies(scenes, declaration, conversion, names):
+    """Scenes whose points quote the noise declared for their body, where they quote none."""
+    if not isinstance(declaration.noise, Mapping):
+        return scenes
+    of_bodies = {}
+    for pattern, values in declaration.noise.items():
+        found = select_scenes((pattern,), names, what="[noise]", file=declaration.file)
+        what = f"noise of {pattern}"
+        levels = _levels(values, what, declaration, conversion, scenes[0].n_dims)
+        for name in found:
+            if name == pattern or name not in of_bodies:
+                of_bodies[name] = levels
+    changed = []
+    for scene in scenes:
+        sigma = np.full(scene.positions.shape, np.nan) if scene.sigma is None else scene.sigma
+        sigma = sigma.copy()
+        for k in scene.dynamic:
+            if scene.names[k] not in of_bodies:
+                raise DataError(
+                    f"[noise] has nothing for {scene.names[k]!r}", file=declaration.file,
+                    column="noise", remedy='add it, or "*" for all the others',
+                )  # fmt: skip
+            own = np.where(np.isnan(scene.positions[:, k]), np.nan, of_bodies[scene.names[k]])
+            sigma[:, k] = np.where(np.isnan(sigma[:, k]), own, sigma[:, k])
+        changed.append(dataclasses.replace(scene, sigma=sigma))
+    return tuple(changed)
 
 
 def _noise_memory(declaration, conversion):

@@ -93,6 +93,13 @@ DEFECTS = {
     "both clocks": ({T: GOOD, D: "fps = 1\ndt = 1\n"}, [D, "dt and fps"]),
     "negative noise": ({T: GOOD, D: "noise = -1\n"}, [D, "noise", "negative"]),
     "noise axes": ({T: GOOD, D: "noise = [1, 2, 3]\n"}, [D, "noise", "one per axis (2)"]),
+    "noise of nobody": ({T: GOOD, D: "[noise]\nbal = 1\n"}, [D, "[noise]", "'bal'", "ball"]),
+    "noise of a body": ({T: GOOD, D: "[noise]\nball = 0\n"}, [D, "noise of ball", "positive"]),
+    "noise of three axes": ({T: GOOD, D: "[noise]\nball = [1, 2, 3]\n"}, [D, "of ball", "(2)"]),
+    "a body without noise": (
+        {T: GOOD + GOOD.split("\n", 1)[1].replace("a,", "b,").replace("ball", "cork"),
+         D: "[noise]\nball = 1\n"}, [D, "'cork'", '"*"'],
+    ),
     "velocity": ({T: GOOD, D: '[columns]\nvelocity = "yes"\n'}, [D, "measured, ignore"]),
     "column key": ({T: GOOD, D: '[columns]\nvelocty = "measured"\n'}, [D, "velocty", "velocity"]),
     "unknown unit": (

@@ -61,6 +61,29 @@ def test_pixels_are_kept_and_named(folder):
     assert dataset.noise == (0.5,)
 
 
+def test_noise_of_single_bodies(tmp_path):
+    """A name wins over a glob, and what a point quotes over both; written out, it is quoted."""
+    rows = [f"{t},{name},{t + k},{t},{'0.7' if (name, t) == ('cork', 1) else ''},"
+            for t in range(4) for k, name in enumerate(("ball", "cork", "card"))]  # fmt: skip
+    path = tmp_path / "made"
+    path.mkdir()
+    (path / "trajectories.csv").write_text("\n".join(["t,entity,x,y,sx,sy", *rows]) + "\n")
+    (path / "dataset.toml").write_text(
+        '[noise]\n"c*" = [1, 2]\ncard = 3\nball = 5\n[units]\nlength = "cm"\ntime = "s"\n'
+    )
+    dataset = load_dataset(path)
+    assert dataset.noise is None
+    (scene,) = dataset.scenes
+    by_name = {n: 100 * scene.sigma[:, k] for k, n in enumerate(scene.names)}
+    assert by_name["ball"] == pytest.approx(np.full((4, 2), 5.0))
+    assert by_name["card"] == pytest.approx(np.full((4, 2), 3.0))
+    assert by_name["cork"][:, 0] == pytest.approx([1, 0.7, 1, 1])
+    assert by_name["cork"][:, 1] == pytest.approx(np.full(4, 2.0))
+    assert estimate_noise(dataset).source == "quoted"
+    save_dataset(dataset, tmp_path / "again")
+    np.testing.assert_allclose(load_dataset(tmp_path / "again").scenes[0].sigma, scene.sigma)
+
+
 def test_a_unit_may_carry_a_number(folder):
     dataset = load_dataset(folder(), units={"length": "0.17 um", "time": "s"})
     assert dataset.scenes[0].positions[1, 0, 0] == pytest.approx(0.34e-6)
