@@ -437,7 +437,7 @@ def figure(table):
     ax.invert_yaxis()
     ax.set(xlabel="share of data sets", xlim=(0, 1))
     ax.spines[["top", "right"]].set_visible(False)
-    fig.legend(loc="outside upper center", ncols=6, fontsize=8, frameon=False)
+    fig.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return fig
 
 
