@@ -290,11 +290,14 @@ class Observation:
             ends (R, d), steps (T - 2, N, 1) of all bodies seen, accelerations (n, R, d).
         """
         rows = self._rows(law, self.test if scenes is None else scenes)
+        return self._errors_of(rows), rows
+
+    def _errors_of(self, rows):
         units = self.dataset.units
         return Errors(
             **{metric: error_of(metric, rows) for metric in METRICS},
             unit=units.text(Unit.of(m=1)), acceleration_unit=units.text(ACCELERATION),
-        ), rows  # fmt: skip
+        )  # fmt: skip
 
     def _rows(self, law, scenes):
         regression = self.test_regression if scenes is self.test else self.regression(scenes)
@@ -332,7 +335,13 @@ class Observation:
         ]
 
     def score_copies(self, law, copies):
-        """Rows of `errors` of copies of the held-out scenes, made together: a list of lists."""
+        """Rows of `errors` of copies of the held-out scenes, made together: a list of lists.
+
+        The law that made the copies was scored on them for its `floor`.
+        """
+        _, _, made, rows = self.__dict__.get("_floors", {}).get(id(law), (None,) * 4)
+        if rows is not None and made is copies:
+            return rows
         scenes = [scene for copy in copies for scene in copy]
         rows = iter(self._rows(law, scenes) if scenes else ())
         return [[next(rows) for _ in copy] for copy in copies]
@@ -395,7 +404,7 @@ class Observation:
         kept = self.__dict__.setdefault("_floors", {})
         if id(law) not in kept:
             kept[id(law)] = (law, *self._simulated_floor(law, rng))
-        return kept[id(law)][1:]
+        return kept[id(law)][1:3]
 
     def _simulated_floor(self, law, rng):
         copies = []
@@ -405,8 +414,8 @@ class Observation:
         for k, child in enumerate(rng.spawn(n_copies)):
             copy = self._noisy(states, self.test, child)
             copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
-        errors, _ = self.errors(law, [scene for copy in copies for scene in copy])
-        return errors, copies
+        rows = self.score_copies(law, copies)
+        return self._errors_of([row for copy in rows for row in copy]), copies, rows
 
     def _numerical_floor(self):
         units = self.dataset.units
