@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-__all__ = ["Candidate", "Certificate", "SearchResult"]
+import numpy as np
+
+from bsp_gp.language.render import to_text
+
+__all__ = ["Candidate", "Certificate", "SearchResult", "front_of", "merge_equal"]
 
 
 @dataclass(frozen=True)
@@ -124,3 +128,58 @@ class SearchResult:
     seconds: float
     certificate: Certificate | None = None
     null_gains: tuple[float, ...] = field(default=(), repr=False)
+
+
+def merge_equal(rescored):
+    """Sort by loss, and merge laws whose fitted accelerations are equal on the data.
+
+    Parameters
+    ----------
+    rescored : list of (Candidate, ndarray)
+        Laws with exact losses, and their fitted whitened accelerations.
+
+    Returns
+    -------
+    list of Candidate
+        Of equal laws the least complex, the others among its ties.
+    """
+    if not rescored:
+        return []
+    total = max(candidate.total for candidate, _ in rescored)
+    floor = 1e-20 * total
+    order = sorted(rescored, key=lambda item: (item[0].loss, item[0].complexity))
+    merged = []
+    for candidate, fitted in order:
+        same = None
+        for k in range(len(merged) - 1, -1, -1):
+            other, other_fitted = merged[k]
+            if candidate.loss - other.loss > 1e-9 * (candidate.loss + other.loss) + floor:
+                break  # in order of their losses: no further one is close
+            apart = np.square(fitted - other_fitted).sum()
+            if apart <= 1e-16 * np.square(fitted).sum() + floor:
+                same = k
+                break
+        if same is None:
+            merged.append((candidate, fitted))
+        else:
+            merged[same] = (_absorb(merged[same][0], candidate), merged[same][1])
+    candidates = sorted((c for c, _ in merged), key=lambda c: c.loss)
+    return candidates
+
+
+def _absorb(kept, other):
+    """Of two equal laws the least complex leads, the other becomes a tie."""
+    # Of equally complex ones the text decides: the order of the losses is rounding.
+    lead, tail = sorted((kept, other), key=lambda c: (round(c.complexity, 9), to_text(c.formula)))
+    names = dict.fromkeys((*kept.ties, *other.ties, tail.formula))
+    names.pop(lead.formula, None)
+    return replace(lead, ties=tuple(names))
+
+
+def front_of(candidates):
+    """Best per complexity: each member better than every simpler law."""
+    front = []
+    for candidate in sorted(candidates, key=lambda c: (c.complexity, c.loss)):
+        if not front or candidate.loss < front[-1].loss:
+            front.append(candidate)
+    return tuple(front)

@@ -19,14 +19,16 @@ __all__ = ["CorrelatedScorer"]
 class CorrelatedScorer:
     """Numerators and denominators of all products of two mixed banks; see `scoring`."""
 
-    def __init__(self, search, block, vector, q, ys):
+    def __init__(self, search, block, vector, q, ys, mask=None):
         self.search = search
         self.block = block
         self.vector = vector
         self.q = q
         self.ys = ys
+        self.mask = mask
 
-    def products(self):
+    def products(self, known=None):
+        """As `scoring` has it, but that no sizes are kept."""
         parts = _parts(self.block)
         shape = self.block.allowed.shape
         numerators = np.zeros((self.ys.shape[1], *shape))
@@ -38,10 +40,11 @@ class CorrelatedScorer:
             numerators[:, rows[:, None], columns] = found
             denominator[np.ix_(rows, columns)] = size
         self._moving(parts.moving_left, parts.moving_right, numerators, denominator)
-        return numerators, denominator
+        return numerators, denominator, None
 
     def _grouped(self, block):
-        return GroupScorer(self.search, block, self.vector, self.q, self.ys).products()
+        scorer = GroupScorer(self.search, block, self.vector, self.q, self.ys, self.mask)
+        return scorer.products()[:2]
 
     def _moving(self, rows, columns, numerators, denominator):
         """Products of two factors that both vary along time, as whitened columns."""
@@ -53,6 +56,8 @@ class CorrelatedScorer:
             for start in range(0, len(wanted), step):
                 part = wanted[start : start + step]
                 spread = made.spread(left[a] * right[part], self.vector)
+                if self.mask is not None:
+                    spread = spread * self.mask
                 raw = np.einsum("kn,kn->k", spread, spread)
                 size = raw - np.square(spread @ self.q).sum(axis=1)
                 numerators[:, a, part] = (spread @ self.ys).T

@@ -20,7 +20,6 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.language.formula import Number
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.language.pcfg import Pcfg
-from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.banks import (
     Banks,
@@ -30,7 +29,7 @@ from bsp_gp.search.banks import (
     fingerprints,
     merge_proportional,
 )
-from bsp_gp.search.candidate import Candidate, Certificate, SearchResult
+from bsp_gp.search.candidate import Candidate, Certificate, SearchResult, front_of, merge_equal
 from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.correlated import CorrelatedScorer
 from bsp_gp.search.factoring import plan_of
@@ -38,8 +37,10 @@ from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.scoring import GroupScorer, RowScorer
 
-__all__ = ["MOST_TIES", "law_pool", "search_exhaustive"]
+__all__ = ["MOST_TIES", "Exhaustive", "law_pool", "search_exhaustive"]
 
+SIZES_BYTES = 1 << 27
+"""Upper bound of what is kept of one search for the next."""
 MOST_TIES = 250
 """Laws equal to a candidate on the data that are named beside it."""
 
@@ -103,32 +104,12 @@ def search_exhaustive(
         )
     start = time.perf_counter()
     with threadpool_limits(limits=1, user_api="blas"):
-        search = _Exhaustive(regression, grammar, kind, max_levels, top_k)
-        search.set_target(target, nuisance, groups, null_targets)
-        search.run(progress)
-        candidates = search.candidates(max_ties)
-    front = _front(candidates)
-    certificate = Certificate(
-        grammar.name,
-        grammar.fingerprint,
-        max_levels,
-        grammar.count(grammar.start[kind], max_levels),
-        search.n_scored,
-        search.banks.n_failed,
-        tuple(missing_inputs),
-        tuple(search.parts),
-    )
-    best = candidates[0] if candidates else None
-    return SearchResult(
-        best,
-        tuple(candidates),
-        front,
-        search.n_scored,
-        search.banks.n_failed,
-        time.perf_counter() - start,
-        certificate,
-        tuple(search.null_best),
-    )
+        search = Exhaustive(regression, grammar, kind, max_levels, top_k)
+    result = search.result(
+        nuisance=nuisance, target=target, groups=groups, null_targets=null_targets,
+        max_ties=max_ties, missing_inputs=missing_inputs, progress=progress,
+    )  # fmt: skip
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 def law_pool(regression, grammar, *, kind, is_left, max_levels=8):
@@ -147,12 +128,25 @@ def law_pool(regression, grammar, *, kind, is_left, max_levels=8):
         Whitened accelerations.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        search = _Exhaustive(regression, grammar, kind, max_levels, 1)
+        search = Exhaustive(regression, grammar, kind, max_levels, 1)
         return search.pool(is_left)
 
 
-class _Exhaustive:
-    def __init__(self, regression, grammar, kind, max_levels, top_k):
+class Exhaustive:
+    """The laws of a grammar on one regression, to be searched for one target after the other.
+
+    Banks, directions and blocks do not depend on the target; neither do the sizes of the laws'
+    accelerations, kept within `SIZES_BYTES` if there is more than one search to come.
+
+    Parameters
+    ----------
+    regression, grammar, kind, max_levels, top_k
+        As in `search_exhaustive`.
+    has_more : bool
+        Whether another search is to come.
+    """
+
+    def __init__(self, regression, grammar, kind, max_levels=8, top_k=40, has_more=False):
         self.regression = regression
         self.grammar = grammar
         self.kind = kind
@@ -164,42 +158,87 @@ class _Exhaustive:
         self.banks = Banks(grammar, self.rows, self.log_probs)
         self.weights = self.banks._weights
         self.is_correlated = any(b.whitener is not None for b in regression.batches)
-        self.n_scored = 0
         self.parts = []
-        self.kept = Kept(top_k)
-        self.null_best = []
+        self.has_more = has_more
+        self.sizes = BoundedCache(SIZES_BYTES)
+        self._merged = None
         share = CACHE_BYTES // max(len(regression.batches), 1)
         self.subtrees = [BoundedCache(share) for _ in regression.batches]
 
-    def set_target(self, target, nuisance, groups, null_targets):
+    def result(
+        self, *, nuisance=None, target=None, groups=None, null_targets=None, max_ties=MOST_TIES,
+        missing_inputs=(), progress=None,
+    ):  # fmt: skip
+        """The search for one target; parameters and result as in `search_exhaustive`."""
+        started = time.perf_counter()
+        with threadpool_limits(limits=1, user_api="blas"):
+            self._set_target(target, nuisance, groups, null_targets)
+            self._run(progress)
+            candidates = self._candidates(max_ties)
+        certificate = Certificate(
+            self.grammar.name,
+            self.grammar.fingerprint,
+            self.max_levels,
+            self.grammar.count(self.grammar.start[self.kind], self.max_levels),
+            self.n_scored,
+            self.banks.n_failed,
+            tuple(missing_inputs),
+            tuple(self.parts),
+        )
+        return SearchResult(
+            candidates[0] if candidates else None,
+            tuple(candidates),
+            front_of(candidates),
+            self.n_scored,
+            self.banks.n_failed,
+            time.perf_counter() - started,
+            certificate,
+            tuple(self.null_best),
+        )
+
+    def _set_target(self, target, nuisance, groups, null_targets):
         y = self.regression.target() if target is None else np.asarray(target, dtype=float)
-        self.groups = list(groups) if groups is not None else [np.ones(len(y), dtype=bool)]
+        # None: all rows.
+        self.groups = [None] if groups is None else list(groups)
         self.y_groups, self.q_groups = [], []
         null = np.zeros((len(y), 0)) if null_targets is None else np.asarray(null_targets)
         self.total, self.null_total = 0.0, np.zeros(null.shape[1])
         for mask in self.groups:
-            q = orthonormal(None if nuisance is None else nuisance * mask[:, None], len(y))
-            ys = np.column_stack([y, null]) * mask[:, None]
+            ys = np.column_stack([y, null])
+            if mask is not None:
+                ys = ys * mask[:, None]
+                nuisance_here = None if nuisance is None else nuisance * mask[:, None]
+            else:
+                nuisance_here = nuisance
+            q = orthonormal(nuisance_here, len(y))
             ys = ys - q @ (q.T @ ys)
             self.q_groups.append(q)
             self.y_groups.append(ys)
             self.total += float(ys[:, 0] @ ys[:, 0])
             self.null_total += np.square(ys[:, 1:]).sum(axis=0)
         self.null_gain = np.zeros(null.shape[1])
+        self.null_best = []
+        self.n_scored = 0
+        self.kept = Kept(self.top_k)
 
-    def run(self, progress):
-        plans = plan_of(self.grammar, self.kind, self.max_levels)
-        families = {}
-        for plan in plans:
-            families.setdefault((plan.direction, plan.condition), []).append(plan)
-        merged = self._directions(families)
-        for done, (family, directed) in enumerate(merged, 1):
-            for block in self._blocks(families[family]):
+    def _run(self, progress):
+        for done, (plans, directed) in enumerate(self._directed_plans(), 1):
+            for block in self._blocks(plans):
                 self._score(block, directed)
             if progress is not None:
-                progress(done, len(merged))
+                progress(done, len(self._directed_plans()))
         if self.null_total.size:
             self.null_best = self.null_gain / np.where(self.null_total > 0, self.null_total, 1.0)
+
+    def _directed_plans(self):
+        """Every distinct direction with the plans of its coefficients."""
+        if self._merged is None:
+            families = {}
+            for plan in plan_of(self.grammar, self.kind, self.max_levels):
+                families.setdefault((plan.direction, plan.condition), []).append(plan)
+            directions = self._directions(families)
+            self._merged = [(families[family], directed) for family, directed in directions]
+        return self._merged
 
     def _directions(self, families):
         """Distinct directions x conditions over all families of plans, as weighted vectors."""
@@ -356,8 +395,12 @@ class _Exhaustive:
         n_null, is_split = len(self.null_gain), len(self.groups) > 1
         null_gain = np.zeros((n_null, *block.allowed.shape)) if is_split else None
         vector = directed.value / np.max(np.abs(directed.value))
-        for ys, q in zip(self.y_groups, self.q_groups, strict=True):
-            numerators, denominator = scorer(self, block, vector, q, ys).products()
+        for mask, ys, q in zip(self.groups, self.y_groups, self.q_groups, strict=True):
+            known = self.sizes.get((block, directed)) if mask is None else None
+            products = scorer(self, block, vector, q, ys, mask).products(known)
+            numerators, denominator, sizes = products
+            if self.has_more and mask is None and known is None and sizes is not None:
+                self.sizes[block, directed] = sizes
             usable = (denominator > 0) & block.allowed
             inverse = np.where(usable, 1.0 / np.where(usable, denominator, 1.0), 0.0)
             gain += np.square(numerators[0]) * inverse
@@ -382,12 +425,9 @@ class _Exhaustive:
 
     def pool(self, is_left):
         """See `law_pool`."""
-        families = {}
-        for plan in plan_of(self.grammar, self.kind, self.max_levels):
-            families.setdefault((plan.direction, plan.condition), []).append(plan)
         laws, columns = [], []
-        for family, directed in self._directions(families):
-            for block in self._blocks(families[family]):
+        for plans, directed in self._directed_plans():
+            for block in self._blocks(plans):
                 lefts = [
                     (a, match)
                     for a, entry in enumerate(block.left.entries)
@@ -413,15 +453,15 @@ class _Exhaustive:
             return [], np.zeros((len(self.regression.target()), 0))
         return laws, np.stack(columns, axis=1)
 
-    def candidates(self, max_ties):
+    def _candidates(self, max_ties):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""
         rescored = []
         for _, _, (block, directed), a, b in self.kept.items():
             (complexity, formula), *ties = block.formulas(a, b, directed, max_ties)
-            rescored.append(self.rescore(formula, complexity, tuple(law for _, law in ties)))
-        return _merge_equal(rescored)
+            rescored.append(self._rescore(formula, complexity, tuple(law for _, law in ties)))
+        return merge_equal(rescored)
 
-    def rescore(self, formula, complexity, ties=()):
+    def _rescore(self, formula, complexity, ties=()):
         """Candidate with its exact loss, and its fitted whitened accelerations."""
         name, rest = split_linear(formula)
         column = self.regression.column(Term(rest, self.kind), cache=self.subtrees)[0][:, 0]
@@ -429,7 +469,7 @@ class _Exhaustive:
         column = column / scale
         constants, fitted, total = [], np.zeros(len(column)), 0.0
         for mask, ys, q in zip(self.groups, self.y_groups, self.q_groups, strict=True):
-            x = column * mask
+            x = column if mask is None else column * mask
             x = x - q @ (q.T @ x)
             x = x - q @ (q.T @ x)
             size = float(x @ x)
@@ -450,47 +490,3 @@ class _Exhaustive:
 def fingerprint_of(value, weights):
     """Scale-free fingerprint of one vector field."""
     return fingerprints([value], weights, merge_scale=True)[0]
-
-
-def _merge_equal(rescored):
-    """Sort by loss, merge laws whose fitted accelerations are equal on the data."""
-    if not rescored:
-        return []
-    total = max(candidate.total for candidate, _ in rescored)
-    floor = 1e-20 * total
-    order = sorted(rescored, key=lambda item: (item[0].loss, item[0].complexity))
-    merged = []
-    for candidate, fitted in order:
-        same = None
-        for k in range(len(merged) - 1, -1, -1):
-            other, other_fitted = merged[k]
-            if candidate.loss - other.loss > 1e-9 * (candidate.loss + other.loss) + floor:
-                break  # in order of their losses: no further one is close
-            apart = np.square(fitted - other_fitted).sum()
-            if apart <= 1e-16 * np.square(fitted).sum() + floor:
-                same = k
-                break
-        if same is None:
-            merged.append((candidate, fitted))
-        else:
-            merged[same] = (_absorb(merged[same][0], candidate), merged[same][1])
-    candidates = sorted((c for c, _ in merged), key=lambda c: c.loss)
-    return candidates
-
-
-def _absorb(kept, other):
-    """Of two equal laws the least complex leads, the other becomes a tie."""
-    # Of equally complex ones the text decides: the order of the losses is rounding.
-    lead, tail = sorted((kept, other), key=lambda c: (round(c.complexity, 9), to_text(c.formula)))
-    names = dict.fromkeys((*kept.ties, *other.ties, tail.formula))
-    names.pop(lead.formula, None)
-    return replace(lead, ties=tuple(names))
-
-
-def _front(candidates):
-    """Best per complexity: each member better than every simpler law."""
-    front = []
-    for candidate in sorted(candidates, key=lambda c: (c.complexity, c.loss)):
-        if not front or candidate.loss < front[-1].loss:
-            front.append(candidate)
-    return tuple(front)

@@ -1,5 +1,11 @@
 """Numerators and denominators of the best constants of all products at once.
 
+The scorers take ``(search, block, vector, q, ys, mask)``: a direction with its condition as a
+vector per unit force, orthonormal columns of what is fitted beside (n, k), targets (n, y) without
+their part along these, and the rows that are looked at (n,), None for all. ``products(known)``
+gives numerators (y, left, right), denominators (left, right), and the squared sizes of the laws
+(left, right), which depend on the rows only and may be handed in again.
+
 Two layouts, one arithmetic: where the left factors depend on properties only, rows of one
 receiver and source are summed first (`GroupScorer`), which also allows any covariance along
 time; otherwise they live on rows (`RowScorer`) and errors must be independent. Mixed factors
@@ -23,12 +29,14 @@ CANCELLED = 1e-13
 class RowScorer:
     """Left factors on rows; errors independent. Cross terms of sources are pairs of rows."""
 
-    def __init__(self, search, block, vector, q, ys):
+    def __init__(self, search, block, vector, q, ys, mask=None):
         self.block = block
         self.rows = rows = search.rows
         regression = search.regression
         scale = flat_scale(regression, rows)
         weighted = vector * scale
+        if mask is not None:
+            weighted = weighted * _spread(regression, rows, mask)
         active = np.flatnonzero(np.any(weighted, axis=1))
         self.active = active
         self.weighted = weighted[active]
@@ -41,17 +49,22 @@ class RowScorer:
             for k in range(q.shape[1])
         ]
 
-    def products(self):
-        left = values_of(self.block.left)[:, self.active]
-        right = values_of(self.block.right)[:, self.active]
+    def products(self, known=None):
+        left = self._active(self.block.left)
+        right = self._active(self.block.right)
         numerators = [(left * q) @ right.T for q in self.q_rows]
-        raw = self._denominator(left, right)
+        raw = self._sizes(left, right) if known is None else known
         denominator = raw.copy()
         for g in self.g_rows:
             denominator -= np.square((left * g) @ right.T)
-        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0)
+        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0), raw
 
-    def _denominator(self, left, right):
+    def _active(self, side):
+        """Values of the rows in which the direction is not zero."""
+        values = values_of(side)
+        return values if len(self.active) == values.shape[1] else values[:, self.active]
+
+    def _sizes(self, left, right):
         first, second = self._pairs()
         k = np.einsum("rd,rd->r", self.weighted[first], self.weighted[second])
         own = first == second
@@ -101,7 +114,7 @@ def receiver_index(rows):
 
 def _row_pairs(receiver):
     """All pairs (first <= second) of rows with one receiver; rows of a receiver are adjacent."""
-    firsts, seconds = [], []
+    firsts, seconds = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     n = len(receiver)
     lag = 0
     while True:
@@ -140,19 +153,20 @@ def _spread(regression, rows, flat):
 class GroupScorer:
     """Left factors are constant in time: rows of one receiver and source are summed first."""
 
-    def __init__(self, search, block, vector, q, ys):
+    def __init__(self, search, block, vector, q, ys, mask=None):
         self.search = search
         self.block = block
         self.vector = vector
         self.q = q
         self.ys = ys
+        self.mask = mask
 
-    def products(self):
+    def products(self, known=None):
         rows, regression = self.search.rows, self.search.regression
         left = _group_values(self.block.left, rows)
         n_left, n_right = len(left[0]), len(self.block.right.entries)
         numerators = np.zeros((self.ys.shape[1], n_left, n_right))
-        raw = np.zeros((n_left, n_right))
+        raw = np.zeros((n_left, n_right)) if known is None else known
         explained = np.zeros((self.q.shape[1], n_left, n_right))
         vectors = rows.unflatten(self.vector)
         start = 0
@@ -160,9 +174,10 @@ class GroupScorer:
             size = batch.target.size
             part = slice(start, start + size)
             start += size
-            self._batch(batch, vectors[index], left[index], part, index, numerators, raw, explained)
+            found = numerators, raw if known is None else None, explained
+            self._batch(batch, vectors[index], left[index], part, index, *found)
         denominator = raw - np.square(explained).sum(axis=0)
-        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0)
+        return numerators, np.where(denominator > COLLINEAR * raw, denominator, 0.0), raw
 
     def _batch(self, batch, vector, left, part, index, numerators, raw, explained):
         n, s, r, j = self.search.rows.shapes[index]
@@ -170,6 +185,7 @@ class GroupScorer:
         shape = batch.target.shape
         ys = self.ys[part].reshape(*shape, -1)
         q = self.q[part].reshape(*shape, -1)
+        seen = None if self.mask is None else self.mask[part].reshape(shape)
         a = left.reshape(len(left), -1)  # (n_left, S R J)
         pairs = (left[..., :, None] * left[..., None, :]).reshape(len(left), -1)
         right = values_of(self.block.right)
@@ -177,15 +193,18 @@ class GroupScorer:
         for first in range(0, len(right), step):
             tile = slice(first, first + step)
             features = self._features(batch, vector, right[tile], index)
-            gram = np.einsum("bnsrjd,bnsrkd->bsrjk", features, features, optimize=True)
-            raw[:, tile] += pairs @ gram.reshape(len(gram), -1).T
+            if seen is not None:
+                features *= seen[:, :, :, None]
+            if raw is not None:
+                gram = np.einsum("bnsrjd,bnsrkd->bsrjk", features, features, optimize=True)
+                raw[:, tile] += pairs @ gram.reshape(len(gram), -1).T
             dots = np.einsum("bnsrjd,nsrdy->ybsrj", features, ys, optimize=True)
             for y, dot in enumerate(dots):
-                numerators[y][:, tile] += a @ dot.reshape(len(gram), -1).T
+                numerators[y][:, tile] += a @ dot.reshape(len(features), -1).T
             if q.shape[-1]:
                 dots = np.einsum("bnsrjd,nsrdy->ybsrj", features, q, optimize=True)
                 for y, dot in enumerate(dots):
-                    explained[y][:, tile] += a @ dot.reshape(len(gram), -1).T
+                    explained[y][:, tile] += a @ dot.reshape(len(features), -1).T
 
     def _features(self, batch, vector, right, index):
         """Whitened accelerations of direction x right factor, (b, n, S, R, J, d)."""

@@ -18,10 +18,10 @@ from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.grammar import Slot
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
-from bsp_gp.search.candidate import Candidate, SearchResult
+from bsp_gp.search.candidate import Candidate, SearchResult, front_of
 from bsp_gp.search.columns import Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
-from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.exhaustive import Exhaustive, search_exhaustive
 
 __all__ = ["search_sums", "terms_of"]
 
@@ -31,6 +31,8 @@ FLOOR = 1e-24
 """Share of the whitened sum of squares that is rounding."""
 WIDTH = 4
 """First terms that are tried."""
+BOUNDS = ("max_levels", "top_k")
+"""Settings of a search that are the same for all its targets."""
 CONDITIONS = ("does_collide", "is_on")
 MOST_TOUCHED = 0.2
 """Part of the rows that may be left out as those of a contact."""
@@ -127,15 +129,11 @@ def search_sums(
             **settings,
         )  # fmt: skip
     started = time.perf_counter()
-    search = _Sums(regression, grammar, kind, nuisance, target, progress, settings)
+    search = _Sums(regression, grammar, kind, nuisance, target, progress, dict(settings))
     search.run()
     ranked = sorted(search.found.values(), key=search.cost)
     candidates = [search.candidate(chosen) for chosen in ranked[: settings.get("top_k", 40)]]
     best = candidates[0] if candidates else None
-    front = []
-    for candidate in sorted(candidates, key=lambda c: (c.complexity, c.loss)):
-        if not front or candidate.loss < front[-1].loss:
-            front.append(candidate)
     certificate = replace(
         search.certificate,
         n_derivations=grammar.count(grammar.start[kind], settings.get("max_levels", 8)),
@@ -144,7 +142,7 @@ def search_sums(
     return SearchResult(
         best,
         tuple(sorted(candidates, key=lambda c: c.loss)),
-        tuple(front),
+        front_of(candidates),
         search.n_evaluated,
         search.n_failed,
         time.perf_counter() - started,
@@ -163,10 +161,12 @@ class _Sums:
         q = orthonormal(self.nuisance, n)
         self.projected = Projected(regression, self.target - q @ (q.T @ self.target), q)
         self.progress = progress
-        self.settings = settings
         self.names = terms_of(grammar, kind)
         # Of one term: the start symbol is replaced, everything else stays.
-        self.single = replace(grammar, start={**grammar.start, kind: self.names[0]})
+        single = replace(grammar, start={**grammar.start, kind: self.names[0]})
+        bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
+        self.search = Exhaustive(regression, single, kind, **bounds, has_more=True)
+        self.settings = settings
         self.found = {}
         self.memo = {}
         self.columns = {}
@@ -265,15 +265,10 @@ class _Sums:
 
     def searched(self, nuisance, **options):
         """The search for one more term beside columns that are fitted."""
-        result = search_exhaustive(
-            self.regression,
-            self.single,
-            kind=self.kind,
-            nuisance=nuisance,
-            target=self.target,
-            progress=self.progress,
+        result = self.search.result(
+            nuisance=nuisance, target=self.target, progress=self.progress,
             **{**self.settings, **options},
-        )
+        )  # fmt: skip
         self.n_evaluated += result.n_evaluated
         self.n_failed += result.n_failed
         return result

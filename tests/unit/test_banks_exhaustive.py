@@ -17,7 +17,7 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.search.banks import Banks, Rows
-from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.exhaustive import Exhaustive, search_exhaustive
 from bsp_gp.search.factoring import plan_of
 
 MIXED = """
@@ -289,6 +289,48 @@ def test_groups_have_constants_of_their_own(text, method):
     for k, mask in enumerate(groups):
         c = column[mask] @ target[mask] / (column[mask] @ column[mask])
         assert best.constants[name][k] == pytest.approx(c, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "method"), [(MIXED, "one_step"), (SPLIT, "one_step"), (MIXED, "gls"), (SPLIT, "gls")]
+)
+def test_rows_left_out_do_not_weigh_in_the_ranking(text, method):
+    """Sizes of laws were once summed over all rows, those of another group too."""
+    grammar = grammar_of(text)
+    regression = regression_of(method=method)
+    n = len(regression.target())
+    mask = np.arange(n) % 5 == 0
+    settings = {"kind": "pair", "max_levels": 5, "groups": [mask]}
+    thorough = search_exhaustive(regression, grammar, top_k=1000, **settings).candidates
+    single = search_exhaustive(regression, grammar, top_k=1, **settings)
+    assert single.best.loss == pytest.approx(thorough[0].loss, rel=1e-9)
+    # The best of every unit of complexity, as if all laws had been kept.
+    losses = {}
+    for candidate in thorough:
+        level = int(candidate.complexity)
+        losses[level] = min(candidate.loss, losses.get(level, np.inf))
+    for candidate in single.candidates:
+        assert candidate.loss == pytest.approx(losses[int(candidate.complexity)], rel=1e-9)
+
+
+@pytest.mark.parametrize(("text", "method"), [(MIXED, "one_step"), (SPLIT, "gls"), (MIXED, "gls")])
+def test_a_search_for_another_target_is_as_if_alone(text, method):
+    """What is kept from one target to the next, sizes among it, changes no digit."""
+    grammar, regression = grammar_of(text), regression_of(method=method)
+    rng = np.random.default_rng(11)
+    n = len(regression.target())
+    several = Exhaustive(regression, grammar, "pair", max_levels=5, has_more=True)
+    targets = [None, rng.normal(size=n), rng.normal(size=n)]
+    beside = [None, rng.normal(size=(n, 2)), rng.normal(size=(n, 1))]
+    groups = [None, None, [np.arange(n) % 2 == 0]]
+    for target, nuisance, group in zip(targets, beside, groups, strict=True):
+        settings = {"target": target, "nuisance": nuisance, "groups": group}
+        alone = search_exhaustive(regression, grammar, kind="pair", max_levels=5, **settings)
+        again = several.result(**settings)
+        assert [(c.formula, c.loss, c.ties) for c in again.candidates] == [
+            (c.formula, c.loss, c.ties) for c in alone.candidates
+        ]
+        assert again.certificate == alone.certificate
 
 
 def test_gls_equals_direct_generalised_least_squares():
