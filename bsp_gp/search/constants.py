@@ -124,10 +124,11 @@ def _least_squares(matrix, y):
     scaled = matrix / np.where(size > 0, size, 1.0)
     values, *_ = np.linalg.lstsq(scaled, y, rcond=1e-13)
     covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    unscale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
+    residual = y - scaled @ values
+    # Columns near the least number there is have constants beyond the greatest: not finite.
     with np.errstate(over="ignore", invalid="ignore"):
-        covariance = covariance * np.outer(unscale, unscale)
-    return values * unscale, covariance, y - scaled @ values
+        unscale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
+        return values * unscale, covariance * np.outer(unscale, unscale), residual
 
 
 def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
@@ -225,11 +226,12 @@ def _jacobian(regression, law, names):
 def _value_and_gradient(regression, law, names, x):
     law = law.with_constants(dict(zip(names, x, strict=True)))
     residual = regression.residual(law)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         value = 0.5 * float(residual @ residual)
-    if not np.isfinite(value):
-        raise EvaluationError("the residual is too large to be squared")
-    return value, -_jacobian(regression, law, names).T @ residual
+        gradient = -_jacobian(regression, law, names).T @ residual
+    if not (np.isfinite(value) and np.isfinite(gradient).all()):
+        raise EvaluationError("the residual or its derivative is too large to be squared")
+    return value, gradient
 
 
 def _solve_linear(regression, law, names, x, nonlinear):

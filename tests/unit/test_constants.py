@@ -173,6 +173,19 @@ def test_forces_that_overflow_from_both_sides_are_no_warning():
         planted(law_of("c1 * v_i", c1=1.0)).residual(law)
 
 
+def test_forces_next_to_nothing_have_no_constant_and_no_warning():
+    """A screening length so short that the columns are near the least number there is."""
+    law = law_of("c1 * m_i * exp(-(norm(p_i - p_j) / c2)) * e_x", c1=1.0, c2=3.0)
+    regression = planted(law)
+    distance = min(np.linalg.norm(s.positions[:, 0] - s.positions[:, 1], axis=1).min()
+                   for s in regression.scenes)  # fmt: skip
+    near = law.with_constants({"c2": distance / 739.0})  # exp(-739) is a subnormal number
+    fit = fit_constants(regression, near, starts=10)
+    assert np.isfinite([fit.loss, *fit.values]).all()
+    with pytest.raises(EvaluationError, match="finite value"):
+        fit_constants(regression, near, starts=1)
+
+
 def test_starts_far_off_overflow_silently():
     text, c1, c2 = NONLINEAR["power"]
     true = law_of(text, c1=c1, c2=c2)
