@@ -117,7 +117,7 @@ def trained(model, training, **kwargs):
     ],
 )
 def test_training_reduces_the_error_on_its_own_scenes(model, version):
-    make_training = {"paper": T.paper_training, "tuned": T.tuned_training}[version]
+    make_training = getattr(T, f"{version}_training")
     training = replace(make_training(model), n_steps=20, batch=0, held_out=0.0, decays=False)
     after, made = trained(model, training)
     worlds = load_worlds(made[:3])
