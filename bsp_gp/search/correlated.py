@@ -16,16 +16,8 @@ from bsp_gp.search.scoring import COLLINEAR, GroupScorer, values_of
 __all__ = ["CorrelatedScorer"]
 
 
-class CorrelatedScorer:
+class CorrelatedScorer(GroupScorer):
     """Numerators and denominators of all products of two mixed banks; see `scoring`."""
-
-    def __init__(self, search, block, vector, q, ys, mask=None):
-        self.search = search
-        self.block = block
-        self.vector = vector
-        self.q = q
-        self.ys = ys
-        self.mask = mask
 
     def products(self, known=None):
         """As `scoring` has it, but that no sizes are kept."""
