@@ -103,7 +103,8 @@ def fit_constants(regression, law, *, starts=1):
     Raises
     ------
     EvaluationError
-        If the law has no finite value on the data from any start.
+        If the law has no finite value on the data from any start, or its forces are so small
+        that its constant is beyond the range of numbers.
     """
     law = law.with_constants({n: law.constants.get(n, 1.0) for n in law.names})
     linear = linear_columns(regression, law)
@@ -111,6 +112,10 @@ def fit_constants(regression, law, *, starts=1):
     if linear is not None:
         fixed, matrix, parameters = linear
         values, covariance, residual = _least_squares(matrix, target - fixed)
+        if not np.isfinite(values).all():
+            raise EvaluationError(
+                "the law is next to nothing on the data: no number is its constant"
+            )
         return _fit(law, parameters, values, covariance, residual, matrix, True)
     return _fit_nonlinear(regression, law, starts)
 

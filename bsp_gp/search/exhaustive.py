@@ -105,7 +105,7 @@ def search_exhaustive(
     start = time.perf_counter()
     with threadpool_limits(limits=1, user_api="blas"):
         search = Exhaustive(regression, grammar, kind, max_levels, top_k)
-    result = search.result(
+    result = search.search(
         nuisance=nuisance, target=target, groups=groups, null_targets=null_targets,
         max_ties=max_ties, missing_inputs=missing_inputs, progress=progress,
     )  # fmt: skip
@@ -160,16 +160,16 @@ class Exhaustive:
         self.is_correlated = any(b.whitener is not None for b in regression.batches)
         self.parts = []
         self.has_more = has_more
-        self.sizes = BoundedCache(SIZES_BYTES)
+        self.sizes, self.bytes = {}, 0
         self._merged = None
         share = CACHE_BYTES // max(len(regression.batches), 1)
         self.subtrees = [BoundedCache(share) for _ in regression.batches]
 
-    def result(
+    def search(
         self, *, nuisance=None, target=None, groups=None, null_targets=None, max_ties=MOST_TIES,
         missing_inputs=(), progress=None,
     ):  # fmt: skip
-        """The search for one target; parameters and result as in `search_exhaustive`."""
+        """Search for one target; parameters and result as in `search_exhaustive`."""
         started = time.perf_counter()
         with threadpool_limits(limits=1, user_api="blas"):
             self._set_target(target, nuisance, groups, null_targets)
@@ -181,7 +181,7 @@ class Exhaustive:
             self.max_levels,
             self.grammar.count(self.grammar.start[self.kind], self.max_levels),
             self.n_scored,
-            self.banks.n_failed,
+            self.n_failed + self.banks.n_failed,
             tuple(missing_inputs),
             tuple(self.parts),
         )
@@ -190,7 +190,7 @@ class Exhaustive:
             tuple(candidates),
             front_of(candidates),
             self.n_scored,
-            self.banks.n_failed,
+            self.n_failed + self.banks.n_failed,
             time.perf_counter() - started,
             certificate,
             tuple(self.null_best),
@@ -218,7 +218,7 @@ class Exhaustive:
             self.null_total += np.square(ys[:, 1:]).sum(axis=0)
         self.null_gain = np.zeros(null.shape[1])
         self.null_best = []
-        self.n_scored = 0
+        self.n_scored = self.n_failed = 0
         self.kept = Kept(self.top_k)
 
     def _run(self, progress):
@@ -399,8 +399,8 @@ class Exhaustive:
             known = self.sizes.get((block, directed)) if mask is None else None
             products = scorer(self, block, vector, q, ys, mask).products(known)
             numerators, denominator, sizes = products
-            if self.has_more and mask is None and known is None and sizes is not None:
-                self.sizes[block, directed] = sizes
+            if mask is None and known is None:
+                self._keep((block, directed), sizes)
             usable = (denominator > 0) & block.allowed
             inverse = np.where(usable, 1.0 / np.where(usable, denominator, 1.0), 0.0)
             gain += np.square(numerators[0]) * inverse
@@ -422,6 +422,12 @@ class Exhaustive:
             + block.right.complexity
         )
         self.kept.add(gain, total, (block, directed))
+
+    def _keep(self, key, sizes):
+        """Keep squared sizes for the next search, as far as there is room."""
+        if self.has_more and sizes is not None and self.bytes + sizes.nbytes <= SIZES_BYTES:
+            self.sizes[key] = sizes
+            self.bytes += sizes.nbytes
 
     def pool(self, is_left):
         """See `law_pool`."""
@@ -458,11 +464,18 @@ class Exhaustive:
         rescored = []
         for _, _, (block, directed), a, b in self.kept.items():
             (complexity, formula), *ties = block.formulas(a, b, directed, max_ties)
-            rescored.append(self._rescore(formula, complexity, tuple(law for _, law in ties)))
+            found = self._rescore(formula, complexity, tuple(law for _, law in ties))
+            if found is None:
+                self.n_failed += 1
+            else:
+                rescored.append(found)
         return merge_equal(rescored)
 
     def _rescore(self, formula, complexity, ties=()):
-        """Candidate with its exact loss, and its fitted whitened accelerations."""
+        """Candidate with its exact loss, and its fitted whitened accelerations.
+
+        None where its forces are next to nothing, so that no number is its constant.
+        """
         name, rest = split_linear(formula)
         column = self.regression.column(Term(rest, self.kind), cache=self.subtrees)[0][:, 0]
         scale = np.max(np.abs(column)) or 1.0
@@ -476,8 +489,11 @@ class Exhaustive:
             y = ys[:, 0]
             total += float(y @ y)
             c = float(x @ y) / size if size > 0 else 0.0
-            constants.append(float(c / scale))
+            with np.errstate(over="ignore"):
+                constants.append(float(c / scale))
             fitted += c * x
+        if not np.isfinite(constants).all():
+            return None
         y = sum(ys[:, 0] for ys in self.y_groups)
         loss = 0.5 * float(np.square(y - fitted).sum())
         value = constants[0] if len(constants) == 1 else dict(enumerate(constants))

@@ -165,7 +165,7 @@ class _Sums:
         # Of one term: the start symbol is replaced, everything else stays.
         single = replace(grammar, start={**grammar.start, kind: self.names[0]})
         bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
-        self.search = Exhaustive(regression, single, kind, **bounds, has_more=True)
+        self.single = Exhaustive(regression, single, kind, **bounds, has_more=True)
         self.settings = settings
         self.found = {}
         self.memo = {}
@@ -265,12 +265,13 @@ class _Sums:
 
     def searched(self, nuisance, **options):
         """The search for one more term beside columns that are fitted."""
-        result = self.search.result(
+        result = self.single.search(
             nuisance=nuisance, target=self.target, progress=self.progress,
             **{**self.settings, **options},
         )  # fmt: skip
         self.n_evaluated += result.n_evaluated
-        self.n_failed += result.n_failed
+        # The same sub-expressions in every search.
+        self.n_failed = max(self.n_failed, result.n_failed)
         return result
 
     def exchange(self, chosen):

@@ -6,6 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
+import bsp_gp.search.exhaustive as exhaustive
 import bsp_gp.search.scoring as scoring
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import GrammarError, SettingsError
@@ -326,11 +327,26 @@ def test_a_search_for_another_target_is_as_if_alone(text, method):
     for target, nuisance, group in zip(targets, beside, groups, strict=True):
         settings = {"target": target, "nuisance": nuisance, "groups": group}
         alone = search_exhaustive(regression, grammar, kind="pair", max_levels=5, **settings)
-        again = several.result(**settings)
+        again = several.search(**settings)
         assert [(c.formula, c.loss, c.ties) for c in again.candidates] == [
             (c.formula, c.loss, c.ties) for c in alone.candidates
         ]
         assert again.certificate == alone.certificate
+    assert several.sizes or (text, method) == (MIXED, "gls")  # there nothing can be kept
+
+
+def test_what_is_kept_between_searches_is_bounded(monkeypatch):
+    grammar, regression = grammar_of(MIXED), regression_of()
+    whole = Exhaustive(regression, grammar, "pair", max_levels=5, has_more=True)
+    whole.search()
+    monkeypatch.setattr(exhaustive, "SIZES_BYTES", whole.bytes // 2)
+    bounded = Exhaustive(regression, grammar, "pair", max_levels=5, has_more=True)
+    first = bounded.search()
+    assert 0 < sum(sizes.nbytes for sizes in bounded.sizes.values()) <= whole.bytes // 2
+    assert bounded.search().candidates == first.candidates == whole.search().candidates
+    alone = Exhaustive(regression, grammar, "pair", max_levels=5)
+    alone.search()
+    assert not alone.sizes
 
 
 def test_gls_equals_direct_generalised_least_squares():

@@ -186,6 +186,15 @@ def test_forces_next_to_nothing_have_no_constant_and_no_warning():
         fit_constants(regression, near, starts=1)
 
 
+def test_a_law_next_to_nothing_has_no_linear_constant_either():
+    regression = planted(law_of(DRAG, c3=1.0))
+    least = min(np.linalg.norm(s.positions[:, 0] - s.positions[:, 1], axis=1).min()
+                for s in regression.scenes)  # fmt: skip
+    text = f"c1 * m_i * exp(-(norm(p_i - p_j) * {739 / least:.12g} [1/m])) * e_x"
+    with pytest.raises(EvaluationError, match="next to nothing"):
+        fit_constants(regression, law_of(text, c1=1.0))
+
+
 def test_starts_far_off_overflow_silently():
     text, c1, c2 = NONLINEAR["power"]
     true = law_of(text, c1=c1, c2=c2)
