@@ -37,7 +37,8 @@ def summary(table):
              "training scenes is held out to choose the step that is kept (of ten scenes two, so "
              "that eight train; of fewer than five the last fifth of each), and the settings were "
              "chosen for OGN alone (`neural_tuning.py`). \"Longer\": the same with four times the "
-             "steps, at the greatest number of scenes alone. HOGN, which the paper does not have, "
+             "steps (of what was tried on OGN and HOGN the best), at the greatest number of scenes "
+             "alone. HOGN, which the paper does not have, "
              "is not asked at every number of scenes of BOUNCE.\n"]  # fmt: skip
     lines += reading(table)
     for name, part in by_scenario(table):

@@ -7,7 +7,7 @@ accelerations.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,10 @@ NEAREST = 2.0
 TOLERANCE = 1e-5
 """Root mean square error on fresh data over that of no force, up to which a law is found: a
 hundred times the rounding of single precision, in which one of the tools computes."""
+FAR_TOLERANCE = 1e-4
+"""The same beyond the range that was learned from, where a mere approximation fails."""
+ENOUGH = 0.1 * TOLERANCE
+"""Error on the known data at which a tool may stop."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,10 @@ class Task:
         Of the discs at first, m/s.
     box : float
         Half width of the square in which they start, m.
+    has_contact : bool
+        Whether radii matter.
+    radius : tuple of float
+        Least and greatest, m.
     """
 
     name: str
@@ -45,6 +53,7 @@ class Task:
     speed: float = 2.0
     box: float = 12.0
     has_contact: bool = False
+    radius: tuple[float, float] = (2.0, 4.0)
 
     @property
     def columns(self):
@@ -64,6 +73,8 @@ TASKS = {
              lambda mi, mj, r, s: 50 * mi * mj * np.exp(-r / 6) / r**2),
         Task("two forces", "20 m_i m_j / r^2 + 0.8 r",
              lambda mi, mj, r, s: 20 * mi * mj / r**2 + 0.8 * r),
+        Task("shifted gravity", "50 m_i m_j / (r + 3)^2",
+             lambda mi, mj, r, s: 50 * mi * mj / (r + 3) ** 2),
         Task("contact", "-80 (s - r) where r < s",
              lambda mi, mj, r, s: -80 * np.maximum(s - r, 0.0), 12.0, 8.0, True),
     )
@@ -73,7 +84,7 @@ TASKS = {
 def scene_of(task, name, rng):
     """Discs that a task's law moves, so that one symplectic Euler step is exact."""
     while True:
-        mass, radius = rng.uniform(1, 9, N_BODIES), rng.uniform(2, 4, N_BODIES)
+        mass, radius = rng.uniform(1, 9, N_BODIES), rng.uniform(*task.radius, N_BODIES)
         track = moved(task, mass, radius, rng)
         gap = np.linalg.norm(track[:, :, None] - track[:, None], axis=-1)
         # One close encounter would outweigh all other rows, in every tool's least squares.
@@ -103,11 +114,18 @@ def accelerations(task, p, mass, radius):
     return (pull[..., None] * gap / r[..., None]).sum(axis=1)
 
 
+def beyond(task):
+    """The task in twice the box; of a contact with twice the radii too, so that it is deeper."""
+    radius = tuple(2 * r for r in task.radius) if task.has_contact else task.radius
+    return replace(task, box=2 * task.box, radius=radius)
+
+
 def motion(task, seed):
-    """Scenes to learn from and fresh ones."""
+    """Scenes to learn from, fresh ones, and fresh ones beyond the range of both."""
     rng = np.random.default_rng(seed)
-    scenes = [scene_of(task, str(k + 1), rng) for k in range(2 * N_SCENES)]
-    return scenes[:N_SCENES], scenes[N_SCENES:]
+    tasks = [task] * (2 * N_SCENES) + [beyond(task)] * N_SCENES
+    scenes = [scene_of(one, str(k), rng) for k, one in enumerate(tasks, 1)]
+    return [scenes[k : k + N_SCENES] for k in range(0, len(scenes), N_SCENES)]
 
 
 @dataclass(frozen=True)
@@ -161,7 +179,7 @@ def pairs_of(task, scenes):
 
 
 def table(task, seed):
-    """Pulls of single pairs, drawn from the scenes: (x, y) to learn from and fresh ones.
+    """Pulls of single pairs, drawn from the scenes of `motion`: three times (x, y).
 
     Of a contact law half of the rows are of pairs that touch.
     """

@@ -81,3 +81,13 @@ def test_a_pull_and_two_contacts_are_told_apart(study):
     assert one_step_nrmse(fresh, law) < 1e-9
     assert study.errors_on_test("nbody", law)["nrmse_test"] < 1e-9
     assert sorted(best.constants.values()) == pytest.approx([-8167.007, 100.0], rel=1e-9)
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_longer_trainings_come_last_and_at_the_most_scenes(study, quick):
+    jobs = study.jobs_of(quick, 0)
+    assert len(set(jobs)) == len(jobs)
+    longer = [job for job in jobs if job[2] in study.LONGER]
+    most = {name: max(job[1] for job in jobs if job[0] == name) for name in study.PAPER_ZERO}
+    assert {job[:2] for job in longer} == set(most.items())
+    assert jobs[-len(longer) :] == longer

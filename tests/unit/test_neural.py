@@ -236,6 +236,13 @@ def test_hogn_s_forces_on_two_bodies_are_opposite():
     np.testing.assert_allclose(momentum.sum(axis=1), 0.0, atol=1e-5 * size)
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_the_longer_training_is_ours_but_for_its_steps(model):
+    tuned, longer = T.tuned_training(model), T.longer_training(model)
+    assert longer.n_steps == 4 * tuned.n_steps
+    assert replace(longer, n_steps=tuned.n_steps, name=tuned.name) == tuned
+
+
 def test_squared_errors_are_another_training():
     squared = replace(T.tuned_training("MLP (force)"), n_steps=10, batch=0, is_squared=True)
     after, made = trained("MLP (force)", squared)

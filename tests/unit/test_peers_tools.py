@@ -69,11 +69,18 @@ def test_constants_are_polished_to_the_truth_and_never_worsened(tools, pairs):
     def pull_with(constants):
         return constants[0] * m_i * m_j * r ** constants[1]
 
-    assert tools.polished(pairs, pull_with, [1.0, -1.5])[1] == pytest.approx(-2.0, abs=1e-6)
-    np.testing.assert_array_equal(tools.polished(pairs, pull_with, [7.0, -2.0]), [7.0, -2.0])
-    nothing = tools.polished(pairs, lambda constants: m_i * np.nan, [1.0])
+    known = tools.Known(pairs.x, pairs=pairs)
+    assert known.polished(pull_with, [1.0, -1.5])[1] == pytest.approx(-2.0, abs=1e-6)
+    np.testing.assert_array_equal(known.polished(pull_with, [7.0, -2.0]), [7.0, -2.0])
+    nothing = known.polished(lambda constants: m_i * np.nan, [1.0])
     np.testing.assert_array_equal(nothing, [1.0])
-    assert len(tools.polished(pairs, lambda constants: m_i, [])) == 0
+    assert len(known.polished(lambda constants: m_i, [])) == 0
+    seen = tools.Known(pairs.x, pairs.pull)
+    np.testing.assert_allclose(seen.polished(pull_with, [40.0, -1.9]), [50.0, -2.0], rtol=1e-6)
+    assert seen.error(2 * pairs.pull) == pytest.approx(1.0)
+    assert known.error(2 * pairs.pull) < 1e-12
+    assert seen.error(np.nan * m_i) == pytest.approx(1.0)
+    assert known.error(np.nan * m_i) == pytest.approx(1.0)
 
 
 def test_a_program_of_gplearn_gets_other_constants(tools):
@@ -93,6 +100,26 @@ def test_the_dictionary_has_what_its_names_say(tools, is_wide, n):
         np.testing.assert_allclose(columns["m_j r^-1.5"], [3 / 8, 7 / 27])
         np.testing.assert_allclose(columns["m_i exp(-r/3) r^-1"], x[:, 0] * np.exp(-x[:, 2] / 3)
                                    / x[:, 2])  # fmt: skip
+
+
+def test_the_dictionary_has_the_depth_of_a_contact_where_radii_are_known(tools):
+    x = np.array([[2.0, 3.0, 4.0, 5.5], [5.0, 7.0, 9.0, 5.0]])
+    columns = tools.dictionary(x)
+    assert len(columns) == 36 + 8
+    np.testing.assert_array_equal(columns["1 max(s - r, 0)"], [1.5, 0.0])
+    np.testing.assert_array_equal(columns["m_j max(s - r, 0)^2"], [6.75, 0.0])
+
+
+def test_laws_are_judged_beyond_what_was_learned_from_too(tools):
+    tasks = sys.modules["peers_tasks"]
+    for name in ("gravity", "contact"):
+        task = tasks.TASKS[name]
+        known, fresh, far = (tools.pairs_of(task, scenes) for scenes in tasks.motion(task, 0))
+        depth = [(p.x[:, -1] if task.has_contact else 0) - p.x[:, 2] for p in (known, fresh, far)]
+        if task.has_contact:
+            assert depth[2].max() > max(depth[0].max(), depth[1].max())
+        else:
+            assert depth[2].min() < 1.3 * min(depth[0].min(), depth[1].min())
 
 
 @pytest.mark.parametrize("text", ANSWERS)
