@@ -42,8 +42,13 @@ COUNTS = (1, 10, 5, 2, 3, 7, 4, 6, 8, 9)
 METHODS = ("zero force", "exhaustive", "cross_entropy", "genetic", *TUNED, *PAPERS, *LONGER)
 """In the order in which they are run: the paper's trainings take longest. "exhaustive" stands for
 "exhaustive, sums" too, which begins with it."""
-SPARED = {("bounce", "HOGN, tuned"): (1, 2, 5, 10)}
-"""Points at which a network that is not the paper's is asked where it takes long."""
+ASKED = {
+    ("bounce", "HOGN, tuned"): (1, 2, 5, 10),
+    ("nbody", "HOGN, longer"): (1, 2, 5, 10),
+    **{("bounce", f"{model}, longer"): () for model in ("HOGN", "IN", "MLP (force)")},
+}  # fmt: skip
+"""Numbers of scenes at which networks that are not the paper's are asked, where these are not all,
+or, of longer trainings, the greatest: where they take long or have little to say."""
 EXPLAINED = 1e-12
 """Share of the sum of squares up to which a law leaves nothing to a second one."""
 DRAWN = 1e-6
@@ -140,8 +145,8 @@ def neural(folder, name, draws, method, seed, divisor):
     from neural.training import longer_training, paper_training, train, tuned_training
 
     model, version = method.split(", ")
-    made = {"paper": paper_training, "tuned": tuned_training, "longer": longer_training}
-    training = made[version](model)
+    made = {"tuned": tuned_training, "longer": longer_training}
+    training = paper_training(model) if version == "paper" else made[version](model, name)
     training = replace(training, n_steps=training.n_steps // divisor)
     entropy = (list(PAPER_ZERO).index(name), len(draws[0]), NEURAL.index(method), seed)
     seeds = [(*entropy, shuffle) for shuffle in range(1, len(draws) + 1)]
@@ -190,9 +195,12 @@ def jobs_of(quick, seed):
         places += [(name, n) for n in COUNTS[2:] for name in ("mat", "nbody", "bounce")]
         n_draws, divisor = N_DRAWS, 1
     most = {name: max(n for other, n in places if other == name) for name, _ in places}
+
+    def asked(name, n, method):
+        return n in ASKED.get((name, method), (most[name],) if method in LONGER else COUNTS)
+
     jobs = [(name, n, method, seed, n_draws, divisor) for name, n in places for method in METHODS
-            if n in SPARED.get((name, method), COUNTS)
-            and (method not in LONGER or n == most[name])]  # fmt: skip
+            if asked(name, n, method)]  # fmt: skip
     # Of least weight for the curves, and they take longest.
     return sorted(jobs, key=lambda job: job[2] in LONGER)
 
@@ -233,7 +241,7 @@ def panel(ax, part, column):
         error = mine[column].clip(lower=DRAWN, upper=1e12).groupby(mine["n_scenes"])
         middle = error.median()
         at = middle.index + 0.03 * (k - middle_one)  # equal curves show
-        style = {"paper": "o--", "sums": "s:", "longer": "*"}.get(version, "o-")
+        style = {"paper": "o--", "sums": "s:", "longer": "*-."}.get(version, "o-")
         ax.plot(at, middle, style, ms=7 if version == "longer" else 3, lw=1.2, color=COLOURS[model],
                 label=method.replace("_", "-"))  # fmt: skip
         ax.fill_between(at, error.quantile(0.25), error.quantile(0.75), color=COLOURS[model],

@@ -1,9 +1,10 @@
 """Training of several runs of one network: compiled once, resumable, the same bits again.
 
-``PAPER`` is the paper's training: raw inputs, Adam at a fixed rate, all scenes in every step, a
-fixed number of steps. ``TUNED`` is ours: inputs and outputs scaled by the training scenes,
+`paper_training` is the paper's: raw inputs, Adam at a fixed rate, all scenes in every step, a fixed
+number of steps. `tuned_training` is ours: inputs and outputs scaled by the training scenes,
 logarithms of masses and distances, contacts relative to the body, minibatches, a rate that
-decays, and the parameters kept that are best on held-out training scenes.
+decays, and, where it helps, the parameters kept that are best on held-out rows.
+`longer_training` is ours with four times the steps.
 """
 
 import os
@@ -41,8 +42,8 @@ class Training:
     decays : bool
         The rate falls as a cosine to a hundredth.
     held_out : float
-        Share of the training scenes (where that is no whole scene: the end of each) kept aside
-        to choose the step whose parameters are kept; 0: the last ones are.
+        Share of the training scenes (where that is no whole scene: of the rows of each) kept
+        aside to choose the step whose parameters are kept; 0: the last ones are.
     is_scaled : bool
         Scale inputs and outputs by the training rows.
     inputs : Inputs
@@ -73,26 +74,33 @@ def paper_training(model):
     return Training("paper", n_steps, rate, inputs=Inputs(has_dynamic=model == "IN"))
 
 
-def tuned_training(model):
-    """Ours: the same for every network.
+TUNED = {
+    "nbody": {"OGN": (3e-2, "silu"), "HOGN": (3e-3, "silu"), "IN": (3e-3, "silu"),
+              "MLP (force)": (3e-2, "silu"), "MLP (position)": (3e-2, "silu")},
+    "mat": {"OGN": (1e-2, "relu"), "HOGN": (1e-2, "silu"), "IN": (3e-3, "silu"),
+            "MLP (force)": (1e-2, "silu"), "MLP (position)": (1e-2, "relu")},
+    "bounce": dict.fromkeys(("OGN", "HOGN", "IN", "MLP (force)", "MLP (position)"),
+                            (3e-3, "silu")),
+}  # fmt: skip
+"""Rates and activations (HOGN has its own) of least error in `neural_tuning.py`."""
+HELD_OUT = {"nbody": 0.0, "mat": 0.0, "bounce": 0.2}
+"""Likewise."""
 
-    Rate, activation and minibatch were chosen for OGN alone, among the settings of
-    `neural_tuning.py`, on scenes 41 to 80; the other networks take them over. A fifth of the
-    training scenes is held out to choose the step whose parameters are kept: of ten scenes two,
-    so that eight train; of fewer than five scenes it is the last fifth of each.
+
+def tuned_training(model, name):
+    """Ours: the best of `neural_tuning.py` for a network and a scenario, on scenes 41 to 80.
+
+    On BOUNCE OGN alone was tuned; the other networks take it over.
     """
-    inputs = Inputs(is_relative=True, is_excess=True, activation="silu")
-    return Training("tuned", 2000, 3e-3, batch=98, decays=True, held_out=0.2, is_scaled=True,
-                    inputs=inputs)  # fmt: skip
+    rate, activation = TUNED[name][model]
+    inputs = Inputs(is_relative=True, is_excess=True, activation=activation)
+    return Training("tuned", 2000, rate, batch=98, decays=True, held_out=HELD_OUT[name],
+                    is_scaled=True, inputs=inputs)  # fmt: skip
 
 
-def longer_training(model):
-    """Ours with four times the steps.
-
-    Of what `neural_tuning.py` tries on OGN and HOGN it helps the most; the other networks take it
-    over.
-    """
-    tuned = tuned_training(model)
+def longer_training(model, name):
+    """Ours with four times the steps."""
+    tuned = tuned_training(model, name)
     return replace(tuned, name="longer", n_steps=4 * tuned.n_steps)
 
 
@@ -152,9 +160,10 @@ def split(scenes, share, padded):
     if n:
         return tuple(rows_of(load_worlds(s, *padded)) for s in (scenes[:-n], scenes[-n:]))
     rows = rows_of(load_worlds(scenes, *padded))
-    per_scene = len(rows) // len(scenes)
-    is_late = np.arange(len(rows)) % per_scene >= round((1 - share) * per_scene)
-    return rows.some(~is_late), rows.some(is_late)
+    # Spread over a scene: its end alone may have no force in it.
+    every = round(1 / share)
+    held = np.arange(len(rows)) % every == every - 1
+    return rows.some(~held), rows.some(held)
 
 
 def train(model, training, draws, seeds, checkpoint=None, stop_after=None, progress=None):

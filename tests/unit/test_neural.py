@@ -18,6 +18,7 @@ from experiments.neural.scores import can_be_asked, one_step, rollouts, share_pr
 from experiments.neural.worlds import load_worlds, rows_of  # noqa: E402
 
 NUMBER_FREE = [name for name in MODELS if name not in FIXED_NUMBER]
+TUNED = T.tuned_training("MLP (force)", "bounce")
 KINDS = {"raw": Inputs(has_dynamic=True), "relative": Inputs(True, True, "silu")}
 
 
@@ -117,8 +118,9 @@ def trained(model, training, **kwargs):
     ],
 )
 def test_training_reduces_the_error_on_its_own_scenes(model, version):
-    make_training = getattr(T, f"{version}_training")
-    training = replace(make_training(model), n_steps=20, batch=0, held_out=0.0, decays=False)
+    tuned = T.tuned_training(model, "nbody")
+    training = tuned if version == "tuned" else T.paper_training(model)
+    training = replace(training, n_steps=20, batch=0, held_out=0.0, decays=False)
     after, made = trained(model, training)
     worlds = load_worlds(made[:3])
     first, _ = trained(model, replace(training, n_steps=0))
@@ -127,7 +129,7 @@ def test_training_reduces_the_error_on_its_own_scenes(model, version):
 
 def test_a_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr(T, "CHUNK", 2)
-    training = replace(T.tuned_training("MLP (force)"), n_steps=15 * T.CHUNK, batch=8)
+    training = replace(TUNED, n_steps=15 * T.CHUNK, batch=8)
     whole, _ = trained("MLP (force)", training)
     file = tmp_path / "state.npz"
     stop = 2 * T.SAVED * T.CHUNK
@@ -144,7 +146,7 @@ def test_a_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
 
 
 def test_a_run_does_not_depend_on_the_runs_beside_it():
-    training = replace(T.tuned_training("MLP (force)"), n_steps=20, batch=8)
+    training = replace(TUNED, n_steps=20, batch=8)
     both, made = trained("MLP (force)", training)
     alone = T.train("MLP (force)", training, [made[3:]], seeds=[2])
     for a, b in zip(jax.tree.leaves(both.params), jax.tree.leaves(alone.params), strict=True):
@@ -154,7 +156,7 @@ def test_a_run_does_not_depend_on_the_runs_beside_it():
 def test_a_checkpoint_of_another_training_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(T, "CHUNK", 2)
     file = tmp_path / "state.npz"
-    training = replace(T.tuned_training("MLP (force)"), n_steps=T.SAVED * T.CHUNK, batch=8)
+    training = replace(TUNED, n_steps=T.SAVED * T.CHUNK, batch=8)
     _, made = trained("MLP (force)", training, checkpoint=file)
     draws = [made[:3], made[3:]]
     others = [
@@ -207,7 +209,7 @@ def test_the_step_that_is_kept_is_that_of_least_held_out_error(monkeypatch):
 
     monkeypatch.setattr(T._Loop, "advance", watched)
     # At this rate the steps are too long to end at the best.
-    training = replace(T.tuned_training("MLP (force)"), n_steps=6, rate=3.0, decays=False)
+    training = replace(TUNED, n_steps=6, rate=3.0, decays=False)
     found, made = trained("MLP (force)", training)
     for run, draw in enumerate((made[:3], made[3:])):
         held = T.split(draw, training.held_out, (4, 3))[1]
@@ -236,15 +238,16 @@ def test_hogn_s_forces_on_two_bodies_are_opposite():
     np.testing.assert_allclose(momentum.sum(axis=1), 0.0, atol=1e-5 * size)
 
 
+@pytest.mark.parametrize("name", T.TUNED)
 @pytest.mark.parametrize("model", MODELS)
-def test_the_longer_training_is_ours_but_for_its_steps(model):
-    tuned, longer = T.tuned_training(model), T.longer_training(model)
+def test_the_longer_training_is_ours_but_for_its_steps(model, name):
+    tuned, longer = T.tuned_training(model, name), T.longer_training(model, name)
     assert longer.n_steps == 4 * tuned.n_steps
     assert replace(longer, n_steps=tuned.n_steps, name=tuned.name) == tuned
 
 
 def test_squared_errors_are_another_training():
-    squared = replace(T.tuned_training("MLP (force)"), n_steps=10, batch=0, is_squared=True)
+    squared = replace(TUNED, n_steps=10, batch=0, is_squared=True)
     after, made = trained("MLP (force)", squared)
     norm, _ = trained("MLP (force)", replace(squared, is_squared=False))
     worlds = load_worlds(made[:3])
@@ -256,6 +259,16 @@ def test_held_out_rows_are_not_trained_on():
     rows, held = T.split(made, 0.2, (4, 4))
     assert (len(rows), len(held)) == (40, 10)  # a whole scene
     rows, held = T.split(made[:2], 0.2, (4, 4))
-    assert (len(rows), len(held)) == (16, 4)  # the end of each
+    assert (len(rows), len(held)) == (16, 4)  # every fifth row
+    np.testing.assert_array_equal(held.p, rows_of(load_worlds(made[:2], 4, 4)).p[4::5])
     assert not set(map(tuple, rows.p[:, 1])) & set(map(tuple, held.p[:, 1]))
     assert rows.weights.sum() == pytest.approx(1.0)
+
+
+def test_columns_that_hardly_vary_are_not_blown_up():
+    worlds = load_worlds(scenes("mat", 1))
+    rows = rows_of(worlds)
+    rows.v[..., 0] = 40 + 0.01 * np.arange(rows.v[..., 0].size).reshape(rows.v[..., 0].shape)
+    norm = normaliser(rows, worlds.n_moving, KINDS["relative"], True)
+    column = np.argmin(np.abs(norm["own"]["mean"] - 40))
+    assert norm["own"]["std"][column] == pytest.approx(40, abs=1)
