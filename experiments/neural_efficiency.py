@@ -44,7 +44,8 @@ METHODS = ("zero force", "exhaustive", "cross_entropy", "genetic", *TUNED, *PAPE
 "exhaustive, sums" too, which begins with it."""
 ASKED = {
     ("bounce", "HOGN, tuned"): (1, 2, 5, 10),
-    ("nbody", "HOGN, longer"): (1, 2, 5, 10),
+    ("bounce", "IN, tuned"): (1, 2, 5, 10),
+    ("nbody", "HOGN, longer"): (5, 10),
     **{("bounce", f"{model}, longer"): () for model in ("HOGN", "IN", "MLP (force)")},
 }  # fmt: skip
 """Numbers of scenes at which networks that are not the paper's are asked, where these are not all,

@@ -95,6 +95,6 @@ def test_longer_trainings_come_last_and_the_costly_at_few_numbers_of_scenes(stud
     every = {name: {job[1] for job in jobs if job[0] == name} for name in study.PAPER_ZERO}
     assert at["mat", "HOGN"] == {max(every["mat"])}
     assert at["nbody", "OGN"] == {max(every["nbody"])}
-    assert at["nbody", "HOGN"] == every["nbody"] & {1, 2, 5, 10}
+    assert at.get(("nbody", "HOGN"), set()) == every["nbody"] & {5, 10}
     assert ("bounce", "HOGN") not in at
     assert at["bounce", "OGN"] == {max(every["bounce"])}
