@@ -84,7 +84,7 @@ TUNED = {
 }  # fmt: skip
 """Rates and activations (HOGN has its own) of least error in `neural_tuning.py`."""
 HELD_OUT = {"nbody": 0.0, "mat": 0.0, "bounce": 0.2}
-"""Likewise."""
+"""Likewise; on BOUNCE with and without are equal to 2e-4 of the error."""
 
 
 def tuned_training(model, name):
