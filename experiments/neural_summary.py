@@ -127,19 +127,23 @@ def lead_line(part, column, exceptions=()):
 
 
 def exact_line(part, column):
-    """From how many scenes on the best search is exact, in the median and in every draw."""
-    laws = best(part, column, SEARCHES)
-    if not laws:
+    """From how many scenes on exhaustive search is exact, in the median and in every draw."""
+    method = next((m for m in ("exhaustive, sums", "exhaustive") if (part["method"] == m).any()),
+                  None)  # fmt: skip
+    if method is None:
         return ""
     n_draws = part["shuffle"].nunique()
-    exact = {n: counts[laws[n][0]] for n, counts in exact_counts(part, column).items()}
-    middle = _from_on({n: error < EXACT for n, (_, error) in laws.items()})
+    mine = part[part["method"] == method].groupby("n_scenes")[column]
+    medians = mine.median().to_dict()
+    exact = mine.apply(lambda errors: int((errors < EXACT).sum())).to_dict()
+    middle = _from_on({n: error < EXACT for n, error in medians.items()})
     every = _from_on({n: count == n_draws for n, count in exact.items()})
     said = f"below {EXACT:g} m from n = {middle} on" if middle else f"not below {EXACT:g} m"
     # A median hides the draws in which the law was missed.
     every = f"all draws are from n = {every} on" if every else "not all draws are even at the last"
     counts = ", ".join(f"{exact[n]} at n = {n}" for n in exact)
-    return f"Its median is {said}; {every} (of {n_draws}: {counts})."
+    return (f"The median of exhaustive search{method.removeprefix('exhaustive')} is {said}; "
+            f"{every} (of {n_draws}: {counts}).")  # fmt: skip
 
 
 def exact_counts(part, column):
