@@ -44,7 +44,7 @@ from bsp_gp.search.run import Budget, run_search
 
 TOOLS = ("bsp_gp", "pyoperon", "gplearn", "pysindy")
 FORMS = ("table", "motion")
-BUDGET, QUICK_BUDGET = 30.0, 10.0
+BUDGET, QUICK_BUDGET = 60.0, 10.0
 """Processor seconds of a run."""
 INNER = str(Path(__file__).with_name("peers_inner.toml"))
 EXPLAINED, EXACT = 1e-12, 1e-18
