@@ -46,7 +46,7 @@ ASKED = {
     ("bounce", "HOGN, tuned"): (1, 2, 5, 10),
     ("bounce", "IN, tuned"): (1, 2, 5, 10),
     ("nbody", "HOGN, longer"): (5, 10),
-    **{("bounce", f"{model}, longer"): () for model in ("HOGN", "IN", "MLP (force)")},
+    **{("bounce", method): () for method in LONGER},
 }  # fmt: skip
 """Numbers of scenes at which networks that are not the paper's are asked, where these are not all,
 or, of longer trainings, the greatest: where they take long or have little to say."""
