@@ -37,7 +37,7 @@ def summary(table):
              "`is_on` in their grammar; networks are told shapes and nearest points, as the "
              "paper's are. \"Paper\": its trainings; its Interaction Network differs in its last "
              "network (`neural/models.py`). \"Tuned\": rate and activation for each network and "
-             "scenario, loss, hold-out and minibatches as best for OGN (`neural_tuning.py`, other "
+             "scenario, loss and hold-out as best for OGN (`neural_tuning.py`, other "
              "scenes); on BOUNCE OGN's for all, and a fifth of the training scenes is held out to "
              "choose the step that is kept. \"Longer\": the same with four times the steps, not "
              "asked everywhere; more of them may help yet. "

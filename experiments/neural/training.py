@@ -82,7 +82,7 @@ TUNED = {
     "bounce": dict.fromkeys(("OGN", "HOGN", "IN", "MLP (force)", "MLP (position)"),
                             (3e-3, "silu")),
 }  # fmt: skip
-"""Rates and activations (HOGN has its own) of least error in `neural_tuning.py`."""
+"""Rates and activations (HOGN has its own) of least error (docs/studies/neural_tuning.md)."""
 HELD_OUT = {"nbody": 0.0, "mat": 0.0, "bounce": 0.2}
 """Likewise; on BOUNCE with and without are equal to 2e-4 of the error."""
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from experiments.neural.models import FIXED_NUMBER, MODELS, Inputs, init_model, 
 from experiments.neural.scores import can_be_asked, one_step, rollouts, share_predicted  # noqa: E402
 from experiments.neural.worlds import load_worlds, rows_of  # noqa: E402
 
+TUNING = (Path(__file__).parents[2] / "docs" / "studies" / "neural_tuning.md").read_text("utf-8")
 NUMBER_FREE = [name for name in MODELS if name not in FIXED_NUMBER]
 TUNED = T.tuned_training("MLP (force)", "bounce")
 KINDS = {"raw": Inputs(has_dynamic=True), "relative": Inputs(True, True, "silu")}
@@ -244,6 +246,24 @@ def test_the_longer_training_is_ours_but_for_its_steps(model, name):
     tuned, longer = T.tuned_training(model, name), T.longer_training(model, name)
     assert longer.n_steps == 4 * tuned.n_steps
     assert replace(longer, n_steps=tuned.n_steps, name=tuned.name) == tuned
+
+
+@pytest.mark.parametrize("name", T.TUNED)
+@pytest.mark.parametrize("model", MODELS)
+def test_tuned_trainings_are_the_best_of_the_tuning_as_run(model, name):
+    title = f"## {name.upper()}, {model}\n"
+    if title not in TUNING:
+        assert (name, T.TUNED[name][model]) == ("bounce", T.TUNED[name]["OGN"])
+        return
+    lines = TUNING.split(title)[1].split("\n##")[0].strip().splitlines()[2:]
+    ratios = {}
+    for line in lines:
+        rate, activation, loss, held_out, steps, *_, ratio, _ = line.strip("| ").split(" | ")
+        if steps == "2000":
+            activation = "silu" if model == "HOGN" else activation  # its own is no choice
+            ratios[float(rate), activation, loss, float(held_out)] = float(ratio)
+    chosen = (*T.TUNED[name][model], "norm", T.HELD_OUT[name])
+    assert ratios[chosen] <= 1.01 * min(ratios.values())
 
 
 def test_squared_errors_are_another_training():
