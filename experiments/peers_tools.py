@@ -42,6 +42,11 @@ class Known:
     y: np.ndarray | None = None
     pairs: Pairs | None = None
 
+    @property
+    def target(self):
+        """Pulls; where they are not seen, numbers that a tool asks for and does not look at."""
+        return np.arange(len(self.x)) % 2 * 1.0 if self.y is None else self.y
+
     def left(self, pull):
         """What pulls leave, over the size of what is known; of sums with their best factor."""
         pull = np.asarray(pull, dtype=float)
@@ -163,18 +168,15 @@ def pyoperon(task, form, seed, seconds):
         if known.pairs is None:
             # Its default, R², is one in single precision long before a law is exact.
             model = SymbolicRegressor(objectives=["nmse"], optimizer_iterations=10, **common)
-            target = known.y
         else:
             # "c2" asks for no scaling of the model; the evaluator above takes its place.
             model = Summed(objectives=["c2"], optimizer_iterations=0, add_model_scale_term=False,
                            add_model_intercept_term=False, **common)  # fmt: skip
-            # A target is asked for all the same, and not looked at.
-            target = np.arange(len(known.x)) % 2 * 1.0
             model.pairs = known.pairs
-            model.data = op.Dataset(np.asfortranarray(np.column_stack((known.x, target))))
+            model.data = op.Dataset(np.asfortranarray(np.column_stack((known.x, known.target))))
         for k in itertools.count():
             model.set_params(random_state=1000 * seed + k)
-            model.fit(known.x, target)
+            model.fit(known.x, known.target)
             error = known.error(model.predict(known.x))
             if error <= ENOUGH or time.process_time() - started >= seconds / 2:
                 break
@@ -230,14 +232,13 @@ def gplearn(task, form, seed, seconds):
             function_set=functions, stopping_criteria=enough, const_range=(-10.0, 10.0),
             parsimony_coefficient=1e-4, init_depth=(2, 5), random_state=seed, warm_start=True,
         )  # fmt: skip
-        target = np.arange(len(known.x)) % 2 * 1.0 if known.y is None else known.y
         started = time.process_time()
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            model.fit(known.x, target)
+            model.fit(known.x, known.target)
             while time.process_time() - started < seconds and not done(model, enough, pairs):
                 model.set_params(generations=model.generations + 1)
-                model.fit(known.x, target)
+                model.fit(known.x, known.target)
 
         def scaled(program):
             """Slope and offset that a coefficient of correlation leaves open."""
