@@ -1,0 +1,1 @@
+"""How a hypothesis fits: tracks, their derivatives, their noise, and what a fit says."""

@@ -1,0 +1,176 @@
+"""Bodies that must be integrated together, stacked: the chains of a law on some scenes.
+
+Where no force passes between moving bodies, each body of each scene is a chain of its own, and its
+unknown initial state touches no other; else the moving bodies of a scene are one chain. Chains of
+like build are stacked with the points of their tracks on the last axis of every array.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.geometry import DISC, MAT, WALL
+
+__all__ = ["Chains", "build_chains", "is_coupled"]
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """S chains of R moving bodies each, beside D bodies that forces do not move.
+
+    Attributes
+    ----------
+    scenes : tuple of str, length S
+        Name of the scene of each chain.
+    bodies : tuple of tuple of str, S x R
+    times : ndarray, shape (T, S), s, padded with nan
+    observed : ndarray, shape (T, S, R, d), m
+        nan = not seen.
+    sigma : ndarray, shape (T, S, R, d) or None
+        Quoted errors, nan where a point quotes none.
+    velocities : ndarray, shape (T, S, R, d) or None
+        Measured ones only.
+    driven : ndarray, shape (T, S, D, d)
+        Measured places of the bodies that forces do not move.
+    driven_velocities : ndarray, shape (T, S, D, d) or None
+    properties : dict of str to ndarray
+        Column -> (R + D, S) or (R + D, S, d); moving bodies first.
+    code, radius, width, height : ndarray, shape (R + D, S)
+    up : str or None
+    direction : callable
+        ``direction(name)`` gives the unit vector of a lab axis.
+    """
+
+    scenes: tuple
+    bodies: tuple
+    times: np.ndarray
+    observed: np.ndarray
+    sigma: np.ndarray | None
+    velocities: np.ndarray | None
+    driven: np.ndarray
+    driven_velocities: np.ndarray | None
+    properties: dict
+    code: np.ndarray
+    radius: np.ndarray
+    width: np.ndarray
+    height: np.ndarray
+    direction: object
+
+    @property
+    def n_chains(self):
+        return self.times.shape[1]
+
+    @property
+    def n_moving(self):
+        return self.observed.shape[2]
+
+    @property
+    def n_dims(self):
+        return self.observed.shape[3]
+
+    @property
+    def lengths(self):
+        """Rows of each chain, shape (S,)."""
+        return np.isfinite(self.times).sum(axis=0)
+
+    def column(self, name):
+        """A property as an array (N, S) or (N, S, d); nan where no body knows it."""
+        if name in self.properties:
+            return self.properties[name]
+        return np.full((self.code.shape[0], self.n_chains), np.nan)
+
+    def contact_sizes(self, others):
+        """What margins of contacts are measured with, arrays (R, J, S).
+
+        Parameters
+        ----------
+        others : ndarray of int, shape (R, J)
+            Sources of every receiver.
+        """
+        own = slice(None, self.n_moving)
+        radius = np.nan_to_num(self.radius)
+        reach = radius[own, None] + radius[others]
+        disc = (self.code[own] == DISC)[:, None]
+        code, width, height = self.code[others], self.width[others], self.height[others]
+        wall, mat = code == WALL, code == MAT
+        half_width, half_height = np.nan_to_num(width) / 2, np.nan_to_num(height) / 2
+        sizes = {
+            "is_disc_pair": disc & (code == DISC), "is_disc_wall": disc & wall, "is_mat": mat,
+            "disc_reach": reach, "wall_half_width": half_width + radius[own, None],
+            "wall_half_height": half_height + radius[own, None],
+            "mat_half_width": half_width, "mat_half_height": half_height,
+            "wide_wall": wall & (width > height), "tall_wall": wall & ~(width > height),
+        }  # fmt: skip
+        return {name: np.asarray(value, dtype=float) for name, value in sizes.items()}
+
+
+def is_coupled(law, batch):
+    """Whether a force of the law passes between moving bodies of the batch."""
+    return len(batch.bodies.receivers) > 1 and any(term.kind == "pair" for term in law.terms)
+
+
+def build_chains(law, scenes, up=None, velocity="ignore"):
+    """Stack scenes into chains for a law.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    scenes : sequence of Scene
+    up : str or None
+    velocity : str
+        "measured" keeps the scenes' velocities.
+
+    Returns
+    -------
+    list of Chains
+        One for every build of scenes.
+    """
+    return [_chains(batch, is_coupled(law, batch)) for batch in stack(scenes, up, velocity)]
+
+
+def _chains(batch, coupled):
+    n_scenes, n_entities = batch.positions.shape[1:3]
+    moving = batch.bodies.receivers
+    driven = np.setdiff1d(np.arange(n_entities), moving)
+    groups = [moving] if coupled else [np.array([k]) for k in moving]
+    # Chain number g * S + s is group g of scene s.
+    order = np.array([np.concatenate([group, driven]) for group in groups])
+    n_own = len(groups[0])
+
+    def gathered(values):
+        """(T, S, N, ...) -> (T, G * S, R + D, ...)."""
+        if values is None:
+            return None
+        parts = [values[:, :, rows] for rows in order]
+        return np.concatenate(parts, axis=1)
+
+    def of_bodies(values):
+        """(S, N, ...) -> (R + D, G * S, ...)."""
+        return np.concatenate([np.swapaxes(values[:, rows], 0, 1) for rows in order], axis=1)
+
+    positions, sigma = gathered(batch.positions), gathered(batch.sigma)
+    velocities = gathered(batch.velocities)
+    names = [batch.bodies.names[s] for _ in groups for s in range(n_scenes)]
+    owners = [order[g][:n_own] for g in range(len(groups)) for _ in range(n_scenes)]
+    shapes = batch.bodies.shapes
+    return Chains(
+        scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
+        bodies=tuple(
+            tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)
+        ),
+        times=np.concatenate([batch.times] * len(groups), axis=1),
+        observed=positions[:, :, :n_own],
+        sigma=None if sigma is None else sigma[:, :, :n_own],
+        velocities=None if velocities is None else velocities[:, :, :n_own],
+        driven=positions[:, :, n_own:],
+        driven_velocities=None if velocities is None else velocities[:, :, n_own:],
+        properties={k: of_bodies(v) for k, v in batch.bodies.properties.items()},
+        code=of_bodies(shapes.code),
+        radius=of_bodies(shapes.radius),
+        width=of_bodies(shapes.width),
+        height=of_bodies(shapes.height),
+        direction=batch.bodies.direction,
+    )

@@ -1,0 +1,183 @@
+"""Steps through an instant at which a condition changes: found, and the derivatives jump.
+
+Until the instant the law acts with the old mode, after it with the new one. An unknown that moves
+the instant by dt shifts the state behind it by (f_before - f_after) dt: without that the derivative
+by a threshold, or by anything that a contact depends on, is wrong (LOOP §2, "saltation").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.fitting.motion import Points
+
+__all__ = ["through_events"]
+
+MAX_EVENTS = 16
+"""Changes within one step beyond which the rest is taken with the modes as they are."""
+BISECTIONS = 60
+CLOSE = 1e-14
+"""Part of a step to which an instant is found."""
+
+
+def through_events(flow, scheme, points, end, h, modes, index, good=None, moved=None):
+    """Mend the steps within which conditions change.
+
+    Parameters
+    ----------
+    flow : Flow
+    scheme : Scheme
+    points : Points
+        Starts of the steps.
+    end : ndarray, shape (2, R, d, M)
+        Ends with the modes of the start; a mended copy is returned.
+    h : ndarray, shape (M,)
+    modes : list of ndarray
+        Modes of all intervals; those at `index` are changed in place.
+    index : ndarray of int, shape (M,)
+        Place of each step's interval in `modes`.
+    good : ndarray of bool, shape (M,), optional
+        Steps that count; the others stay as they are.
+    moved : ndarray, shape (M, n, n + k), optional
+        Derivatives of the steps, changed in place.
+
+    Returns
+    -------
+    ndarray, shape (2, R, d, M)
+    """
+    after = flow.points(end, points.times + h, points.chain)
+    changed = np.zeros(len(h), dtype=bool)
+    for before, now in zip(points.modes, after.modes, strict=True):
+        changed |= (before != now).any(axis=(0, 1, 2))
+    if good is not None:
+        changed &= good
+    if not changed.any():
+        return end
+    end = end.copy()
+    for m in np.flatnonzero(changed):
+        state, slopes, new = _through(flow, scheme, points.pick([m]), h[m], moved is not None)
+        end[..., m] = state[..., 0]
+        if moved is not None:
+            moved[m] = slopes
+        for mode, held in zip(modes, new, strict=True):
+            mode[..., index[m]] = held[..., 0]
+    return end
+
+
+def _through(flow, scheme, points, h, slopes):
+    """One step of one interval, taken in parts between the instants of change."""
+    total = None
+    left = h
+    for _ in range(MAX_EVENTS):
+        part, change = _next_change(flow, scheme, points, left)
+        end, moved = _part(flow, scheme, points, part, slopes)
+        total = _chain(total, moved, flow.n_state)
+        time = points.times + part
+        left -= part
+        if change is None:
+            return end, total, points.modes
+        held = [mode.copy() for mode in points.modes]
+        program, mode, i, j = change
+        held[program][mode, i, j] = ~held[program][mode, i, j]
+        here = flow.points(end, time, points.chain, points.modes)
+        there = flow.points(end, time, points.chain, held)
+        if slopes:
+            by_state, by_constant = _jump(flow, here, there, change)
+            total = by_state @ total
+            total[:, flow.n_state :] += by_constant
+        points = there
+        if left <= CLOSE * h:
+            return end, total, points.modes
+    end, moved = _part(flow, scheme, points, left, slopes)
+    return end, _chain(total, moved, flow.n_state), points.modes
+
+
+def _part(flow, scheme, points, length, slopes):
+    length = np.array([length])
+    end, stages, _ = flow.step(scheme, points, length)
+    return end, flow.step_slopes(scheme, stages, length)[0] if slopes else None
+
+
+def _chain(total, moved, n):
+    """Derivatives of steps one after the other, as square matrices over states and constants."""
+    if moved is None:
+        return None
+    if total is None:
+        return moved
+    after = moved[:, :n] @ total
+    after[:, n:] += moved[:, n:]
+    return after
+
+
+def _next_change(flow, scheme, points, h):
+    """Length until the first condition changes, and which; the whole step and None if none."""
+
+    def margins(length):
+        end, _, _ = flow.step(scheme, points, np.array([length]))
+        return flow.motion.margins(flow.points(end, points.times + length, points.chain, points.modes))
+
+    at_end = margins(h)
+    first, which = h, None
+    for program, (held, margin) in enumerate(zip(points.modes, at_end, strict=True)):
+        for mode, i, j in np.argwhere((margin[..., 0] > 0) != held[..., 0]).tolist():
+            instant = _instant(
+                lambda x, key=(program, mode, i, j): margins(x)[key[0]][key[1], key[2], key[3], 0],
+                h, held[mode, i, j, 0],
+            )  # fmt: skip
+            if which is None or instant < first:
+                first, which = instant, (program, mode, i, j)
+    return first, which
+
+
+def _instant(margin, h, held):
+    """Where a margin leaves the sign of its mode, by bisection with secants (Illinois)."""
+    sign = 1.0 if held else -1.0
+    low, high = 0.0, h
+    at_low, at_high = sign * margin(0.0), sign * margin(h)
+    if at_low <= 0:  # on the edge already
+        return 0.0
+    side = 0
+    for _ in range(BISECTIONS):
+        middle = low + (high - low) * at_low / (at_low - at_high)
+        value = sign * margin(middle)
+        if value > 0:
+            low, at_low = middle, value
+            at_high, side = (at_high / 2 if side == 1 else at_high), 1
+        else:
+            high, at_high = middle, value
+            at_low, side = (at_low / 2 if side == -1 else at_low), -1
+        if high - low <= CLOSE * h or value == 0:
+            break
+    return high
+
+
+def _jump(flow, here, there, change):
+    """How derivatives jump where a condition changes: by the state (n, n), by constants (n, k)."""
+    n = flow.n_state
+    motion = flow.motion
+    before, after = motion.acceleration(here), motion.acceleration(there)
+    by_state, by_time, by_constant = motion.margin_slope(here, *change)
+    rate = np.concatenate([here.state[1].reshape(-1), before.reshape(-1)])
+    speed = by_state[0] @ rate + by_time[0] + _driven_rate(flow, here, change)
+    kick = np.zeros(n)
+    if speed != 0 and np.isfinite(speed):
+        kick[n // 2 :] = (after - before).reshape(-1) / speed
+    return np.eye(n) + np.outer(kick, by_state[0]), np.outer(kick, by_constant[0])
+
+
+def _driven_rate(flow, here, change):
+    """How fast a margin changes because the other, driven, body moves."""
+    program, mode, i, j = change
+    other = flow.motion.others[i, j] if flow.motion.programs[program].kind == "pair" else -1
+    n_own = flow.chains.n_moving
+    if other < n_own or here.driven is None or not here.driven[1].any():
+        return 0.0
+    step = 1e-7 * (flow.length.min() or 1.0)
+
+    def margin(dt):
+        driven = here.driven.copy()
+        driven[0] += dt * driven[1]
+        moved = Points(here.state, here.times, here.chain, driven, here.modes)
+        return flow.motion.margins(moved)[program][mode, i, j, 0]
+
+    return (margin(step) - margin(-step)) / (2 * step)

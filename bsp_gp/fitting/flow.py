@@ -1,0 +1,376 @@
+"""Motion from every measured row to the next, with its exact derivatives.
+
+All intervals between rows of all chains are integrated at once, each from a state of its own
+(a *node*): `Flow.run` gives where every interval ends and how that depends on its start and on the
+constants (the variational equations, MECHANICS "Effect of a force on a track"). How nodes are
+joined to tracks is the business of `bsp_gp.fitting.shooting`.
+
+Steps are chosen interval by interval by the error estimate of an embedded Runge-Kutta pair and are
+then frozen (a `Mesh`), so that a fit sees one smooth function of its unknowns. Where a condition
+changes within a step, the step ends there, and the derivatives jump (saltation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import DOP853, RK45
+
+from bsp_gp.fitting.driven import Driven
+from bsp_gp.fitting.events import through_events
+from bsp_gp.fitting.motion import Points
+
+__all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
+
+BLOCK = 2048
+"""Intervals that are integrated together: bounds the memory."""
+MAX_STEPS = 4000
+"""Steps within one interval beyond which an integration is given up."""
+FEW_STEPS = 2
+"""Steps up to which an interval is cheapest by the pair of lower order."""
+SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme:
+    """An explicit Runge-Kutta pair.
+
+    Attributes
+    ----------
+    a : ndarray, shape (s, s)
+    b, c : ndarray, shape (s,)
+    errors : tuple of ndarray, shape (s + 1,)
+        Weights of the stages (the last is at the end of the step) in the error estimates.
+    exponent : float
+        A step's error grows as h to the power 1 / exponent.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    errors: tuple
+    exponent: float
+
+    @property
+    def n_stages(self):
+        return len(self.b)
+
+
+SCHEMES = {
+    "rk45": Scheme(RK45.A, RK45.B, RK45.C, (RK45.E,), 1 / 5),
+    "dop853": Scheme(DOP853.A, DOP853.B, DOP853.C, (DOP853.E5, DOP853.E3), 1 / 8),
+}
+"""Dormand and Prince's pairs of order 5(4) and 8(5, 3), as scipy has them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Steps of every interval.
+
+    Attributes
+    ----------
+    scheme : str
+        Name in `SCHEMES`, or "euler": the paper's single symplectic step (its equation 1).
+    order : ndarray of int, shape (K,)
+        Intervals, those of most steps first.
+    starts, steps : tuple of ndarray
+        Per step number the time since the interval's start and the length of the step, s, of the
+        first intervals in that order.
+    is_complete : bool
+        Whether the integration came to the end of every interval.
+    """
+
+    scheme: str
+    order: np.ndarray
+    starts: tuple
+    steps: tuple
+    is_complete: bool = True
+
+
+class Flow:
+    """Integrates a law over all intervals of some chains.
+
+    Parameters
+    ----------
+    motion : Motion
+    tolerance : ndarray, shape (S,), metres
+        Error that one interval of a chain may have.
+    paper_steps : bool
+        Take the paper's symplectic Euler step from row to row, conditions as they are at its
+        start.
+    """
+
+    def __init__(self, motion, tolerance, paper_steps=False):
+        chains = motion.chains
+        self.motion, self.chains = motion, chains
+        self.tolerance = np.asarray(tolerance, dtype=float)
+        self.paper_steps = paper_steps
+        with np.errstate(invalid="ignore"):
+            running = np.isfinite(chains.times[1:]) & np.isfinite(chains.times[:-1])
+        self.row, self.chain = np.nonzero(running)
+        self.start = chains.times[self.row, self.chain]
+        self.length = chains.times[self.row + 1, self.chain] - self.start
+        self.driven = Driven(chains)
+        self.n_state = 2 * chains.n_moving * chains.n_dims
+        self.n_constants = len(motion.parameters)
+
+    @property
+    def n_intervals(self):
+        return len(self.row)
+
+    # --- points ----------------------------------------------------------------------------------
+
+    def points(self, state, times, chain, modes=None):
+        """Points with their driven bodies and, unless given, the modes that hold there."""
+        found = Points(state, times, chain, self.driven.at(times, chain), modes or [])
+        if modes is not None:
+            return found
+        return Points(state, times, chain, found.driven, self.motion.modes_at(found))
+
+    def step(self, scheme, points, h):
+        """One step of a scheme with the modes frozen.
+
+        Returns
+        -------
+        end : ndarray, shape (2, R, d, M)
+        stages : list of Points
+        rates : list of ndarray, shape (2, R, d, M)
+        """
+        stages, rates = [], []
+        y, t = points.state, points.times
+        for k in range(scheme.n_stages):
+            if k:
+                weights = [(scheme.a[k, m], rates[m]) for m in range(k) if scheme.a[k, m]]
+                change = weights[0][0] * weights[0][1]
+                for weight, rate in weights[1:]:
+                    change += weight * rate
+                here = self.points(y + h * change, t + scheme.c[k] * h, points.chain, points.modes)
+            else:
+                here = points
+            stages.append(here)
+            rates.append(self._rate(here))
+        change = scheme.b[0] * rates[0]
+        for weight, rate in zip(scheme.b[1:], rates[1:], strict=True):
+            if weight:
+                change += weight * rate
+        return y + h * change, stages, rates
+
+    def _rate(self, points):
+        return np.stack([points.state[1], self.motion.acceleration(points)])
+
+    def step_slopes(self, scheme, stages, h):
+        """Derivatives of a step by its start and the constants, shape (M, n, n + k)."""
+        n, k, m = self.n_state, self.n_constants, len(h)
+        half = n // 2
+        by_state, by_constant = self.motion.slopes(_joined(stages))
+        first = np.zeros((m, n, n + k))
+        first[:, np.arange(n), np.arange(n)] = 1.0
+        rates = []
+        h = h[:, None, None]
+        for s in range(scheme.n_stages):
+            change = first
+            if s:
+                total = sum(scheme.a[s, q] * rates[q] for q in range(s) if scheme.a[s, q])
+                change = first + h * total
+            part = slice(s * m, (s + 1) * m)
+            rate = np.empty_like(first)
+            rate[:, :half] = change[:, half:]
+            np.matmul(by_state[part], change, out=rate[:, half:])
+            rate[:, half:, n:] += by_constant[part]
+            rates.append(rate)
+        return first + h * sum(b * r for b, r in zip(scheme.b, rates, strict=True) if b)
+
+    # --- steps -----------------------------------------------------------------------------------
+
+    def mesh(self, nodes):
+        """Choose the steps of every interval by the error of the embedded pair.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (2, R, d, T, S)
+        """
+        if self.paper_steps:
+            order = np.arange(self.n_intervals)
+            return Mesh("euler", order, (np.zeros(len(order)),), (self.length,))
+        low = self._mesh(nodes, "rk45")
+        n_low = sum(len(h) for h in low.steps)
+        if n_low <= FEW_STEPS * self.n_intervals and low.is_complete:
+            return low
+        high = self._mesh(nodes, "dop853")
+        if high.is_complete and low.is_complete:
+            cheaper = 2 * sum(len(h) for h in high.steps) < n_low
+            return high if cheaper else low
+        return high if high.is_complete else low
+
+    def _mesh(self, nodes, name):
+        scheme = SCHEMES[name]
+        n = self.n_intervals
+        state = nodes[..., self.row, self.chain]
+        done, h = np.zeros(n), self.length.copy()
+        steps = [[] for _ in range(n)]
+        open_, complete = np.arange(n), True
+        scale = self._scales(nodes)
+        modes = self.points(state, self.start, self.chain).modes
+        for _ in range(MAX_STEPS):
+            if not len(open_):
+                break
+            points = self.points(
+                state[..., open_], self.start[open_] + done[open_], self.chain[open_],
+                [mode[..., open_] for mode in modes],
+            )  # fmt: skip
+            left = self.length[open_] - done[open_]
+            size = left / np.ceil(left / np.maximum(h[open_], 1e-300) - 1e-9)
+            with np.errstate(all="ignore"):
+                end, stages, rates = self.step(scheme, points, size)
+                error = self._error(scheme, end, points, rates, size, scale[:, self.chain[open_]])
+                good = error <= 1.0
+                factor = SAFETY * np.where(error > 0, error, 1e-12) ** -scheme.exponent
+            factor = np.where(np.isfinite(factor), factor, LEAST_FACTOR)
+            h[open_] = size * np.clip(factor, LEAST_FACTOR, LARGEST_FACTOR)
+            if self.motion.has_modes:
+                end = through_events(self, scheme, points, end, size, modes, open_, good)
+            for k, length in zip(open_[good], size[good], strict=True):
+                steps[k].append(length)
+            state[..., open_[good]] = end[..., good]
+            done[open_[good]] += size[good]
+            lost = h[open_] < 1e-12 * self.length[open_]
+            complete &= not lost.any()
+            open_ = open_[~lost & (done[open_] < self.length[open_] * (1 - 1e-12))]
+        return _packed(name, steps, complete and not len(open_))
+
+    def _scales(self, nodes):
+        """Error that a place and a velocity of each chain may have in one step, (2, S)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            places, velocities = nodes[0], nodes[1]
+            spread = np.nanmax(np.abs(places - np.nanmean(places, axis=2, keepdims=True)),
+                               axis=(0, 1, 2))  # fmt: skip
+            speed = np.nanmax(np.abs(velocities), axis=(0, 1, 2))
+            rate = speed / spread
+        span = np.nanmax(self.chains.times, axis=0) - np.nanmin(self.chains.times, axis=0)
+        rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
+        return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])
+
+    def _error(self, scheme, end, points, rates, h, scale):
+        """Estimated error of a step in parts of what it may have, (M,)."""
+        last = self.points(end, points.times + h, points.chain, points.modes)
+        rates = [*rates, self._rate(last)]
+        parts = []
+        for weights in scheme.errors:
+            error = h * sum(w * r for w, r in zip(weights, rates, strict=True) if w)
+            parts.append(np.abs(error / scale[:, None, None]).max(axis=(0, 1, 2)))
+        if len(parts) == 1:
+            return parts[0]
+        fifth, third = parts  # Hairer, Norsett and Wanner, II.10
+        size = np.sqrt(fifth**2 + 0.01 * third**2)
+        return np.where(size > 0, fifth**2 / np.where(size > 0, size, 1.0), 0.0)
+
+    # --- runs ------------------------------------------------------------------------------------
+
+    def run(self, nodes, mesh, slopes=True):
+        """Integrate every interval from its node.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (2, R, d, T, S)
+        mesh : Mesh
+        slopes : bool
+
+        Returns
+        -------
+        ends : ndarray, shape (2, R, d, K)
+        transitions : ndarray, shape (K, n, n + k) or None
+            Derivatives of the ends by the nodes and by the constants.
+        """
+        n, k = self.n_state, self.n_constants
+        ends = np.empty((2, self.chains.n_moving, self.chains.n_dims, self.n_intervals))
+        transitions = np.empty((self.n_intervals, n, n + k)) if slopes else None
+        with np.errstate(all="ignore"):
+            for first in range(0, self.n_intervals, BLOCK):
+                block = slice(first, first + BLOCK)
+                index = mesh.order[block]
+                run = self._run_euler if mesh.scheme == "euler" else self._run_block
+                end, moved = run(nodes, mesh, index, block, slopes)
+                ends[..., index] = end
+                if slopes:
+                    transitions[index] = moved
+        return ends, transitions
+
+    def _run_block(self, nodes, mesh, index, block, slopes):
+        scheme = SCHEMES[mesh.scheme]
+        state = nodes[..., self.row[index], self.chain[index]]
+        start, chain = self.start[index], self.chain[index]
+        modes = self.points(state, start, chain).modes
+        total = None
+        for begin, size in zip(mesh.starts, mesh.steps, strict=True):
+            n_open = min(len(size) - block.start, len(index))
+            if n_open <= 0:
+                break
+            open_ = slice(0, n_open)
+            h = size[block][:n_open]
+            points = self.points(
+                state[..., open_], start[open_] + begin[block][:n_open], chain[open_],
+                [mode[..., open_] for mode in modes],
+            )  # fmt: skip
+            end, stages, _ = self.step(scheme, points, h)
+            moved = self.step_slopes(scheme, stages, h) if slopes else None
+            if self.motion.has_modes:
+                end = through_events(
+                    self, scheme, points, end, h, modes, np.arange(n_open), None, moved
+                )
+            state[..., open_] = end
+            if slopes:
+                total = moved if total is None else _chained(moved, total, open_, self.n_state)
+        return state, total
+
+    def _run_euler(self, nodes, mesh, index, block, slopes):
+        """The paper's step: v += a h, then p += v h."""
+        chain, h = self.chain[index], self.length[index]
+        points = self.points(nodes[..., self.row[index], chain], self.start[index], chain)
+        p, v = points.state
+        v = v + self.motion.acceleration(points) * h
+        end = np.stack([p + v * h, v])
+        if not slopes:
+            return end, None
+        n, k = self.n_state, self.n_constants
+        half = n // 2
+        by_state, by_constant = self.motion.slopes(points)
+        moved = np.zeros((len(h), n, n + k))
+        h = h[:, None, None]
+        moved[:, half:, :n] = by_state * h
+        moved[:, np.arange(n), np.arange(n)] += 1.0
+        moved[:, half:, n:] = by_constant * h
+        moved[:, :half] += moved[:, half:] * h
+        return end, moved
+
+
+def _joined(stages):
+    """The points of several stages, one after the other."""
+    first = stages[0]
+    return Points(
+        np.concatenate([s.state for s in stages], axis=-1),
+        np.concatenate([s.times for s in stages]),
+        np.concatenate([s.chain for s in stages]),
+        None if first.driven is None else np.concatenate([s.driven for s in stages], axis=-1),
+        [np.concatenate([s.modes[k] for s in stages], axis=-1) for k in range(len(first.modes))],
+    )
+
+
+def _chained(moved, total, open_, n):
+    """Derivatives of one more step after those of the steps before."""
+    after = total.copy()
+    after[open_] = moved[:, :, :n] @ total[open_]
+    after[open_, :, n:] += moved[:, :, n:]
+    return after
+
+
+def _packed(name, steps, is_complete):
+    """Lists of steps as a mesh."""
+    counts = np.array([len(s) for s in steps])
+    order = np.argsort(-counts, kind="stable")
+    starts, lengths = [], []
+    for number in range(counts.max(initial=0)):
+        rows = order[: int((counts > number).sum())]
+        lengths.append(np.array([steps[k][number] for k in rows]))
+        starts.append(np.array([sum(steps[k][:number]) for k in rows]))
+    return Mesh(name, order, tuple(starts), tuple(lengths), is_complete)

@@ -1,0 +1,305 @@
+"""Scalar expressions with exact derivatives, and tapes that compute many of them at once.
+
+A law is lowered (`bsp_gp.fitting.lowering`) to scalar nodes; equal nodes are one node, so that
+values and derivatives share what they have in common. A `Tape` runs the nodes that some outputs
+need as a straight line of NumPy calls; what depends on properties and constants alone is computed
+once by `Tape.prepare`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.language.operators import GUARD
+
+__all__ = ["Graph", "Tape"]
+
+
+def _inverse_positive(x):
+    """1 / x where x > 0, else 0: the direction of a zero vector is zero."""
+    return np.divide(1.0, x, out=np.zeros_like(x), where=x > 0)
+
+
+def _inverse_guarded(x):
+    """The paper's inverse: 0 for every x at or below its guard."""
+    return np.divide(1.0, x, out=np.zeros_like(x), where=x > GUARD)
+
+
+def _log_positive(x):
+    """Logarithm where x > 0, else 0: 0 ** n does not feel its exponent."""
+    return np.log(x, out=np.zeros_like(x), where=x > 0)
+
+
+def _array(function):
+    return lambda x: function(np.asarray(x, dtype=float))
+
+
+UFUNCS = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "pow": np.power,
+    "neg": np.negative, "sqrt": np.sqrt, "abs": np.abs, "square": np.square, "exp": np.exp,
+    "log": np.log, "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "sign": np.sign,
+    "minimum": np.minimum, "less": np.less, "inverse_positive": _array(_inverse_positive),
+    "inverse_guarded": _array(_inverse_guarded), "log_positive": _array(_log_positive),
+}  # fmt: skip
+LEAVES = ("number", "input", "constant")
+
+
+class Graph:
+    """Interned scalar nodes; a node is its number.
+
+    Leaves are numbers, inputs (a name and, for components of vectors, an axis) and constants.
+    """
+
+    def __init__(self):
+        self.nodes = []
+        self._numbers = {}
+        self._slopes = {}
+        self.zero, self.one = self.number(0.0), self.number(1.0)
+
+    def _intern(self, *node):
+        if node not in self._numbers:
+            self._numbers[node] = len(self.nodes)
+            self.nodes.append(node)
+        return self._numbers[node]
+
+    def number(self, value):
+        """A fixed number."""
+        return self._intern("number", float(value))
+
+    def input(self, name, axis=None):
+        """A quantity that is given for every point, or one component of it."""
+        return self._intern("input", (name, axis))
+
+    def constant(self, name):
+        """A constant of the law."""
+        return self._intern("constant", name)
+
+    def value_of(self, node):
+        """The number that a node is, or None."""
+        op, *args = self.nodes[node]
+        return args[0] if op == "number" else None
+
+    # --- arithmetic, with the simplifications that derivatives need ---------------------------
+
+    def add(self, a, b):
+        if a == self.zero:
+            return b
+        if b == self.zero:
+            return a
+        return self._fold("add", *sorted((a, b)))
+
+    def sub(self, a, b):
+        if b == self.zero:
+            return a
+        if a == b:
+            return self.zero
+        return self.neg(b) if a == self.zero else self._fold("sub", a, b)
+
+    def mul(self, a, b):
+        if self.zero in (a, b):
+            return self.zero
+        if a == self.one:
+            return b
+        if b == self.one:
+            return a
+        for x, y in ((a, b), (b, a)):
+            if self.value_of(x) == -1.0:
+                return self.neg(y)
+        for x, y in ((a, b), (b, a)):
+            if self.nodes[x][0] == "neg":
+                return self.neg(self.mul(self.nodes[x][1], y))
+        return self._fold("mul", *sorted((a, b)))
+
+    def div(self, a, b):
+        if a == self.zero or b == self.one:
+            return a
+        if self.nodes[a][0] == "neg":
+            return self.neg(self.div(self.nodes[a][1], b))
+        return self._fold("div", a, b)
+
+    def neg(self, a):
+        if a == self.zero:
+            return a
+        return self.nodes[a][1] if self.nodes[a][0] == "neg" else self._fold("neg", a)
+
+    def pow(self, a, b):
+        n = self.value_of(b)
+        simple = {0.0: lambda: self.one, 1.0: lambda: a, 2.0: lambda: self.call("square", a)}
+        return simple[n]() if n in simple else self._fold("pow", a, b)
+
+    def call(self, op, *args):
+        """A function of `UFUNCS` of other nodes."""
+        return self._fold(op, *args)
+
+    def sum(self, nodes):
+        """Sum of nodes, left to right."""
+        total = self.zero
+        for node in nodes:
+            total = self.add(total, node)
+        return total
+
+    def dot(self, a, b):
+        """Scalar product of two tuples of nodes."""
+        return self.sum(self.mul(x, y) for x, y in zip(a, b, strict=True))
+
+    def _fold(self, op, *args):
+        values = [self.value_of(arg) for arg in args]
+        if all(value is not None for value in values):
+            with np.errstate(all="ignore"):
+                return self.number(UFUNCS[op](*map(np.float64, values)))
+        return self._intern(op, *args)
+
+    # --- derivatives --------------------------------------------------------------------------
+
+    def slope(self, node, leaf):
+        """Exact derivative of a node by a leaf, a node."""
+        if node == leaf:
+            return self.one
+        key = (node, leaf)
+        if key not in self._slopes:
+            op, *args = self.nodes[node]
+            self._slopes[key] = (
+                self.zero if op in LEAVES else self._slope(node, op, args, leaf)
+            )
+        return self._slopes[key]
+
+    def _slope(self, node, op, args, leaf):
+        parts = [self.slope(arg, leaf) for arg in args]
+        if all(part == self.zero for part in parts):
+            return self.zero
+        if op in _BINARY:
+            return _BINARY[op](self, node, args, parts)
+        return self.mul(_UNARY[op](self, node, args[0]), parts[0])
+
+
+def _slope_div(g, node, args, parts):
+    return g.div(g.sub(parts[0], g.mul(node, parts[1])), args[1])
+
+
+def _slope_pow(g, node, args, parts):
+    base, power = args
+    by_base = g.mul(g.mul(power, g.pow(base, g.sub(power, g.one))), parts[0])
+    return g.add(by_base, g.mul(g.mul(node, g.call("log_positive", base)), parts[1]))
+
+
+def _slope_minimum(g, node, args, parts):
+    first = g.call("less", *args)
+    return g.add(g.mul(first, parts[0]), g.mul(g.sub(g.one, first), parts[1]))
+
+
+_BINARY = {
+    "add": lambda g, n, a, p: g.add(*p),
+    "sub": lambda g, n, a, p: g.sub(*p),
+    "mul": lambda g, n, a, p: g.add(g.mul(p[0], a[1]), g.mul(a[0], p[1])),
+    "div": _slope_div,
+    "pow": _slope_pow,
+    "minimum": _slope_minimum,
+    "less": lambda g, n, a, p: g.zero,
+}
+_UNARY = {
+    "neg": lambda g, n, a: g.number(-1.0),
+    "sqrt": lambda g, n, a: g.mul(g.number(0.5), g.call("inverse_positive", n)),
+    "abs": lambda g, n, a: g.call("sign", a),
+    "square": lambda g, n, a: g.mul(g.number(2.0), a),
+    "exp": lambda g, n, a: n,
+    "log": lambda g, n, a: g.div(g.one, a),
+    "sin": lambda g, n, a: g.call("cos", a),
+    "cos": lambda g, n, a: g.neg(g.call("sin", a)),
+    "tanh": lambda g, n, a: g.sub(g.one, g.call("square", n)),
+    "sign": lambda g, n, a: g.zero,
+    "inverse_positive": lambda g, n, a: g.neg(g.call("square", n)),
+    "inverse_guarded": lambda g, n, a: g.neg(g.call("square", n)),
+    "log_positive": lambda g, n, a: g.call("inverse_positive", a),
+}
+
+
+class Tape:
+    """The nodes that some outputs need, in order.
+
+    Parameters
+    ----------
+    graph : Graph
+    outputs : sequence of int
+        Nodes to compute.
+    moving : collection of str
+        Names of inputs that differ from instant to instant; what depends on none of them is
+        computed once by `prepare`.
+    """
+
+    def __init__(self, graph, outputs, moving):
+        self.outputs = tuple(outputs)
+        needed, stack = set(), list(outputs)
+        while stack:
+            node = stack.pop()
+            if node not in needed:
+                needed.add(node)
+                op, *args = graph.nodes[node]
+                stack.extend(() if op in LEAVES else args)
+        self.inputs, self.settled, self.steps, self._leaves = [], [], [], []
+        changing = set()
+        for node in sorted(needed):  # arguments have lower numbers
+            op, *args = graph.nodes[node]
+            if op == "input" and args[0][0] in moving:
+                changing.add(node)
+                self.inputs.append((node, args[0]))
+            elif op in LEAVES:
+                self._leaves.append((node, op, args[0]))
+            elif changing.isdisjoint(args):
+                self.settled.append((UFUNCS[op], node, args))
+            else:
+                changing.add(node)
+                self.steps.append((UFUNCS[op], node, args))
+        read = {arg for _, _, args in self.steps for arg in args} | set(outputs)
+        self._kept = [n for n in read - changing]
+        self._size = len(graph.nodes)
+
+    def prepare(self, inputs, constants):
+        """Compute what does not change along a track.
+
+        Parameters
+        ----------
+        inputs : callable
+            ``inputs(name, axis)`` gives an array.
+        constants : mapping of str to array
+
+        Returns
+        -------
+        dict of int to array
+            To hand to `run`.
+        """
+        values = {}
+        for node, op, content in self._leaves:
+            if op == "number":
+                values[node] = np.float64(content)
+            else:
+                values[node] = constants[content] if op == "constant" else inputs(*content)
+        with np.errstate(all="ignore"):
+            for function, node, args in self.settled:
+                values[node] = function(*[values[k] for k in args])
+        return {node: values[node] for node in self._kept}
+
+    def run(self, prepared, inputs):
+        """Values of the outputs at some instants.
+
+        Parameters
+        ----------
+        prepared : dict
+            From `prepare`, each ready to broadcast with the inputs.
+        inputs : callable
+            ``inputs(name, axis)`` gives an array.
+
+        Returns
+        -------
+        list of ndarray or float
+        """
+        values = [None] * self._size
+        for node, value in prepared.items():
+            values[node] = value
+        for node, (name, axis) in self.inputs:
+            values[node] = inputs(name, axis)
+        for function, node, args in self.steps:
+            if len(args) == 2:
+                values[node] = function(values[args[0]], values[args[1]])
+            else:
+                values[node] = function(values[args[0]])
+        return [values[node] for node in self.outputs]

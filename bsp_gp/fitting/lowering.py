@@ -1,0 +1,237 @@
+"""Laws lowered to scalar nodes: vectors become their components, conditions become modes.
+
+What an operator computes is said once, in `bsp_gp.language.operators`; here it is said again for
+components, so that exact derivatives by places, velocities and constants follow. A property test
+holds the two together.
+
+A condition (bodies touch, a centre is on a mat, the sign of a number) is constant between two
+instants at which its margin is zero. It is lowered to an input, its *mode*, and its margin is kept
+beside it: the integrator changes the mode where the margin changes its sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bsp_gp.errors import LawError
+from bsp_gp.language.formula import Constant, Input, Number
+
+__all__ = ["MOVING", "Lowering", "Mode"]
+
+MOVING = ("p_i", "p_j", "v_i", "v_j", "t", "mode")
+"""Inputs that differ from instant to instant; all others belong to the bodies of a scene."""
+_CONDITIONS = ("does_collide", "is_on")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A condition of a law.
+
+    Attributes
+    ----------
+    margin : int
+        Node that is positive where the condition holds.
+    on, off : float
+        Values of the mode where it holds and where it does not.
+    """
+
+    margin: int
+    on: float = 1.0
+    off: float = 0.0
+
+
+class Lowering:
+    """Lowers formulas of one kind into a graph.
+
+    Parameters
+    ----------
+    graph : Graph
+    n_dims : int
+    direction : callable
+        ``direction(name)`` gives the components of a lab axis.
+    vectors : collection of str
+        Names of property inputs that are vectors.
+
+    Attributes
+    ----------
+    modes : list of Mode
+    """
+
+    def __init__(self, graph, n_dims, direction, vectors=()):
+        self.graph = graph
+        self.n_dims = n_dims
+        self.direction = direction
+        self.vectors = frozenset(vectors)
+        self.modes = []
+        self._known = {}
+        self._mode_of = {}
+
+    def lower(self, formula):
+        """A node for a scalar, a tuple of nodes for a vector or point."""
+        if formula not in self._known:
+            self._known[formula] = self._lower(formula)
+        return self._known[formula]
+
+    def _lower(self, node):
+        g = self.graph
+        if isinstance(node, Number):
+            return g.number(node.value)
+        if isinstance(node, Constant):
+            return g.constant(node.name)
+        if isinstance(node, Input):
+            return self._input(node)
+        if node.operator in _CONDITIONS:
+            return self._condition(node)
+        handler = getattr(self, f"_{node.operator}", None)
+        if handler is None:
+            raise LawError(f"the operator {node.operator!r} has no derivative for fits to tracks")
+        return handler(*(self.lower(arg) for arg in node.args))
+
+    def _input(self, node):
+        g, name = self.graph, node.name
+        axes = range(self.n_dims)
+        if name in ("e_x", "e_y", "e_z", "up", "down"):
+            return tuple(g.number(x) for x in self.direction(name))
+        if name == "p_c":
+            return self._contact_point()
+        if node.type.shape in ("vector", "point") or name in self.vectors:
+            return tuple(g.input(name, k) for k in axes)
+        return g.input(name)
+
+    def _contact_point(self):
+        """Centre of the other, or on a wall the foot point: free along the wall's longer side."""
+        g = self.graph
+        point = [g.input("p_j", k) for k in range(self.n_dims)]
+        for axis, side in enumerate(("wide_wall", "tall_wall")):
+            shift = g.sub(g.input("p_i", axis), point[axis])
+            point[axis] = g.add(point[axis], g.mul(g.input(side), shift))
+        return tuple(point)
+
+    def _condition(self, node):
+        """The mode of a contact of these two places."""
+        p_i, p_j = self.lower(node.args[1]), self.lower(node.args[3])
+        gap = [self.graph.sub(a, b) for a, b in zip(p_i, p_j, strict=True)]
+        margin = self._reach(gap) if node.operator == "does_collide" else self._mat(gap)
+        return self._mode(Mode(margin))
+
+    def _mode(self, mode):
+        if mode not in self._mode_of:
+            self._mode_of[mode] = self.graph.input("mode", len(self.modes))
+            self.modes.append(mode)
+        return self._mode_of[mode]
+
+    def _reach(self, gap):
+        """How far discs, or a disc and a wall, are inside each other; -1 m if neither."""
+        g = self.graph
+        discs, walls = g.input("is_disc_pair"), g.input("is_disc_wall")
+        between = g.sub(g.input("disc_reach"), g.call("sqrt", g.dot(gap, gap)))
+        inside = self._box(gap, "wall_half_width", "wall_half_height")
+        neither = g.sub(g.add(discs, walls), g.one)
+        return g.add(g.add(g.mul(discs, between), g.mul(walls, inside)), neither)
+
+    def _mat(self, gap):
+        """How far a centre is within a mat; -1 m if the other is none."""
+        g = self.graph
+        mats = g.input("is_mat")
+        inside = self._box(gap, "mat_half_width", "mat_half_height")
+        return g.add(g.mul(mats, inside), g.sub(mats, g.one))
+
+    def _box(self, gap, *sizes):
+        g = self.graph
+        sides = [g.sub(g.input(s), g.call("abs", x)) for s, x in zip(sizes, gap[:2], strict=True)]
+        return g.call("minimum", *sides)
+
+    # --- operators ------------------------------------------------------------------------------
+
+    def _both(self, function, a, b):
+        """An operation between components, a scalar being repeated."""
+        if isinstance(a, tuple) or isinstance(b, tuple):
+            n = len(a if isinstance(a, tuple) else b)
+            a = a if isinstance(a, tuple) else (a,) * n
+            b = b if isinstance(b, tuple) else (b,) * n
+            return tuple(function(x, y) for x, y in zip(a, b, strict=True))
+        return function(a, b)
+
+    def _each(self, function, a):
+        return tuple(function(x) for x in a) if isinstance(a, tuple) else function(a)
+
+    def _add(self, a, b):
+        return self._both(self.graph.add, a, b)
+
+    def _sub(self, a, b):
+        return self._both(self.graph.sub, a, b)
+
+    def _mul(self, a, b):
+        return self._both(self.graph.mul, a, b)
+
+    def _div(self, a, b):
+        return self._both(self.graph.div, a, b)
+
+    def _div_guarded(self, a, b):
+        return self._both(self.graph.mul, a, self.graph.call("inverse_guarded", b))
+
+    def _pow(self, a, b):
+        return self.graph.pow(a, b)
+
+    def _neg(self, a):
+        return self._each(self.graph.neg, a)
+
+    def _norm(self, a):
+        return self.graph.call("sqrt", self.graph.dot(a, a))
+
+    def _normalize(self, a):
+        return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
+
+    def _dot(self, a, b):
+        return self.graph.dot(a, b)
+
+    def _along(self, a, b):
+        return self.graph.dot(a, self._normalize(b))
+
+    def _project_abs(self, a, b):
+        g = self.graph
+        return g.sum(g.call("abs", g.mul(x, y)) for x, y in zip(a, b, strict=True))
+
+    def _perp(self, a):
+        if len(a) != 2:
+            raise LawError("perp is a rotation in the plane; in 3-D use cross(a, b)")
+        return (self.graph.neg(a[1]), a[0])
+
+    def _cross(self, a, b):
+        if len(a) != 3:
+            raise LawError("cross needs three dimensions; in 2-D use perp(a)")
+        g = self.graph
+        turns = ((1, 2), (2, 0), (0, 1))
+        return tuple(g.sub(g.mul(a[j], b[k]), g.mul(a[k], b[j])) for j, k in turns)
+
+    def _sign(self, a):
+        return self._mode(Mode(a, 1.0, -1.0))
+
+    def _inverse(self, a):
+        return self.graph.div(self.graph.one, a)
+
+    def _square(self, a):
+        return self.graph.call("square", a)
+
+    def _sqrt(self, a):
+        return self.graph.call("sqrt", a)
+
+    def _abs(self, a):
+        return self.graph.call("abs", a)
+
+    def _exp(self, a):
+        return self.graph.call("exp", a)
+
+    def _log(self, a):
+        return self.graph.call("log", a)
+
+    def _sin(self, a):
+        return self.graph.call("sin", a)
+
+    def _cos(self, a):
+        return self.graph.call("cos", a)
+
+    def _tanh(self, a):
+        return self.graph.call("tanh", a)
+
+

@@ -1,0 +1,376 @@
+"""A law made ready to move chains: accelerations, their exact derivatives, and contact margins.
+
+States have the shape ``(2, R, d, M)``: places and velocities of R bodies at M points. A point
+belongs to a chain and an instant; all points are computed at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.fitting.graph import Graph, Tape
+from bsp_gp.fitting.lowering import MOVING, Lowering
+from bsp_gp.language.inputs import property_of
+
+__all__ = ["Motion", "Points"]
+
+STATE = ("p_i", "p_j", "v_i", "v_j")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Where and when a law is asked.
+
+    Attributes
+    ----------
+    state : ndarray, shape (2, R, d, M)
+    times : ndarray, shape (M,)
+    chain : ndarray of int, shape (M,), or slice
+        The chain of each point.
+    driven : ndarray, shape (2, D, d, M) or None
+    modes : list of ndarray of bool
+        Per program (n_modes, R, J, M), as `Motion.modes_at` gives them.
+    """
+
+    state: np.ndarray
+    times: np.ndarray
+    chain: object
+    driven: np.ndarray | None
+    modes: list
+
+    def pick(self, index):
+        """Some of the points."""
+        return Points(
+            self.state[..., index],
+            self.times[index],
+            self.chain[index],
+            None if self.driven is None else self.driven[..., index],
+            [mode[..., index] for mode in self.modes],
+        )
+
+
+class _Program:
+    """All terms of one kind of a law, lowered."""
+
+    def __init__(self, law, kind, chains):
+        self.kind = kind
+        self.graph = g = Graph()
+        self.terms = [term for term in law.terms if term.kind == kind]
+        vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
+        lowering = Lowering(g, chains.n_dims, chains.direction, vectors)
+        total = [g.zero] * chains.n_dims
+        for k, term in enumerate(self.terms):
+            weight = g.input("weight", k)
+            force = lowering.lower(term.acceleration_formula)
+            total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
+        self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
+        self.modes = lowering.modes
+        self.value = Tape(g, total, MOVING)
+        self._add_slopes(total, chains.n_dims)
+        self._add_margins(chains.n_dims)
+
+    def _add_slopes(self, total, n_dims):
+        """Derivatives of the acceleration by places, velocities and constants."""
+        g = self.graph
+        self.slope_of, nodes = [], []
+        for row, node in enumerate(total):
+            for name in STATE if self.kind == "pair" else ("p_i", "v_i"):
+                for axis in range(n_dims):
+                    slope = g.slope(node, g.input(name, axis))
+                    if slope != g.zero:
+                        self.slope_of.append((row, name, axis))
+                        nodes.append(slope)
+        self.constant_of = []
+        for row, node in enumerate(total):
+            for name in self.constants:
+                slope = g.slope(node, g.constant(name))
+                if slope != g.zero:
+                    self.constant_of.append((row, name))
+                    nodes.append(slope)
+        self.slopes = Tape(g, nodes, MOVING)
+
+    def _add_margins(self, n_dims):
+        g = self.graph
+        names = STATE if self.kind == "pair" else ("p_i", "v_i")
+        leaves = [(name, axis) for name in names for axis in range(n_dims)]
+        margins = [mode.margin for mode in self.modes]
+        self.margins = Tape(g, margins, MOVING)
+        self.margin_slope_of, nodes = [], []
+        for number, margin in enumerate(margins):
+            keys = [*leaves, ("t", None), *((n, "constant") for n in self.constants)]
+            for name, axis in keys:
+                leaf = g.constant(name) if axis == "constant" else g.input(name, axis)
+                slope = g.slope(margin, leaf)
+                if slope != g.zero:
+                    self.margin_slope_of.append((number, name, axis))
+                    nodes.append(slope)
+        self.margin_slopes = Tape(g, nodes, MOVING)
+
+
+class Motion:
+    """A law on some chains.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    chains : Chains
+    parameters : sequence of (name, entity)
+        The constants that derivatives are taken by; entity "" = one for all.
+    """
+
+    def __init__(self, law, chains, parameters):
+        self.chains = chains
+        self.law = law
+        self.parameters = tuple(parameters)
+        n_all, n_own = chains.code.shape[0], chains.n_moving
+        self.others = np.array(
+            [[j for j in range(n_all) if j != i] for i in range(n_own)], dtype=int
+        ).reshape(n_own, n_all - 1)
+        kinds = dict.fromkeys(term.kind for term in law.terms)
+        self.programs = [
+            _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
+        ]
+        self._static = [self._static_inputs(program) for program in self.programs]
+        self._ready = None
+
+    # --- what does not change along a track ------------------------------------------------------
+
+    def _static_inputs(self, program):
+        sizes = self.chains.contact_sizes(self.others) if program.kind == "pair" else {}
+        weights = [self._weight(term) for term in program.terms]
+
+        def value(name, axis):
+            if name == "weight":
+                return _shared(weights[axis] if program.kind == "field" else weights[axis][:, None])
+            if name in sizes:
+                return _shared(sizes[name])
+            column, role = property_of(name)
+            values = self.chains.column(column)
+            if axis is not None:
+                values = values[..., axis]
+            own = values[: self.chains.n_moving]
+            if program.kind == "field":
+                return _shared(own)
+            return _shared(own[:, None] if role == "i" else values[self.others])
+
+        return value
+
+    def _weight(self, term):
+        """What turns a term's formula into an acceleration, (R, S): 0 where it cannot be felt."""
+        chains = self.chains
+        own = slice(None, chains.n_moving)
+        weight = np.ones((chains.n_moving, chains.n_chains))
+        if term.needs_mass:
+            mass = chains.column("mass")[own]
+            unknown = 1.0 if self.law.is_per_entity(term) else np.inf
+            weight = 1.0 / np.where(np.isnan(mass), unknown, mass)
+        for name in term.acceleration_formula.inputs:
+            known = property_of(name)
+            if known and known[1] == "i":
+                column = chains.column(known[0])[own]
+                lost = np.isnan(column)
+                weight = np.where(lost if lost.ndim == 2 else lost.any(axis=-1), 0.0, weight)
+        return weight
+
+    def set_constants(self, values):
+        """Put the values of the free constants in, in the order of `parameters`."""
+        law = self.law.with_values(self.parameters, values)
+        self._ready = []
+        for program, inputs in zip(self.programs, self._static, strict=True):
+            constants = {
+                name: self._constant(law.constants[name], program.kind)
+                for name in program.constants
+            }
+            self._ready.append(
+                [
+                    tape.prepare(inputs, constants)
+                    for tape in (
+                        program.value, program.slopes, program.margins, program.margin_slopes
+                    )
+                ]
+            )  # fmt: skip
+
+    def _constant(self, value, kind):
+        if not hasattr(value, "items"):
+            return np.float64(value)
+        table = np.array([[value.get(n, np.nan) for n in names] for names in self.chains.bodies])
+        return table.T if kind == "field" else table.T[:, None]
+
+    # --- at points -------------------------------------------------------------------------------
+
+    def _inputs(self, program, number, points):
+        state, driven = points.state, points.driven
+        if program.kind == "field":
+            own = other = state
+        else:
+            whole = state if driven is None else np.concatenate([state, driven], axis=1)
+            own, other = state[:, :, None], whole
+
+        def value(name, axis):
+            if name == "t":
+                return points.times
+            if name == "mode":
+                mode = program.modes[axis]
+                held = points.modes[number][axis]
+                return np.where(held, mode.on, mode.off)
+            part = 0 if name[0] == "p" else 1
+            if name[-1] == "i":
+                return own[part][..., axis, :]
+            return other[part][:, axis][self.others]
+
+        return value
+
+    def _run(self, which, points):
+        """Outputs of one tape of every program: (program, arrays)."""
+        names = ("value", "slopes", "margins", "margin_slopes")
+        n_chains = self.chains.n_chains
+        for k, program in enumerate(self.programs):
+            prepared = self._ready[k][which]
+            prepared = {n: _at(v, points.chain, n_chains) for n, v in prepared.items()}
+            tape = getattr(program, names[which])
+            with np.errstate(all="ignore"):
+                yield k, program, tape.run(prepared, self._inputs(program, k, points))
+
+    def acceleration(self, points):
+        """Accelerations, shape (R, d, M), m/s^2."""
+        _, n_own, n_dims, n_points = points.state.shape
+        total = np.zeros((n_own, n_dims, n_points))
+        for _, program, outputs in self._run(0, points):
+            for axis, value in enumerate(outputs):
+                total[:, axis] += self._summed(program, value, n_points)
+        return total
+
+    def _summed(self, program, value, n_points):
+        """A term's values summed over the sources, (R, M)."""
+        if program.kind == "field":
+            return value
+        if np.ndim(value) == 3 and np.shape(value)[1] == self.others.shape[1]:
+            return value.sum(axis=1)
+        shape = (*self.others.shape, n_points)
+        return np.broadcast_to(value, shape).sum(axis=1)
+
+    def slopes(self, points):
+        """Derivatives of the accelerations by the state and by the constants.
+
+        Returns
+        -------
+        by_state : ndarray, shape (M, R * d, 2 * R * d)
+        by_constant : ndarray, shape (M, R * d, k)
+        """
+        _, n_own, n_dims, n_points = points.state.shape
+        n = n_own * n_dims
+        by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
+        by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
+        for _, program, outputs in self._run(1, points):
+            for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
+                self._add_slope(program, by_state, row, name, axis, value)
+            rest = outputs[len(program.slope_of) :]
+            for (row, name), value in zip(program.constant_of, rest, strict=True):
+                column = self._summed(program, value, n_points)
+                self._add_constant(by_constant[:, row], name, column, points.chain)
+        return (
+            np.ascontiguousarray(np.moveaxis(by_state.reshape(n, 2 * n, n_points), -1, 0)),
+            np.ascontiguousarray(np.moveaxis(by_constant.reshape(n, -1, n_points), -1, 0)),
+        )
+
+    def _add_slope(self, program, by_state, row, name, axis, value):
+        part = 0 if name[0] == "p" else 1
+        n_own = by_state.shape[0]
+        own = np.arange(n_own)
+        if name[-1] == "i":
+            by_state[own, row, part, own, axis] += self._summed(
+                program, value, by_state.shape[-1]
+            )
+            return
+        value = np.broadcast_to(value, (*self.others.shape, by_state.shape[-1]))
+        for i in range(n_own):
+            moving = self.others[i] < n_own
+            by_state[i, row, part, self.others[i][moving], axis] += value[i, moving]
+
+    def _add_constant(self, by_constant, name, column, chain):
+        """Add a derivative to the parameters of this name, (R, k, M)."""
+        for k, (own, entity) in enumerate(self.parameters):
+            if own != name:
+                continue
+            if entity:
+                mine = np.array([[n == entity for n in names] for names in self.chains.bodies]).T
+                by_constant[:, k] += np.where(mine[:, chain], column, 0.0)
+            else:
+                by_constant[:, k] += column
+
+    # --- conditions ------------------------------------------------------------------------------
+
+    @property
+    def has_modes(self):
+        return any(program.modes for program in self.programs)
+
+    def margins(self, points):
+        """Margins of all conditions, per program (n_modes, R, J, M); field laws have J = 1."""
+        out = [np.zeros((0, 1, 1, points.state.shape[-1])) for _ in self.programs]
+        if not self.has_modes:
+            return out
+        for k, program, outputs in self._run(2, points):
+            if outputs:
+                shape = self._shape(program, points.state.shape[-1])
+                lifted = [v[:, None] if program.kind == "field" else v for v in outputs]
+                out[k] = np.stack([np.broadcast_to(v, shape) for v in lifted])
+        return out
+
+    def _shape(self, program, n_points):
+        n_own = self.chains.n_moving
+        return (n_own, 1 if program.kind == "field" else self.others.shape[1], n_points)
+
+    def modes_at(self, points):
+        """Whether each condition holds, per program (n_modes, R, J, M)."""
+        return [margin > 0 for margin in self.margins(points)]
+
+    def margin_slope(self, points, program_number, mode, receiver, other):
+        """Derivatives of one margin at every point.
+
+        Returns
+        -------
+        by_state : ndarray, shape (M, 2 * R * d)
+        by_time : ndarray, shape (M,)
+        by_constant : ndarray, shape (M, k)
+        """
+        _, n_own, n_dims, n_points = points.state.shape
+        by_state = np.zeros((2, n_own, n_dims, n_points))
+        by_time, by_constant = np.zeros(n_points), np.zeros((len(self.parameters), n_points))
+        for k, program, outputs in self._run(3, points):
+            if k != program_number:
+                continue
+            shape = self._shape(program, n_points)
+            for (number, name, axis), value in zip(program.margin_slope_of, outputs, strict=True):
+                if number != mode:
+                    continue
+                value = value[:, None] if program.kind == "field" else value
+                value = np.broadcast_to(value, shape)[receiver, other]
+                if name == "t":
+                    by_time += value
+                elif axis == "constant":
+                    for c, (own, entity) in enumerate(self.parameters):
+                        if own == name and not entity:
+                            by_constant[c] += value
+                else:
+                    part = 0 if name[0] == "p" else 1
+                    body = receiver if name[-1] == "i" else self.others[receiver, other]
+                    if body < n_own:
+                        by_state[part, body, axis] += value
+        return by_state.reshape(-1, n_points).T, by_time, by_constant.T
+
+
+def _shared(values):
+    """An array (..., S) cut to (..., 1) where all chains have the same values."""
+    values = np.asarray(values, dtype=float)
+    first = values[..., :1]
+    same = (values == first) | (np.isnan(values) & np.isnan(first))
+    return first if same.all() else values
+
+
+def _at(value, chain, n_chains):
+    """A prepared value for points of these chains."""
+    if np.ndim(value) == 0 or np.shape(value)[-1] != n_chains or n_chains == 1:
+        return value
+    return value[..., chain]

@@ -1,0 +1,258 @@
+"""Nodes joined to tracks: whole-track least squares with the initial states eliminated.
+
+Every row of a track has a node, the state from which the interval behind it is integrated. The
+linearised condition that intervals join end to end expresses all nodes of a *window* (a piece of
+a track, at last the whole of it) by its first one and the constants (condensing; Bock's multiple
+shooting); the first node is then eliminated by an orthogonal factorisation, window by window. What
+remains is a small dense problem in the constants. Nodes need not join while a fit is under way,
+which makes its basin wide: from nodes read off the data, a law linear in its constants is fitted
+in a step or two, however long the track.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Shooting", "TrackPoint", "Windows", "cut_windows"]
+
+STATE_PRIOR = 1e4
+"""Prior standard deviation of an initial state, in extents of its track (and that over its span):
+determines what the data do not, and nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Pieces of chains that have initial states of their own.
+
+    Attributes
+    ----------
+    chain, first, stop : ndarray of int, shape (W,)
+        Rows ``first:stop`` of a chain.
+    """
+
+    chain: np.ndarray
+    first: np.ndarray
+    stop: np.ndarray
+
+    @property
+    def length(self):
+        return self.stop - self.first
+
+
+def cut_windows(lengths, rows=None):
+    """Windows of about so many rows each (None: whole chains), none shorter than three."""
+    chain, first, stop = [], [], []
+    for s, n in enumerate(lengths.tolist()):
+        count = 1 if rows is None else max(1, n // max(rows, 3))
+        edges = np.linspace(0, n, count + 1).astype(int)
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            chain.append(s)
+            first.append(a)
+            stop.append(b)
+    return Windows(*(np.array(v, dtype=int) for v in (chain, first, stop)))
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPoint:
+    """Where a fit is: the constants, and the node of every row.
+
+    Attributes
+    ----------
+    values : ndarray, shape (k,)
+    nodes : ndarray, shape (2, R, d, T, S)
+    """
+
+    values: np.ndarray
+    nodes: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """A group of windows, linearised and with its initial states eliminated.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (L, W, n, n + k + 1)
+        Changes of every node by the window's first node, by the constants, and what the nodes
+        lack to join (last column).
+    factor : ndarray, shape (W, n + k + 1, n + k + 1)
+        Triangular factor of the whitened columns.
+    """
+
+    columns: np.ndarray
+    factor: np.ndarray
+
+
+class Shooting:
+    """The tracks of some chains as a least-squares problem in the constants.
+
+    Parameters
+    ----------
+    flow : Flow
+    whiten : callable
+        ``whiten(errors (..., T, S, R, d))`` gives whitened errors, 0 where nothing was seen.
+    windows : Windows
+    """
+
+    def __init__(self, flow, whiten, windows):
+        self.flow = flow
+        self.chains = flow.chains
+        self.whiten = whiten
+        self.windows = windows
+        self._number = np.full(self.chains.times.shape, -1)
+        self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
+        self.prior = self._prior()
+
+    def _prior(self):
+        """Inverse prior deviations of the state, (n, S)."""
+        chains = self.chains
+        with np.errstate(invalid="ignore"):
+            spread = np.nanmax(chains.observed, axis=(0, 2, 3)) - np.nanmin(
+                chains.observed, axis=(0, 2, 3)
+            )
+        spread = np.where(spread > 0, spread, 1.0)
+        span = np.nanmax(chains.times, axis=0) - np.nanmin(chains.times, axis=0)
+        half = self.flow.n_state // 2
+        return np.repeat(
+            np.stack([1 / (STATE_PRIOR * spread), span / (STATE_PRIOR * spread)]), half, axis=0
+        )
+
+    # --- linearising -----------------------------------------------------------------------------
+
+    def linearise(self, point, mesh):
+        """Condense all windows about a point.
+
+        Returns
+        -------
+        residual : ndarray, shape (m,)
+        jacobian : ndarray, shape (m, k)
+            Of the constants, states eliminated, such that a step dx leaves ``residual - jacobian
+            @ dx``.
+        condensed : list of Condensed
+            One per group of windows, to hand to `move`.
+        """
+        flow = self.flow
+        flow.motion.set_constants(point.values)
+        ends, transitions = flow.run(point.nodes, mesh)
+        gaps = (ends - point.nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
+        n, k = flow.n_state, flow.n_constants
+        condensed, residuals, jacobians = [], [], []
+        for group in self.groups:
+            columns = self._columns(group, transitions, gaps)
+            factor = self._factor(group, columns, point)
+            condensed.append(Condensed(columns, factor))
+            residuals.append(factor[:, n:, -1].reshape(-1))
+            jacobians.append(factor[:, n:, n : n + k].reshape(-1, k))
+        return np.concatenate(residuals), np.concatenate(jacobians), condensed
+
+    @property
+    def groups(self):
+        """Windows of like length together, so that little is padded: lists of window numbers."""
+        if not hasattr(self, "_groups"):
+            length = self.windows.length
+            sizes = np.ceil(np.log2(np.maximum(length, 1)) * 2).astype(int)
+            self._groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+        return self._groups
+
+    def _columns(self, group, transitions, gaps):
+        """How all nodes of the windows hang on their first ones, (L, W, n, n + k + 1).
+
+        Long windows are cut into blocks that are condensed side by side and joined afterwards, so
+        that the number of steps grows as the root of the number of rows.
+        """
+        windows = self.windows
+        first, chain = windows.first[group], windows.chain[group]
+        length = windows.length[group]
+        longest = int(length.max())
+        size = max(int(np.sqrt(longest / 2)), 8)
+        if longest <= 4 * size:
+            return self._chained(first, chain, length, transitions, gaps)
+        n_blocks = -(-(longest - 1) // size)
+        offset = size * np.arange(n_blocks)
+        block_first = (first[:, None] + offset).ravel()
+        # A block ends with the first node of the next one.
+        block_length = np.clip(length[:, None] - offset, 0, size + 1).ravel()
+        local = self._chained(
+            block_first, np.repeat(chain, n_blocks), block_length, transitions, gaps
+        )
+        local = local.reshape(size + 1, len(group), n_blocks, *local.shape[2:])
+        n = local.shape[-2]
+        columns = np.zeros((n_blocks * size + 1, len(group), *local.shape[-2:]))
+        start = local[0, :, 0]
+        for block in range(n_blocks):
+            joined = local[:, :, block, :, :n] @ start
+            joined[..., n:] += local[:, :, block, :, n:]
+            columns[block * size : (block + 1) * size + 1] = joined
+            start = joined[-1]
+        return columns[:longest]
+
+    def _chained(self, first, chain, length, transitions, gaps):
+        """Columns of pieces of tracks by one step after the other."""
+        n, k = self.flow.n_state, self.flow.n_constants
+        columns = np.zeros((max(int(length.max()), 1), len(first), n, n + k + 1))
+        columns[0, :, np.arange(n), np.arange(n)] = 1.0
+        for row in range(len(columns) - 1):
+            open_ = np.flatnonzero(row + 1 < length)
+            number = self._number[first[open_] + row, chain[open_]]
+            moved = transitions[number]
+            after = moved[:, :, :n] @ columns[row, open_]
+            after[:, :, n : n + k] += moved[:, :, n:]
+            after[:, :, -1] += gaps[number]
+            columns[row + 1, open_] = after
+        return columns
+
+    def _factor(self, group, columns, point):
+        """Triangular factor of the whitened columns and residual of each window."""
+        n, k = self.flow.n_state, self.flow.n_constants
+        chains, windows = self.chains, self.windows
+        n_own, n_dims = chains.n_moving, chains.n_dims
+        length, n_windows = columns.shape[:2]
+        rows, inside = self._rows(group, length)
+        chain = windows.chain[group]
+        places = np.moveaxis(point.nodes[0], (-2, -1), (0, 1))
+        observed = chains.observed[rows, chain]
+        left = observed - places[rows, chain] - columns[:, :, : n // 2, -1].reshape(observed.shape)
+        left = np.where(inside[..., None, None], left, np.nan)
+        moved = columns[:, :, : n // 2, :-1].reshape(length, n_windows, n_own, n_dims, n + k)
+        stacked = np.concatenate([np.moveaxis(moved, -1, 0), left[None]])
+        white = self.whiten(stacked, rows, chain)  # (n + k + 1, L, W, R, d)
+        white = np.moveaxis(white, 2, 0).reshape(n_windows, n + k + 1, -1)
+        matrix = np.zeros((n_windows, white.shape[2] + n, n + k + 1))
+        matrix[:, : white.shape[2]] = np.swapaxes(white, 1, 2)
+        matrix[:, white.shape[2] + np.arange(n), np.arange(n)] = self.prior[:, chain].T
+        factor = np.linalg.qr(matrix, mode="r")
+        missing = n + k + 1 - factor.shape[1]
+        return np.pad(factor, ((0, 0), (0, max(missing, 0)), (0, 0)))
+
+    def _rows(self, group, length):
+        first, stop = self.windows.first[group], self.windows.stop[group]
+        rows = first + np.arange(length)[:, None]
+        inside = rows < stop
+        return np.where(inside, rows, first), inside
+
+    def move(self, point, condensed, step):
+        """The point after a step of the constants, states and nodes moved along.
+
+        Parameters
+        ----------
+        step : ndarray, shape (k,)
+        """
+        n, k = self.flow.n_state, self.flow.n_constants
+        nodes = point.nodes.copy()
+        windows = self.windows
+        for group, part in zip(self.groups, condensed, strict=True):
+            factor = part.factor
+            right = factor[:, :n, -1] - factor[:, :n, n : n + k] @ step
+            own = np.linalg.solve(factor[:, :n, :n], right[..., None])[..., 0]
+            weights = np.concatenate(
+                [own, np.broadcast_to(step, (len(group), k)), np.ones((len(group), 1))], axis=1
+            )
+            change = np.einsum("lwij,wj->lwi", part.columns, weights)
+            rows, inside = self._rows(group, len(change))
+            shape = (*change.shape[:2], 2, *nodes.shape[1:3])
+            change = np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
+            at = np.nonzero(inside)
+            nodes[..., rows[at], windows.chain[group][at[1]]] += change[..., at[0], at[1]]
+        return TrackPoint(point.values + step, nodes)
