@@ -87,6 +87,20 @@ class Mesh:
     steps: tuple
     is_complete: bool = True
 
+    @property
+    def counts(self):
+        """Steps of every interval, shape (K,)."""
+        counts = np.zeros(len(self.order), dtype=int)
+        for steps in self.steps:
+            counts[self.order[: len(steps)]] += 1
+        return counts
+
+    def is_as_fine_as(self, other):
+        """Whether it has at least the other's steps in every interval."""
+        if self.scheme != other.scheme or not self.is_complete:
+            return False
+        return bool(np.all(self.counts >= other.counts))
+
 
 class Flow:
     """Integrates a law over all intervals of some chains.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Shooting", "TrackPoint", "Windows", "cut_windows"]
+__all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
@@ -55,20 +55,6 @@ def cut_windows(lengths, rows=None):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackPoint:
-    """Where a fit is: the constants, and the node of every row.
-
-    Attributes
-    ----------
-    values : ndarray, shape (k,)
-    nodes : ndarray, shape (2, R, d, T, S)
-    """
-
-    values: np.ndarray
-    nodes: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Condensed:
     """A group of windows, linearised and with its initial states eliminated.
 
@@ -91,15 +77,14 @@ class Shooting:
     Parameters
     ----------
     flow : Flow
-    whiten : callable
-        ``whiten(errors (..., T, S, R, d))`` gives whitened errors, 0 where nothing was seen.
+    noise : ChainNoise
     windows : Windows
     """
 
-    def __init__(self, flow, whiten, windows):
+    def __init__(self, flow, noise, windows):
         self.flow = flow
         self.chains = flow.chains
-        self.whiten = whiten
+        self.noise = noise
         self.windows = windows
         self._number = np.full(self.chains.times.shape, -1)
         self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
@@ -121,31 +106,45 @@ class Shooting:
 
     # --- linearising -----------------------------------------------------------------------------
 
-    def linearise(self, point, mesh):
+    def linearise(self, values, nodes, mesh):
         """Condense all windows about a point.
+
+        Parameters
+        ----------
+        values : ndarray, shape (k,)
+            Of the constants.
+        nodes : ndarray, shape (2, R, d, T, S)
+        mesh : Mesh
 
         Returns
         -------
         residual : ndarray, shape (m,)
         jacobian : ndarray, shape (m, k)
-            Of the constants, states eliminated, such that a step dx leaves ``residual - jacobian
-            @ dx``.
+            States eliminated; a step dx of the constants leaves ``residual - jacobian @ dx``.
+        rest : float
+            What of the sum of squares the initial states alone would remove.
         condensed : list of Condensed
             One per group of windows, to hand to `move`.
         """
         flow = self.flow
-        flow.motion.set_constants(point.values)
-        ends, transitions = flow.run(point.nodes, mesh)
-        gaps = (ends - point.nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
+        flow.motion.set_constants(values)
+        ends, transitions = flow.run(nodes, mesh)
+        gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
         n, k = flow.n_state, flow.n_constants
-        condensed, residuals, jacobians = [], [], []
+        condensed, residuals, jacobians, rest = [], [], [], 0.0
         for group in self.groups:
             columns = self._columns(group, transitions, gaps)
-            factor = self._factor(group, columns, point)
+            factor = self._factor(group, columns, nodes)
             condensed.append(Condensed(columns, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
             jacobians.append(factor[:, n:, n : n + k].reshape(-1, k))
-        return np.concatenate(residuals), np.concatenate(jacobians), condensed
+            rest += float(np.square(factor[:, :n, -1]).sum())
+        return np.concatenate(residuals), np.concatenate(jacobians), rest, condensed
+
+    def gaps(self, nodes, mesh):
+        """How far intervals miss the next node, in places, shape (R, d, K)."""
+        ends, _ = self.flow.run(nodes, mesh, slopes=False)
+        return (ends - nodes[..., self.flow.row + 1, self.flow.chain])[0]
 
     @property
     def groups(self):
@@ -203,7 +202,7 @@ class Shooting:
             columns[row + 1, open_] = after
         return columns
 
-    def _factor(self, group, columns, point):
+    def _factor(self, group, columns, nodes):
         """Triangular factor of the whitened columns and residual of each window."""
         n, k = self.flow.n_state, self.flow.n_constants
         chains, windows = self.chains, self.windows
@@ -211,13 +210,13 @@ class Shooting:
         length, n_windows = columns.shape[:2]
         rows, inside = self._rows(group, length)
         chain = windows.chain[group]
-        places = np.moveaxis(point.nodes[0], (-2, -1), (0, 1))
+        places = np.moveaxis(nodes[0], (-2, -1), (0, 1))
         observed = chains.observed[rows, chain]
         left = observed - places[rows, chain] - columns[:, :, : n // 2, -1].reshape(observed.shape)
-        left = np.where(inside[..., None, None], left, np.nan)
+        left = np.where(inside[..., None, None], left, np.nan)  # not seen
         moved = columns[:, :, : n // 2, :-1].reshape(length, n_windows, n_own, n_dims, n + k)
         stacked = np.concatenate([np.moveaxis(moved, -1, 0), left[None]])
-        white = self.whiten(stacked, rows, chain)  # (n + k + 1, L, W, R, d)
+        white = self.noise.whiten(stacked, rows, chain)  # (n + k + 1, L, W, R, d)
         white = np.moveaxis(white, 2, 0).reshape(n_windows, n + k + 1, -1)
         matrix = np.zeros((n_windows, white.shape[2] + n, n + k + 1))
         matrix[:, : white.shape[2]] = np.swapaxes(white, 1, 2)
@@ -232,27 +231,59 @@ class Shooting:
         inside = rows < stop
         return np.where(inside, rows, first), inside
 
-    def move(self, point, condensed, step):
-        """The point after a step of the constants, states and nodes moved along.
+    def columns(self, condensed, n_most):
+        """Changes of the predicted places by initial states and constants, whole tracks.
 
         Parameters
         ----------
-        step : ndarray, shape (k,)
+        condensed : list of Condensed
+        n_most : int
+            Local columns to give; those beyond the chain's own are zero.
+
+        Returns
+        -------
+        local : ndarray, shape (n_most, T, S, R, d)
+        shared : ndarray, shape (k, T, S, R, d)
         """
         n, k = self.flow.n_state, self.flow.n_constants
-        nodes = point.nodes.copy()
-        windows = self.windows
+        shape = self.chains.observed.shape
+        local, shared = np.zeros((n_most, *shape)), np.zeros((k, *shape))
+        for group, part in zip(self.groups, condensed, strict=False):
+            rows, inside = self._rows(group, len(part.columns))
+            places = part.columns[:, :, : n // 2]
+            places = np.moveaxis(places, -1, 0).reshape(n + k + 1, *places.shape[:2], *shape[2:])
+            at = np.nonzero(inside)
+            chain = self.windows.chain[group][at[1]]
+            local[:n, rows[at], chain] = places[:n][:, at[0], at[1]]
+            shared[:, rows[at], chain] = places[n : n + k][:, at[0], at[1]]
+        return local, shared
+
+    def move(self, nodes, condensed, step, share=1.0):
+        """The nodes after a step of the constants.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (2, R, d, T, S)
+        condensed : list of Condensed
+        step : ndarray, shape (k,)
+        share : float
+            Part of the step that initial states and gaps make of their own.
+        """
+        n, k = self.flow.n_state, self.flow.n_constants
+        nodes = nodes.copy()
         for group, part in zip(self.groups, condensed, strict=True):
             factor = part.factor
-            right = factor[:, :n, -1] - factor[:, :n, n : n + k] @ step
+            right = share * factor[:, :n, -1] - factor[:, :n, n : n + k] @ step
             own = np.linalg.solve(factor[:, :n, :n], right[..., None])[..., 0]
             weights = np.concatenate(
-                [own, np.broadcast_to(step, (len(group), k)), np.ones((len(group), 1))], axis=1
+                [own, np.broadcast_to(step, (len(group), k)), np.full((len(group), 1), share)],
+                axis=1,
             )
             change = np.einsum("lwij,wj->lwi", part.columns, weights)
             rows, inside = self._rows(group, len(change))
             shape = (*change.shape[:2], 2, *nodes.shape[1:3])
             change = np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
             at = np.nonzero(inside)
-            nodes[..., rows[at], windows.chain[group][at[1]]] += change[..., at[0], at[1]]
-        return TrackPoint(point.values + step, nodes)
+            chain = self.windows.chain[group][at[1]]
+            nodes[..., rows[at], chain] += change[..., at[0], at[1]]
+        return nodes

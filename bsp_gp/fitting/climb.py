@@ -1,0 +1,364 @@
+"""From starts to one minimum: short pieces of the tracks first, then ever longer ones.
+
+From a wrong start a long track shows only that the prediction is out of step: its misfit has a
+minimum at every period. Pieces that show the acceleration just above the noise have one minimum,
+and each level hands the nodes that it found to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.fitting.coordinates import Coordinates, powers_of
+from bsp_gp.fitting.flow import Flow
+from bsp_gp.fitting.least_squares import Settings, minimise
+from bsp_gp.fitting.motion import Motion, Points
+from bsp_gp.fitting.shooting import Shooting, cut_windows
+from bsp_gp.fitting.starts import DECADES, candidates, first_nodes
+from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
+
+__all__ = ["Climb"]
+
+GROWTH = 6
+"""Times that pieces are longer from level to level."""
+LEAST_ROWS = 6
+FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
+"""For levels that only lead on."""
+WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
+KEPT = 4
+ENOUGH = 3
+"""Starts that agree, after which no more are asked."""
+DEBUG = bool(__import__("os").environ.get("DBG"))
+"""Starts that go on beyond the first level."""
+
+
+class Climb:
+    """All descents of one fit with one kind of steps.
+
+    Parameters
+    ----------
+    run : _Run
+        The law, its parameters and bounds, the chains, what was given to start from.
+    noises : sequence of ChainNoise
+    scales : Scales
+    paper_steps : bool
+    """
+
+    def __init__(self, run, noises, scales, paper_steps):
+        self.run, self.noises, self.scales = run, noises, scales
+        self.paper_steps = paper_steps
+        self.flows = [
+            Flow(Motion(run.law, chains, run.parameters), self._tolerance(chains, noise),
+                 paper_steps)
+            for chains, noise in zip(run.groups, noises, strict=True)
+        ]  # fmt: skip
+        self.coordinates = Coordinates(run.law, run.parameters, self._bases())
+        self.problem = None
+
+    def _tolerance(self, chains, noise):
+        """Error of one interval such that a whole track keeps to its tolerance."""
+        with np.errstate(invalid="ignore"):
+            sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))
+        sigma = np.where(np.isfinite(sigma), sigma, np.nanmin(sigma))
+        floor = 1e-13 * np.nanmax(np.abs(chains.observed))
+        return np.maximum(self.run.tolerances.step_error * sigma / chains.lengths, floor)
+
+    def _bases(self):
+        """Typical value of the base of every fitted power."""
+        bases = {}
+        for term in self.run.law.terms:
+            for base, _, _ in powers_of(term.formula):
+                bases[base] = _median_of(base, term.kind, self.run)
+        return bases
+
+    def with_noises(self, noises):
+        """The same under another noise."""
+        return Climb(self.run, noises, self.scales, self.paper_steps)
+
+    # --- levels ------------------------------------------------------------------------------------
+
+    def levels(self):
+        """Rows of the pieces, level by level; None = whole tracks."""
+        longest = max(int(chains.lengths.max()) for chains in self.run.groups)
+        rows = max(self.scales.rows, LEAST_ROWS)
+        out = []
+        while rows < 0.7 * longest:
+            out.append(rows)
+            rows *= GROWTH
+        return [*out, None]
+
+    def at(self, rows, point):
+        """The problem with pieces of so many rows, its steps chosen at a point."""
+        shootings = self._shootings(rows)
+        return TrackProblem(shootings, (None,) * len(shootings), self.coordinates).with_meshes(point)
+
+    def _shootings(self, rows):
+        return [
+            Shooting(flow, noise, cut_windows(flow.chains.lengths, rows))
+            for flow, noise in zip(self.flows, self.noises, strict=True)
+        ]
+
+    def best(self):
+        """The best minimum of all starts, with the count of those that agree."""
+        levels = self.levels()
+        firsts = self._firsts(levels[0])
+        ends = []
+        for minimum in _distinct(firsts)[:KEPT]:
+            if ends and self.run.is_over():
+                break
+            ends.append(self._up(levels[1:], minimum))
+        best = min(ends, key=_height)
+        agree = sum(_agree(m, best) for m in ends)
+        same_first = len(firsts) - len(_distinct(firsts))
+        return self._finish(
+            replace(best, n_starts=len(firsts), n_agree=agree + same_first), self.problem
+        )
+
+    def _firsts(self, rows):
+        """Minima of the first level, the best first; no more starts than it takes to agree."""
+        firsts = []
+        for point in self.first_points():
+            if firsts and self.run.is_over():
+                break
+            problem = self.at(rows, point)
+            firsts.append(self._minimise(problem, problem.settled(point, 2), FEW))
+            firsts.sort(key=_height)
+            if sum(_agree(m, firsts[0]) for m in firsts) >= ENOUGH:
+                break
+        return firsts
+
+    def _up(self, levels, minimum):
+        """Go on from a level to whole tracks."""
+        for rows in levels:
+            if minimum.linearised is None:
+                return minimum
+            self.problem = self.at(rows, minimum.point)
+            settings = WHOLE if rows is None else FEW
+            minimum = self._minimise(self.problem, minimum.point, settings)
+        return minimum
+
+    def again(self, minimum, meshes):
+        """Descend from a minimum under this noise, with the steps it was found with."""
+        self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
+        new = self._minimise(self.problem, minimum.point, WHOLE)
+        new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
+        return self._finish(new, self.problem)
+
+    def _finish(self, minimum, problem):
+        """Choose the steps anew at a minimum, and descend again where they must be finer."""
+        for _ in range(3):
+            finer = self.at(None, minimum.point)
+            whole = problem is not None and problem.is_whole
+            if minimum.linearised is None or (whole and problem.is_as_fine_as(finer)):
+                break
+            problem = finer
+            new = self._minimise(problem, minimum.point, WHOLE)
+            minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
+        self.problem = problem
+        return minimum
+
+    def _minimise(self, problem, start, settings):
+        low, high = self._box()
+        values = np.clip(start.values, low, high)
+        if DEBUG: t0=__import__("time").perf_counter()
+        m= minimise(
+            problem, TrackPoint(values, start.nodes), low=low, high=high, settings=settings,
+            is_over=self.run.is_over,
+        )  # fmt: skip
+        if DEBUG: print("   min", problem.shootings[0].windows.length[:1], values, "->", m.values, m.chisqr, m.status, m.code, m.n_linearised, [x.scheme+str(len(x.steps)) for x in problem.meshes], round(__import__("time").perf_counter()-t0,3))
+        return m
+
+    def _box(self):
+        """Bounds of the unknowns; those of strengths beside a power hold for the constant itself."""
+        return self.run.low, self.run.high
+
+    # --- starts ------------------------------------------------------------------------------------
+
+    def first_points(self):
+        """Points to begin with: nodes off the data, constants given, guessed, or of likely size."""
+        run = self.run
+        nodes = tuple(first_nodes(chains) for chains in run.groups)
+        inner = candidates(run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts)
+        points = []
+        for values in inner:
+            values = {**values, **run.starts}
+            base = np.array([values.get(name, 0.0) for name, _ in run.parameters])
+            points.append(TrackPoint(self.coordinates.unknowns(base), nodes))
+        if len(inner) == 1:
+            points += self._sized(points[0], nodes)
+        seen, out = set(), []
+        for point in points:
+            key = point.values.tobytes()
+            if key not in seen:
+                seen.add(key)
+                out.append(point)
+        return out[: run.tolerances.most_starts]
+
+    def _sized(self, point, nodes):
+        """Starts with linear constants of the size that makes the acceleration seen."""
+        run = self.run
+        free = [
+            k for k, (name, _) in enumerate(run.parameters)
+            if run.roles[name] == "linear" and name not in run.starts
+        ]  # fmt: skip
+        if not free:
+            return []
+        size = self.typical_changes(point, nodes)
+        out = []
+        for decade in DECADES:
+            for sign in (1.0, -1.0):
+                values = point.values.copy()
+                values[free] = sign * decade * size[free]
+                out.append(TrackPoint(values, nodes))
+        return out[:6]
+
+    def typical_changes(self, point, nodes):
+        """Change of each unknown that alters the acceleration by its typical size, shape (k,)."""
+        k = len(self.run.parameters)
+        constants, slopes = self.coordinates.constants(point.values)
+        total, count = np.zeros(k), 0
+        for flow, own in zip(self.flows, nodes, strict=True):
+            flow.motion.set_constants(constants)
+            points = flow.points(own[..., flow.row, flow.chain], flow.start, flow.chain)
+            _, by_constant = flow.motion.slopes(points)
+            by_unknown = by_constant @ slopes
+            good = np.isfinite(by_unknown).all(axis=(1, 2))
+            total += np.square(by_unknown[good]).sum(axis=(0, 1))
+            count += int(good.sum()) * flow.chains.n_moving
+        rms = np.sqrt(total / max(count, 1))
+        return self.scales.acceleration / np.where(rms > 0, rms, np.inf)
+
+    def _rates(self):
+        """Angular frequencies at which the tracks move most, for constants that are rates."""
+        if "rate" not in self.run.roles.values():
+            return ()
+        from bsp_gp.fitting.periodogram import leading_rates
+
+        return leading_rates(self.run.groups, self.noises)
+
+    # --- what a minimum is -------------------------------------------------------------------------
+
+    def is_joined(self, minimum):
+        """Whether the intervals of whole tracks join end to end."""
+        constants, _ = self.coordinates.constants(minimum.values)
+        problem = self.problem
+        for shooting, mesh, nodes, noise in zip(
+            problem.shootings, problem.meshes, minimum.point.nodes, self.noises, strict=True
+        ):
+            shooting.flow.motion.set_constants(constants)
+            gaps = shooting.gaps(nodes, mesh)
+            sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))[shooting.flow.chain]
+            floor = 1e-10 * np.nanmax(np.abs(shooting.chains.observed))
+            allowed = np.maximum(self.run.tolerances.gap * sigma, floor)
+            if not mesh.is_complete or not np.all(np.abs(gaps) <= allowed):
+                return False
+        return True
+
+    def is_aliased(self, minimum):
+        """Whether the motion turns back and forth between rows: a frequency beyond Nyquist's."""
+        constants, _ = self.coordinates.constants(minimum.values)
+        for k, (name, _) in enumerate(self.run.parameters):
+            if self.run.roles[name] == "rate" and abs(constants[k]) * self.scales.step > np.pi:
+                return True
+        for flow, nodes in zip(self.flows, minimum.point.nodes, strict=True):
+            flow.motion.set_constants(constants)
+            state = nodes[..., flow.row, flow.chain]
+            points = flow.points(state, flow.start, flow.chain)
+            by_state, _ = flow.motion.slopes(points)
+            stiffness = -by_state[:, :, : flow.n_state // 2]
+            good = np.isfinite(stiffness).all(axis=(1, 2))
+            if not good.any():
+                continue
+            rate = np.sqrt(np.maximum(np.linalg.eigvals(stiffness[good]).real.max(axis=-1), 0.0))
+            if np.median(rate * flow.length[good]) > np.pi:
+                return True
+        return False
+
+    def n_undetermined(self, minimum):
+        """States and constants that only priors determine."""
+        count = int(minimum.undetermined.sum())
+        if minimum.linearised is None:
+            return count
+        for shooting, parts in zip(
+            self.problem.shootings, minimum.linearised.condensed, strict=True
+        ):
+            n = shooting.flow.n_state
+            for group, part in zip(shooting.groups, parts, strict=True):
+                size = np.abs(np.diagonal(part.factor[:, :n, :n], axis1=1, axis2=2))
+                prior = shooting.prior[:, shooting.windows.chain[group]].T
+                count += int((size < 3 * prior).sum())
+        return count
+
+    def log_volume(self, minimum):
+        """Logarithm of the part of the prior that the data leave: Occam's factor, nats."""
+        if minimum.linearised is None:
+            return -np.inf
+        total = 0.0
+        for shooting, parts in zip(
+            self.problem.shootings, minimum.linearised.condensed, strict=True
+        ):
+            n = shooting.flow.n_state
+            for group, part in zip(shooting.groups, parts, strict=True):
+                size = np.abs(np.diagonal(part.factor[:, :n, :n], axis1=1, axis2=2))
+                prior = shooting.prior[:, shooting.windows.chain[group]].T
+                total -= float(np.log(np.maximum(size / prior, 1.0)).sum())
+        width = self.run.tolerances.prior_width * self.typical_changes(
+            minimum.point, minimum.point.nodes
+        )
+        known = width > 0
+        width = width[known]
+        if len(width):
+            jacobian = minimum.linearised.jacobian[:, known] * width
+            information = jacobian.T @ jacobian + np.eye(len(width))
+            total -= 0.5 * float(np.linalg.slogdet(information)[1])
+            total -= 0.5 * float(np.square(minimum.values[known] / width).sum())
+        return total
+
+
+def _median_of(base, kind, run):
+    """Median absolute value of a formula over the rows of the data."""
+    from bsp_gp.fitting.graph import Graph, Tape
+    from bsp_gp.fitting.lowering import MOVING, Lowering
+
+    found = []
+    for chains in run.groups:
+        motion = Motion(run.law, chains, run.parameters)
+        flow = Flow(motion, np.ones(chains.n_chains))
+        nodes = first_nodes(chains)[..., flow.row, flow.chain]
+        for program, static in zip(motion.programs, motion._static, strict=True):
+            if program.kind != kind:
+                continue
+            graph = Graph()
+            lowered = Lowering(graph, chains.n_dims, chains.direction).lower(base)
+            tape = Tape(graph, [lowered], MOVING)
+            points = Points(nodes, flow.start, flow.chain, flow.driven.at(flow.start, flow.chain), [])
+            prepared = tape.prepare(static, dict.fromkeys(base.constants, np.float64(1.0)))
+            values = tape.run(prepared, motion._inputs(program, 0, points))[0]
+            found.append(np.abs(np.ravel(values)))
+    found = np.concatenate(found) if found else np.ones(1)
+    found = found[np.isfinite(found) & (found > 0)]
+    return float(np.median(found)) if len(found) else 1.0
+
+
+def _height(minimum):
+    return minimum.chisqr if np.isfinite(minimum.chisqr) else np.inf
+
+
+def _agree(minimum, best):
+    """Whether two minima are the same, as far as the noise tells."""
+    return bool(
+        np.isfinite(minimum.chisqr)
+        and minimum.chisqr - best.chisqr <= 1e-2 + 1e-6 * best.chisqr
+    )
+
+
+def _distinct(minima):
+    """Minima that differ, the best first; those that are not finite are left out if any is."""
+    finite = [m for m in minima if m.linearised is not None and np.isfinite(m.chisqr)]
+    out = []
+    for minimum in finite or minima[:1]:
+        if not any(_agree(minimum, other) for other in out):
+            out.append(minimum)
+    return out

@@ -1,0 +1,451 @@
+"""A hypothesis fitted to whole tracks: `fit(hypothesis, dataset) -> Fit`.
+
+Constants, initial states and noise are fitted together. From every start short pieces of the
+tracks are fitted first, then ever longer ones, at last the whole (`bsp_gp.fitting.climb`); the
+noise is estimated beside the law, and the law fitted again under it.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.fitting.chains import build_chains
+from bsp_gp.fitting.channels import Channels, join
+from bsp_gp.fitting.climb import Climb
+from bsp_gp.fitting.least_squares import Minimum
+from bsp_gp.fitting.noise_estimate import estimate, log_likelihood
+from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.starts import roles_of, scales_of
+from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.physics.force import ForceLaw
+
+__all__ = ["FAILED", "STATUSES", "Fit", "FitTolerances", "fit"]
+
+STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "converged")
+"""How a fit can end; the first that applies."""
+FAILED = STATUSES[:3]
+"""These say nothing about the law: a failed fit is never "nothing missing"."""
+
+
+@dataclass(frozen=True)
+class FitTolerances:
+    """Numerical tolerances of a fit; none of them can change what a converged fit says.
+
+    Attributes
+    ----------
+    step_error : float
+        Error of the integration over a whole track, in standard deviations of a position.
+    gap : float
+        How far intervals of a converged fit may fail to join, in the same.
+    exact : float
+        Noise below this part of the extent is numerical: its level is that of what is left.
+    most_starts : int
+        Starts at the most; all are taken where no two agree.
+    noise_passes : int
+        Times that noise and law are fitted in turn, at the most.
+    refuted : float
+        Standard deviations of chi-squared above its mean from which declared errors refute a law.
+    prior_width : float
+        Prior standard deviation of a constant, in changes that alter the acceleration by its
+        typical size.
+    """
+
+    step_error: float = 0.02
+    gap: float = 1e-3
+    exact: float = 1e-9
+    most_starts: int = 16
+    noise_passes: int = 4
+    refuted: float = 5.0
+    prior_width: float = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What a fit found.
+
+    Attributes
+    ----------
+    law : ForceLaw
+        With the fitted constants.
+    parameters : tuple of (name, entity)
+        Entity is "" for a constant that is one for all.
+    values : ndarray, shape (k,)
+        SI.
+    covariance : ndarray, shape (k, k)
+        Inverse Fisher information, initial states marginalised; inf where the data determine
+        nothing.
+    noise : NoiseModel
+        As it was estimated under the hypothesis.
+    status : str
+        One of `STATUSES`.
+    chisqr, chi2_red : float
+        Whitened sum of squares of the tracks, and per degree of freedom.
+    n_rows, n_free : int
+        Coordinates seen, and free numbers, initial states included.
+    n_starts, n_agree : int
+        Starts, and those that led here.
+    gradient : float
+        Largest cosine between residual and the column of a constant, 0 at a minimum.
+    log_likelihood, log_evidence : float, nats
+        The evidence by Laplace's approximation over everything fitted, with proper priors.
+    groups : tuple of Chains
+    nodes : tuple of ndarray, shape (2, R, d, T, S)
+        Fitted state at every row, per group.
+    channels : Channels
+        What the columns of `residual` are.
+    residual : ndarray, shape (T, C), m
+        Observed less predicted; nan where nothing was seen.
+    whitened : ndarray, shape (T, C)
+        0 where nothing was seen.
+    jacobian : ndarray, shape (m, k)
+        Whitened, initial states eliminated (compressed to few rows per chain).
+    local_columns, shared_columns : ndarray, shapes (n, T, C) and (k, T, C)
+        Changes of the prediction by the initial state of its chain and by the constants.
+    paper_steps : bool
+    seconds : float
+    message : str
+        Code of why the descent ended.
+    """
+
+    law: ForceLaw
+    parameters: tuple
+    values: np.ndarray
+    covariance: np.ndarray
+    noise: NoiseModel
+    status: str
+    chisqr: float
+    chi2_red: float
+    n_rows: int
+    n_free: int
+    n_starts: int
+    n_agree: int
+    gradient: float
+    log_likelihood: float
+    log_evidence: float
+    groups: tuple = field(repr=False)
+    nodes: tuple = field(repr=False)
+    channels: Channels = field(repr=False)
+    residual: np.ndarray = field(repr=False)
+    whitened: np.ndarray = field(repr=False)
+    jacobian: np.ndarray = field(repr=False)
+    local_columns: np.ndarray = field(repr=False)
+    shared_columns: np.ndarray = field(repr=False)
+    paper_steps: bool = False
+    seconds: float = 0.0
+    message: str = ""
+
+    @property
+    def is_failed(self):
+        """Whether it says nothing about the law."""
+        return self.status in FAILED
+
+    @property
+    def errors(self):
+        """Standard errors of the constants, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit(
+    hypothesis, dataset, *, rng=None, starts=None, bounds=None, deadline=None, tolerances=None
+):
+    """Fit a hypothesis to all scenes of a data set.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    dataset : Dataset
+    rng : numpy.random.Generator, int or None
+        Unused so far: starts are chosen without chance.
+    starts : mapping of str to float, optional
+        Where constants begin, SI; the others are found from the data.
+    bounds : mapping of str to (float, float), optional
+        Between which constants stay, SI.
+    deadline : float, optional
+        Seconds after which no further start or pass is begun, and a descent is ended.
+    tolerances : FitTolerances, optional
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    SettingsError
+        If a start or a bound names no constant, or a start is out of its bounds.
+    DataError
+        If nothing moves.
+    """
+    began = time.monotonic()
+    tolerances = tolerances or FitTolerances()
+    run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
+    if deadline is not None:
+        run.is_over = lambda: time.monotonic() > began + deadline
+    found = [run.fit(paper) for paper in run.step_kinds()]
+    best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
+    return replace(best, seconds=time.monotonic() - began)
+
+
+class _Run:
+    """One call of `fit`."""
+
+    def __init__(self, hypothesis, dataset, starts, bounds, tolerances):
+        self.hypothesis, self.dataset, self.tolerances = hypothesis, dataset, tolerances
+        self.law = hypothesis.law
+        self.parameters = tuple((p.name, p.entity) for p in hypothesis.parameters)
+        self.low = np.array([p.low for p in hypothesis.parameters], dtype=float)
+        self.high = np.array([p.high for p in hypothesis.parameters], dtype=float)
+        self.starts = self._starts(hypothesis, starts)
+        self._bound(bounds)
+        self.groups = tuple(
+            build_chains(self.law, dataset.scenes, dataset.up, dataset.velocity)
+        )
+        self.channels = _channels(self.groups)
+        self.roles = roles_of(self.law)
+        self.is_over = lambda: False
+        model = hypothesis.noise
+        if not np.isfinite(model.levels).any():
+            raise DataError("nothing moves: no dynamic entity changes its position on any axis")
+
+    def _starts(self, hypothesis, starts):
+        names = {p.name for p in hypothesis.parameters}
+        _check_names("start", starts, names)
+        given = {p.name: p.start for p in hypothesis.parameters if np.isfinite(p.start)}
+        for name, value in self.law.constants.items():
+            if not hasattr(value, "items") and np.isfinite(value) and name in names:
+                given.setdefault(name, float(value))
+        return {**given, **{name: float(value) for name, value in starts.items()}}
+
+    def _bound(self, bounds):
+        _check_names("bound", bounds, {name for name, _ in self.parameters})
+        for name, (low, high) in bounds.items():
+            if not low <= high:
+                raise SettingsError(f"bounds of {name} must be LOW..HIGH, got {low:g}..{high:g}")
+            mine = np.array([n == name for n, _ in self.parameters])
+            self.low, self.high = np.where(mine, low, self.low), np.where(mine, high, self.high)
+        for name, value in self.starts.items():
+            low, high = bounds.get(name, (-np.inf, np.inf))
+            if not low <= value <= high:
+                raise SettingsError(
+                    f"the start of {name} must lie within its bounds {low:g}..{high:g}, "
+                    f"got {value:g}"
+                )
+
+    def step_kinds(self):
+        """Whether the paper's steps, continuous motion, or both are tried."""
+        said = self.hypothesis.paper_steps
+        if said is not None:
+            return (said,)
+        return (True, False) if self.is_exact else (False,)
+
+    @property
+    def extent(self):
+        return max(float(np.nanmax(np.ptp(_filled(g.observed), axis=0))) for g in self.groups)
+
+    @property
+    def is_exact(self):
+        levels = np.array(self.hypothesis.noise.levels)
+        return bool(np.nanmax(levels) <= self.tolerances.exact * self.extent)
+
+    # --- one way of stepping -----------------------------------------------------------------------
+
+    def fit(self, paper_steps):
+        """The fit with one kind of steps."""
+        model = self.hypothesis.noise
+        noises = self.noises(model)
+        scales = scales_of(self.groups, noises)
+        climb = Climb(self, noises, scales, paper_steps)
+        minimum = climb.best()
+        for _ in range(self.tolerances.noise_passes):
+            if minimum.linearised is None or not self._is_estimated or self.is_over():
+                break
+            tracks = _tracks_of(self, climb, minimum)
+            new = estimate(
+                model, tracks.channels, tracks.residual, tracks.shared, tracks.local
+            )
+            settled = _same_noise(new, model)
+            model = new
+            meshes = climb.problem.meshes
+            climb = climb.with_noises(self.noises(model, tracks.channels))
+            minimum = climb.again(minimum, meshes)
+            if settled:
+                break
+        return self.result(climb, minimum, model, paper_steps)
+
+    @property
+    def _is_estimated(self):
+        return bool(self.hypothesis.noise.is_free.any())
+
+    def noises(self, model, channels=None):
+        """The rows' noise under a model, per group."""
+        channels = channels or self.channels
+        white, amplitude = model.parts(channels)
+        out, first = [], 0
+        for chains in self.groups:
+            shape = chains.observed.shape
+            count = int(np.prod(shape[1:]))
+            part = slice(first, first + count)
+            first += count
+            out.append(
+                ChainNoise(
+                    chains.times, white[: shape[0], part].reshape(shape),
+                    np.nan_to_num(amplitude[: shape[0], part]).reshape(shape),
+                    model.correlation_time,
+                )
+            )  # fmt: skip
+        return tuple(out)
+
+    def result(self, climb, minimum, model, paper_steps):
+        """Everything that is said of a minimum."""
+        tracks = _tracks_of(self, climb, minimum)
+        constants, slopes = climb.coordinates.constants(minimum.values)
+        law = self.law.with_values(self.parameters, constants) if self.parameters else self.law
+        n_states = sum(g.n_chains * 2 * g.n_moving * g.n_dims for g in self.groups)
+        n_rows = int(np.isfinite(tracks.white_variance).sum())
+        n_free = len(self.parameters) + n_states - climb.n_undetermined(minimum)
+        chisqr = minimum.chisqr
+        likelihood = log_likelihood(model, tracks.channels, tracks.residual)
+        jacobian = tracks.jacobian
+        covariance = covariance_of(jacobian.T @ jacobian)
+        found = Fit(
+            law=law, parameters=self.parameters, values=constants, covariance=covariance,
+            noise=model, status="converged", chisqr=float(chisqr),
+            chi2_red=float(chisqr / max(n_rows - n_free, 1)), n_rows=n_rows, n_free=n_free,
+            n_starts=minimum.n_starts, n_agree=minimum.n_agree, gradient=minimum.gradient,
+            log_likelihood=float(likelihood),
+            log_evidence=float(likelihood + climb.log_volume(minimum)),
+            groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
+            residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
+            local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
+            message=minimum.code,
+        )  # fmt: skip
+        return replace(found, status=self.status(climb, minimum, found))
+
+    def status(self, climb, minimum, found):
+        """The first of `STATUSES` that applies."""
+        finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
+        if minimum.linearised is None or not finite:
+            return "nonfinite"
+        if minimum.status == "unconverged" or not climb.is_joined(minimum):
+            return "unconverged"
+        if climb.is_aliased(minimum):
+            return "aliased"
+        if minimum.status == "at_bound":
+            return "at_bound"
+        if not self._is_estimated and not self.is_exact:
+            dof = max(found.n_rows - found.n_free, 1)
+            if found.chisqr > dof + self.tolerances.refuted * np.sqrt(2 * dof):
+                return "refuted"
+        return "converged"
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracks:
+    """A minimum seen row by row."""
+
+    channels: Channels
+    residual: np.ndarray
+    whitened: np.ndarray
+    local: np.ndarray
+    shared: np.ndarray
+    jacobian: np.ndarray
+    white_variance: np.ndarray
+
+
+def _tracks_of(run, climb, minimum: Minimum):
+    residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
+    _, slopes = climb.coordinates.constants(minimum.values)
+    n_most = max(s.flow.n_state for s in climb.problem.shootings)
+    for shooting, nodes, noise, parts in zip(
+        climb.problem.shootings, minimum.point.nodes, climb.noises,
+        minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
+        strict=True,
+    ):  # fmt: skip
+        chains = shooting.chains
+        left = chains.observed - np.moveaxis(nodes[0], (-2, -1), (0, 1))
+        left = np.where(np.isfinite(noise.variance), left, np.nan)
+        residuals.append(left)
+        rows = np.broadcast_to(np.arange(len(left))[:, None], left.shape[:2])
+        whitened.append(noise.whiten(left[None], rows, np.arange(chains.n_chains))[0])
+        own, shared = shooting.columns(parts, n_most)
+        locals_.append(own)
+        shareds.append(shared)
+        variances.append(noise.variance)
+        speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
+    jacobian = np.zeros((0, len(run.parameters)))
+    if minimum.linearised is not None and len(run.parameters):
+        jacobian = -minimum.linearised.jacobian @ np.linalg.inv(slopes)
+    return _Tracks(
+        replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
+        np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), jacobian, join(variances),
+    )  # fmt: skip
+
+
+def _channels(groups):
+    """What each coordinate of each body in each scene is, groups one after the other."""
+    bodies, scenes, axis, body, scene, chain = {}, {}, [], [], [], []
+    count = 0
+    for chains in groups:
+        for name, members in zip(chains.scenes, chains.bodies, strict=True):
+            at = scenes.setdefault(name, len(scenes))
+            for member in members:
+                body += [bodies.setdefault(member, len(bodies))] * chains.n_dims
+                scene += [at] * chains.n_dims
+                axis += range(chains.n_dims)
+                chain += [count] * chains.n_dims
+            count += 1
+    quoted = None
+    if any(chains.sigma is not None for chains in groups):
+        quoted = join(
+            np.full(c.observed.shape, np.nan) if c.sigma is None else c.sigma for c in groups
+        )
+    times = [np.broadcast_to(c.times[:, :, None, None], c.observed.shape) for c in groups]
+    return Channels(
+        times=join(times), seen=np.isfinite(join(c.observed for c in groups)),
+        axis=np.array(axis), body=np.array(body), scene=np.array(scene), chain=np.array(chain),
+        body_names=tuple(bodies), scene_names=tuple(scenes), quoted=quoted,
+    )  # fmt: skip
+
+
+def covariance_of(information):
+    """Inverse of a Fisher information; infinite for parameters that it does not determine."""
+    n = len(information)
+    if not n:
+        return np.zeros((0, 0))
+    if not np.isfinite(information).all():
+        return np.diag(np.full(n, np.inf))
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    lost = values <= 1e-13 * values[-1]
+    inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, values))
+    covariance = (vectors * inverse) @ vectors.T / np.outer(size, size)
+    free = (np.abs(vectors[:, lost]) > 0.05).any(axis=1) | (np.diag(information) <= 0)
+    covariance[free, free] = np.inf
+    return covariance
+
+
+def _same_noise(new, old):
+    """Whether a noise is as before, to a part in a thousand of its levels."""
+    if (new.correlated > 0) != (old.correlated > 0) or len(new.findings) != len(old.findings):
+        return False
+    a, b = np.array(new.levels), np.array(old.levels)
+    both = np.isfinite(a) & np.isfinite(b)
+    return bool(np.all(np.abs(a - b)[both] <= 1e-3 * b[both]))
+
+
+def _check_names(what, given, names):
+    unknown = sorted(set(given) - names)
+    if unknown:
+        raise SettingsError(
+            f"{what} of {', '.join(unknown)}: the law has no such constant; it has "
+            f"{', '.join(sorted(names)) or 'none'}"
+        )
+
+
+def _filled(values):
+    """Values with gaps at the mean, for extents."""
+    return np.where(np.isfinite(values), values, np.nanmean(values))

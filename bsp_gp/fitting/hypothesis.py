@@ -1,0 +1,231 @@
+"""A hypothesis is a machine that makes recordings: world + instrument + noise (LOOP §1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, constant_units
+from bsp_gp.units import FORCE
+
+__all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a part that is fitted.
+
+    Attributes
+    ----------
+    name : str
+    entity : str
+        The body that it belongs to; "" = one for all.
+    unit : Unit or None
+        None where it cannot be said.
+    low, high : float
+        Bounds, SI.
+    start : float
+        Where a fit begins, SI; nan = found from the data.
+    """
+
+    name: str
+    entity: str = ""
+    unit: object = None
+    low: float = -math.inf
+    high: float = math.inf
+    start: float = math.nan
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a hypothesis.
+
+    A part says what kind it is ("world", "instrument" or "noise"), which parameters it has, and
+    describes itself.
+    """
+
+    kind = ""
+
+    @property
+    def parameters(self):
+        """What of it is fitted, tuple of Parameter."""
+        return ()
+
+    def describe(self):
+        """One sentence for people."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Forces(Part):
+    """Forces that add up.
+
+    Attributes
+    ----------
+    law : ForceLaw
+    paper_steps : bool or None
+        Whether the motion was made by the paper's symplectic Euler steps from row to row. None:
+        on exact data both are tried, else the motion is continuous.
+    """
+
+    law: ForceLaw
+    paper_steps: bool | None = None
+    kind = "world"
+
+    @property
+    def parameters(self):
+        """The constants of the law."""
+        units = {}
+        for term in self.law.terms:
+            units.update(constant_units(term))
+        out = []
+        for name in self.law.names:
+            value = self.law.constants.get(name, math.nan)
+            entities = list(value) if hasattr(value, "items") else [""]
+            out += [Parameter(name, entity, units.get(name)) for entity in entities]
+        return tuple(out)
+
+    def describe(self):
+        """The law as typed."""
+        return f"F_i = {self.law.text(digits=False)}"
+
+
+@dataclass(frozen=True)
+class Positions(Part):
+    """The instrument shows where bodies are."""
+
+    kind = "instrument"
+
+    def describe(self):
+        """In words."""
+        return "positions are measured"
+
+
+@dataclass(frozen=True)
+class TrackNoise(Part):
+    """Errors of positions.
+
+    Attributes
+    ----------
+    model : NoiseModel
+        What is known of them; the rest is estimated under the hypothesis.
+    """
+
+    model: NoiseModel
+    kind = "noise"
+
+    @property
+    def parameters(self):
+        """What is estimated."""
+        return tuple(p for p in self.model.parameters if p.is_free)
+
+    def describe(self):
+        """In words."""
+        return self.model.describe()
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Parts that together make recordings; hypotheses add up part by part.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    """
+
+    parts: tuple[Part, ...] = field(default=())
+
+    @classmethod
+    def from_laws(cls, dataset, laws, *, noise=None, paper_steps=None):
+        """Forces seen as positions with the noise that the data set declares.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        laws : ForceLaw or sequence of str
+            Constants of a ForceLaw are where a fit begins; texts are one force each, as for
+            ``--law``.
+        noise : NoiseModel, optional
+        paper_steps : bool, optional
+            See `Forces`.
+
+        Raises
+        ------
+        LawError
+            If a text is no force.
+        """
+        law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
+        model = noise if noise is not None else NoiseModel.of(dataset)
+        return cls((Forces(law, paper_steps), Positions(), TrackNoise(model)))
+
+    def __add__(self, other):
+        """Both together; a later part of noise replaces an earlier one."""
+        more = other.parts if isinstance(other, Hypothesis) else (other,)
+        kept = self.parts
+        if any(part.kind == "noise" for part in more):
+            kept = tuple(part for part in kept if part.kind != "noise")
+        return Hypothesis((*kept, *more))
+
+    @property
+    def law(self):
+        """All forces in one law."""
+        terms, constants = [], {}
+        for part in self.parts:
+            if isinstance(part, Forces):
+                terms += part.law.terms
+                constants.update(part.law.constants)
+        return ForceLaw(tuple(terms), constants)
+
+    @property
+    def paper_steps(self):
+        """See `Forces`; the first part that says it."""
+        said = [p.paper_steps for p in self.parts if isinstance(p, Forces)]
+        return next((s for s in said if s is not None), None)
+
+    @property
+    def noise(self):
+        """The NoiseModel."""
+        return next(part.model for part in self.parts if isinstance(part, TrackNoise))
+
+    @property
+    def parameters(self):
+        """Everything that is fitted and is no noise, tuple of Parameter."""
+        return tuple(p for part in self.parts if part.kind != "noise" for p in part.parameters)
+
+    def describe(self):
+        """One line per part."""
+        return "\n".join(part.describe() for part in self.parts)
+
+
+def read_law(dataset, texts: Sequence[str]):
+    """Read typed laws; LawError names the text that is wrong.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    texts : sequence of str
+        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``. Named constants are fitted.
+
+    Returns
+    -------
+    ForceLaw
+        Its terms are declared; constants are nan until they are fitted.
+    """
+    types = dataset_types(dataset)
+    terms = []
+    for text in texts:
+        formula = parse_formula(text, types, units=dataset.units)
+        unit = formula.type.unit
+        if unit is not None and unit != FORCE:
+            raise LawError(
+                f"law {text!r} has the unit {unit}, but a force has {FORCE}; "
+                "give its number a unit, as in 9.81 [m/s^2]"
+            )
+        terms.append(Term(formula, is_declared=True))
+    law = ForceLaw(tuple(terms), {})
+    return law.with_constants(dict.fromkeys(law.names, math.nan))

@@ -1,0 +1,227 @@
+"""Where fits begin: nodes read off the data, and constants of the size that the data suggest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product as every
+
+import numpy as np
+
+from bsp_gp.fitting.coordinates import powers_of
+from bsp_gp.language.formula import Call, Constant, Input, walk
+
+__all__ = ["Scales", "candidates", "first_nodes", "scales_of"]
+
+SIGNAL = 4.0
+"""Mean square of curvatures, in that of the noise, from which they show an acceleration."""
+EXPONENTS = (-2.0, 1.0, -1.0, 2.0, -3.0, 0.5, 3.0, 0.0, -4.0, 4.0)
+DECADES = (1.0, 0.1, 10.0, 0.01, 100.0)
+MOST_RATES = 6
+"""Peaks of a periodogram that are tried."""
+
+
+# --- nodes ------------------------------------------------------------------------------------
+
+
+def first_nodes(chains):
+    """A state for every row: the place where it was seen, and differences of places.
+
+    Returns
+    -------
+    ndarray, shape (2, R, d, T, S)
+    """
+    n_rows, n_chains, n_own, n_dims = chains.observed.shape
+    nodes = np.zeros((2, n_own, n_dims, n_rows, n_chains))
+    for s in range(n_chains):
+        n = int(chains.lengths[s])
+        times = chains.times[:n, s]
+        for r in range(n_own):
+            for k in range(n_dims):
+                x = chains.observed[:n, s, r, k]
+                seen = np.flatnonzero(np.isfinite(x))
+                if not len(seen):
+                    continue
+                place = x if len(seen) == n else np.interp(times, times[seen], x[seen])
+                nodes[0, r, k, :n, s] = place
+                nodes[1, r, k, :n, s] = _slope(times, place)
+    if chains.velocities is not None:
+        measured = np.moveaxis(chains.velocities, (0, 1), (-2, -1))
+        nodes[1] = np.where(np.isfinite(measured), measured, nodes[1])
+    return nodes
+
+
+def _slope(times, x):
+    if len(x) < 2:
+        return np.zeros(len(x))
+    return np.gradient(x, times, edge_order=2 if len(x) > 2 else 1)
+
+
+# --- scales -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Typical sizes of what was seen.
+
+    Attributes
+    ----------
+    acceleration : float, m/s^2
+    rows : int
+        Rows that a piece of a track needs to show it above the noise.
+    span, step : float, s
+        Longest track and shortest interval.
+    extent : float, m
+    """
+
+    acceleration: float
+    rows: int
+    span: float
+    step: float
+    extent: float
+
+
+def scales_of(groups, noises):
+    """Sizes of the motion, from curvatures of parabolas through pieces of the tracks.
+
+    Parameters
+    ----------
+    groups : sequence of Chains
+    noises : sequence of ChainNoise
+        Rows' variances.
+    """
+    span, step, extent = 0.0, np.inf, 0.0
+    for chains in groups:
+        for s in range(chains.n_chains):
+            times = chains.times[: chains.lengths[s], s]
+            span = max(span, float(times[-1] - times[0]))
+            step = min(step, float(np.diff(times).min()))
+        spread = np.nanmax(chains.observed, axis=0) - np.nanmin(chains.observed, axis=0)
+        extent = max(extent, float(np.nanmax(spread)))
+    best, rows = 0.0, 0
+    longest = max(int(chains.lengths.max()) for chains in groups)
+    size = 4
+    while size <= longest:
+        signal, noise = _curvatures(groups, noises, size)
+        if signal > SIGNAL * noise:
+            if not rows:
+                rows = size
+            best = max(best, signal - noise)
+        size = size * 2 if size < 8 else int(size * 1.5)
+    if not best:
+        best = (extent / span**2) ** 2
+    return Scales(float(np.sqrt(best)), rows or longest, span, step, extent or 1.0)
+
+
+def _curvatures(groups, noises, size):
+    """Mean square of second derivatives over pieces of so many rows, and what noise makes of it."""
+    total = expected = count = 0.0
+    for chains, noise in zip(groups, noises, strict=True):
+        starts = range(0, chains.times.shape[0] - size + 1, max(size // 2, 1))
+        if not len(starts):
+            continue
+        rows = np.array(starts)[:, None] + np.arange(size)
+        times = chains.times[rows]  # (P, size, S)
+        centre = times.mean(axis=1, keepdims=True)
+        width = np.ptp(times, axis=1, keepdims=True)
+        u = np.moveaxis((times - centre) / width, 1, -1)  # (P, S, size)
+        whole = np.isfinite(u).all(axis=-1)
+        u = np.where(whole[..., None], u, np.linspace(-0.5, 0.5, size))
+        basis, triangle = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=-1))
+        weight = basis[..., 2] / triangle[..., 2, 2, None]  # of the coefficient of u^2
+        width = np.where(whole, width[:, 0], 1.0)
+        x = np.moveaxis(chains.observed[rows], 1, -1)  # (P, S, R, d, size)
+        variance = np.moveaxis(noise.variance[rows], 1, -1)
+        w = weight[:, :, None, None]
+        value = 2.0 * (w * x).sum(axis=-1) / width[..., None, None] ** 2
+        error = 4.0 * (w * w * variance).sum(axis=-1) / width[..., None, None] ** 4
+        good = np.isfinite(value) & np.isfinite(error) & whole[..., None, None]
+        total += float(np.square(value[good]).sum())
+        expected += float(error[good].sum())
+        count += int(good.sum())
+    return (total / count, expected / count) if count else (0.0, 1.0)
+
+
+# --- constants --------------------------------------------------------------------------------
+
+
+def roles_of(law):
+    """What each constant does: "exponent", "rate", "phase", "inner" or "linear"."""
+    roles = {}
+    for term in law.terms:
+        for _, name, _ in powers_of(term.formula):
+            roles[name] = "exponent"
+        for node in walk(term.formula):
+            if not isinstance(node, Call):
+                continue
+            if node.operator == "pow":
+                for name in node.args[1].constants:
+                    roles.setdefault(name, "exponent")
+            if node.operator in ("sin", "cos"):
+                _angle_roles(node.args[0], roles)
+    for name in law.names:
+        if name not in roles:
+            roles[name] = "linear" if all(_is_linear(t.formula, name) for t in law.terms) else "inner"
+    return roles
+
+
+def _angle_roles(angle, roles):
+    """Constants beside the time in an angle are rates, those added to it phases."""
+    for node in walk(angle):
+        if isinstance(node, Call) and node.operator in ("mul", "div"):
+            names = node.constants
+            has_time = any(isinstance(n, Input) and n.name == "t" for n in walk(node))
+            for name in names:
+                roles.setdefault(name, "rate" if has_time else "inner")
+    if isinstance(angle, Call) and angle.operator in ("add", "sub"):
+        for arg in angle.args:
+            if isinstance(arg, Constant):
+                roles[arg.name] = "phase"
+
+
+def _is_linear(node, name):
+    """Whether a formula is linear, or constant, in a constant."""
+    if name not in node.constants:
+        return True
+    if isinstance(node, Constant):
+        return True
+    if node.operator in ("add", "sub", "neg"):
+        return all(_is_linear(arg, name) for arg in node.args)
+    if node.operator == "mul":
+        both = [name in arg.constants for arg in node.args]
+        return sum(both) == 1 and all(_is_linear(arg, name) for arg in node.args)
+    if node.operator == "div":
+        return name not in node.args[1].constants and _is_linear(node.args[0], name)
+    return False
+
+
+def candidates(law, parameters, scales, rates, most):
+    """Values of the constants to begin with, the likeliest first.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    parameters : sequence of (name, entity)
+    scales : Scales
+    rates : sequence of float
+        Angular frequencies at which the tracks show something, rad/s.
+    most : int
+
+    Returns
+    -------
+    list of dict of str to float
+        Of the constants that do not enter linearly; the others are found from these.
+    """
+    roles = roles_of(law)
+    names = [n for n in dict.fromkeys(name for name, _ in parameters) if roles[n] != "linear"]
+    grids = {
+        "exponent": EXPONENTS,
+        "rate": tuple(rates) or tuple(2 * np.pi / scales.span * np.array([1.0, 3.0, 10.0])),
+        "phase": (0.0, np.pi / 2),
+        "inner": tuple(scales.extent * np.array(DECADES)),
+    }
+    choices = list(every(*(range(len(grids[roles[name]])) for name in names)))
+    choices.sort(key=sum)
+    return [
+        {name: float(grids[roles[name]][k]) for name, k in zip(names, choice, strict=True)}
+        for choice in choices[:most]
+    ]

@@ -1,0 +1,169 @@
+"""Whole tracks as a problem of the least-squares driver, and the noise that weighs their rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.fitting.least_squares import Linearised
+from bsp_gp.fitting.whitening import Whitener
+
+__all__ = ["ChainNoise", "TrackLinearised", "TrackPoint", "TrackProblem"]
+
+
+class ChainNoise:
+    """The noise of the rows of some chains.
+
+    Parameters
+    ----------
+    times : ndarray, shape (T, S), s
+    variance : ndarray, shape (T, S, R, d), m^2
+        Of the white part; nan = not seen.
+    amplitude : ndarray, shape (T, S, R, d), m
+        Standard deviation of the part with a memory.
+    correlation_time : float, s
+    """
+
+    def __init__(self, times, variance, amplitude=None, correlation_time=0.0):
+        self.times, self.variance = times, variance
+        self.amplitude = np.zeros(variance.shape) if amplitude is None else amplitude
+        self.correlation_time = correlation_time
+        self._whiteners = {}
+
+    def whiten(self, errors, rows, chain):
+        """Errors of unit covariance, 0 where nothing was seen.
+
+        Parameters
+        ----------
+        errors : ndarray, shape (c, L, W, R, d)
+            Not finite = not seen: outside of a window.
+        rows : ndarray of int, shape (L, W)
+        chain : ndarray of int, shape (W,)
+        """
+        if not self.amplitude.any() or len(rows) < len(self.times):
+            # Within windows that are pieces of tracks the memory is left out: they only lead on.
+            variance = self.variance[rows, chain] + np.square(self.amplitude[rows, chain])
+            seen = np.isfinite(variance) & np.isfinite(errors[-1])
+            size = np.sqrt(np.where(seen, variance, 1.0))
+            return np.where(seen, errors, 0.0) / size
+        key = chain.tobytes()
+        if key not in self._whiteners:
+            variance = self.variance[:, chain]
+            shape = variance.shape
+            times = np.broadcast_to(self.times[:, chain, None, None], shape)
+            self._whiteners[key] = Whitener(
+                times.reshape(len(times), -1), variance.reshape(len(times), -1),
+                self.amplitude[:, chain].reshape(len(times), -1), self.correlation_time,
+            )  # fmt: skip
+        flat = np.where(np.isfinite(errors), errors, 0.0).reshape(*errors.shape[:2], -1)
+        return self._whiteners[key].whiten(flat).reshape(errors.shape)
+
+    @property
+    def n_seen(self):
+        return int(np.isfinite(self.variance).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPoint:
+    """Where a fit is.
+
+    Attributes
+    ----------
+    values : ndarray, shape (k,)
+        Of the constants, in the coordinates of the problem.
+    nodes : tuple of ndarray, shape (2, R, d, T, S)
+        State at every row, per group of like-built chains.
+    """
+
+    values: np.ndarray
+    nodes: tuple
+
+
+@dataclass(frozen=True, eq=False)
+class TrackLinearised(Linearised):
+    """Tracks linearised; `condensed` holds what moves their nodes."""
+
+    condensed: tuple = ()
+
+
+class TrackProblem:
+    """Tracks cut into windows, for `least_squares.minimise`.
+
+    Parameters
+    ----------
+    shootings : sequence of Shooting
+        One per group of like-built chains.
+    meshes : sequence of Mesh
+    coordinates : Coordinates
+        Between the driver's unknowns and the constants of the law.
+    """
+
+    def __init__(self, shootings, meshes, coordinates):
+        self.shootings, self.meshes = tuple(shootings), tuple(meshes)
+        self.coordinates = coordinates
+
+    def values(self, point):
+        """Shared unknowns of a point."""
+        return point.values
+
+    def linearise(self, point):
+        """The tracks linearised about a point, initial states eliminated."""
+        if not all(mesh.is_complete for mesh in self.meshes):
+            return None
+        constants, slopes = self.coordinates.constants(point.values)
+        residuals, jacobians, rest, condensed = [], [], 0.0, []
+        for shooting, mesh, nodes in zip(self.shootings, self.meshes, point.nodes, strict=True):
+            residual, jacobian, own, parts = shooting.linearise(constants, nodes, mesh)
+            residuals.append(residual)
+            jacobians.append(jacobian)
+            rest += own
+            condensed.append(parts)
+        residual = np.concatenate(residuals)
+        jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
+            return None
+        return TrackLinearised(residual, jacobian, rest, tuple(condensed))
+
+    def move(self, point, linearised, values, share):
+        """The point with these unknowns; nodes follow by the linearisation."""
+        _, slopes = self.coordinates.constants(point.values)
+        step = slopes @ (values - point.values)
+        nodes = tuple(
+            shooting.move(own, parts, step, share)
+            for shooting, own, parts in zip(
+                self.shootings, point.nodes, linearised.condensed, strict=True
+            )
+        )
+        return TrackPoint(values, nodes)
+
+    def settled(self, point, times=1):
+        """The point after steps of the initial states alone."""
+        for _ in range(times):
+            linearised = self.linearise(point)
+            if linearised is None:
+                return point
+            point = self.move(point, linearised, point.values, 1.0)
+        return point
+
+    @property
+    def is_whole(self):
+        """Whether no track is cut."""
+        return all(len(s.windows.chain) == s.chains.n_chains for s in self.shootings)
+
+    def is_as_fine_as(self, other):
+        """Whether every interval has as many steps as in the same problem with other meshes."""
+        return all(
+            a.is_as_fine_as(b) for a, b in zip(self.meshes, other.meshes, strict=True)
+        )
+
+    def with_meshes(self, point):
+        """The same problem with steps chosen anew at a point."""
+        constants, _ = self.coordinates.constants(point.values)
+        meshes = []
+        for shooting, nodes in zip(self.shootings, point.nodes, strict=True):
+            shooting.flow.motion.set_constants(constants)
+            meshes.append(shooting.flow.mesh(nodes))
+        return TrackProblem(self.shootings, meshes, self.coordinates)
+
+
