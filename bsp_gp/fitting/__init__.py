@@ -1,0 +1,1 @@
+"""How a hypothesis fits: its parts, its whole tracks, and whether the result is a fit."""
