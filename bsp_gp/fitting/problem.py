@@ -90,8 +90,9 @@ class Minimum:
     status : str
         "converged", "at_bound" (converged, with an unknown at a bound), "unconverged", "nonfinite".
     code : str
-        Why it ended: "fall" (nothing to be gained), "flat" (nothing to be gained since unknowns
-        lost their influence on the way: a plateau), "stalled", "limit", "stopped", "start".
+        Why it ended: "fall" (nothing to be gained), "flat" (nothing to be gained, since an unknown
+        has no influence at all there, or unknowns can no longer be told apart that could before:
+        a plateau), "stalled", "limit", "stopped", "start".
     gradient : float
         Largest cosine between the residual and the column of an unknown that is free to move.
     fall : float
@@ -138,6 +139,7 @@ class _Dense:
         return np.asarray(point, dtype=float)
 
     def linearise(self, point):
+        point = self.values(point)
         residual = np.asarray(self.residual(point), dtype=float)
         if not np.isfinite(residual).all():
             return None
