@@ -1,0 +1,264 @@
+"""The least-squares driver: every fit of the project is a `Problem` that `minimise` solves.
+
+A trust-region Levenberg-Marquardt method (Moré, Lecture Notes in Mathematics 630, 105, 1978) with
+bounds, for problems whose points carry more than the unknowns: the states of tracks are eliminated
+from each linearisation and move along with the unknowns. `scipy.optimize.least_squares` knows no
+such points, and what it calls success is often a stall (experiments/nist_strd.py counts both).
+"Converged" means here that a whole Gauss-Newton step would gain nothing that the noise lets anyone
+see. Geodesic acceleration was measured and left out: 8 % fewer evaluations on those problems.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.problem import Linearised, Minimum, Settings
+
+__all__ = ["minimise"]
+
+_EPS = np.finfo(float).eps
+_HUGE = 1e125
+"""Residuals and columns longer than this are those of a model that runs away."""
+_ACCEPTED, _POOR, _GOOD = 1e-4, 0.25, 0.75
+"""Parts of the fall foreseen: from the first a step is taken, below the second the radius shrinks,
+above the third it grows."""
+
+
+def minimise(problem, start, *, low=None, high=None, settings=None, is_over=None):
+    """Descend from a point to a minimum of chi-squared.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : object
+        A point of the problem, inside of the bounds.
+    low, high : array_like, shape (k,), optional
+        Bounds of the shared unknowns; equal ones hold an unknown fixed.
+    settings : Settings, optional
+    is_over : callable, optional
+        Asked before every linearisation; true ends the search ("unconverged", code "stopped").
+
+    Returns
+    -------
+    Minimum
+
+    Raises
+    ------
+    SettingsError
+        If the start lies outside of the bounds.
+    """
+    with np.errstate(all="ignore"):  # a trial step may run away; what is not finite is refused
+        return _Descent(problem, start, low, high, settings or Settings(), is_over).run(start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A point and its linearisation in few numbers: J = Q triangle, image = Q' residual."""
+
+    point: Any
+    values: np.ndarray
+    linearised: Linearised
+    chisqr: float
+    lengths: np.ndarray
+    triangle: np.ndarray
+    image: np.ndarray
+    free: np.ndarray
+    gradient: float
+
+    @property
+    def rounding(self):
+        """Fall of chi-squared that rounding errors alone foresee."""
+        terms = np.sum(np.square(self.lengths * self.values))
+        return (4 * _EPS) ** 2 * (self.chisqr + terms) if np.isfinite(terms) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    values: np.ndarray
+    share: float
+    size: float
+    fall: float
+    unseen: np.ndarray  # part of each unknown (0 to 1) that lies where nothing is determined
+    n_unseen: int
+
+
+class _Descent:
+    """One run: bounds, settings and the count of linearisations."""
+
+    def __init__(self, problem, start, low, high, settings, is_over):
+        values = np.asarray(problem.values(start), dtype=float)
+        self.problem, self.settings, self.is_over = problem, settings, is_over
+        self.low = np.full(values.shape, -np.inf) if low is None else np.array(low, dtype=float)
+        self.high = np.full(values.shape, np.inf) if high is None else np.array(high, dtype=float)
+        outside = ~((self.low <= values) & (values <= self.high)) & np.isfinite(values)
+        if outside.any():
+            k = int(np.flatnonzero(outside)[0])
+            raise SettingsError(
+                f"the start of unknown {k} must lie within its bounds {self.low[k]:g} to "
+                f"{self.high[k]:g}, got {values[k]:g}; move the start or widen the bounds"
+            )
+        self.n_linearised = 0
+
+    def run(self, start):
+        here = self.look(start)
+        if here is None:
+            values = np.asarray(self.problem.values(start), dtype=float)
+            nothing = np.ones(values.shape, dtype=bool)
+            return Minimum(start, values, None, "nonfinite", "start", np.inf, np.inf, nothing,
+                           self.n_linearised)  # fmt: skip
+        scale, radius, least, code = np.zeros(len(here.values)), np.inf, np.inf, ""
+        while not code:
+            scale = np.maximum(scale, here.lengths)
+            whole = self.solve(here, here.lengths, np.inf)
+            least = min(least, whole.n_unseen)
+            if whole.fall <= self.negligible(here):
+                code = "fall"
+            else:
+                here, radius, code = self.descend(here, scale, radius)
+        if code == "fall":
+            here, whole = self.polish(here, whole)
+        return self.finish(here, whole, code, least)
+
+    def negligible(self, here):
+        settings = self.settings
+        return max(settings.absolute, settings.relative * here.chisqr, here.rounding)
+
+    def reason_to_stop(self):
+        if self.n_linearised >= self.settings.max_linearised:
+            return "limit"
+        return "stopped" if self.is_over is not None and self.is_over() else ""
+
+    def look(self, point):
+        """Linearise at a point; None where that is not finite."""
+        self.n_linearised += 1
+        linearised = self.problem.linearise(point)
+        if linearised is None:
+            return None
+        residual, jacobian = linearised.residual, linearised.jacobian
+        lengths = np.sqrt(np.sum(np.square(jacobian), axis=0))
+        chisqr = linearised.chisqr
+        if not (chisqr < _HUGE**2 and np.all(lengths < _HUGE)):
+            return None
+        values = np.asarray(self.problem.values(point), dtype=float)
+        basis, triangle = np.linalg.qr(jacobian)
+        slopes = jacobian.T @ residual
+        blocked = ((values <= self.low) & (slopes > 0)) | ((values >= self.high) & (slopes < 0))
+        free = (self.low < self.high) & ~blocked
+        lines = lengths * np.sqrt(residual @ residual)
+        cosines = np.abs(slopes[free]) / np.where(lines > 0, lines, 1.0)[free]
+        return _Place(point, values, linearised, chisqr, lengths, triangle, basis.T @ residual,
+                      free, float(np.max(cosines, initial=0.0)))  # fmt: skip
+
+    def solve(self, here, scale, radius):
+        """The step of the free unknowns that the linearisation finds best within a radius.
+
+        Lengths are those of the change of the residual, unknown by unknown (`scale`: lengths of
+        columns), so that units do not matter; the local step counts as one more direction.
+        """
+        free, rest = here.free, here.linearised.rest
+        scale = np.where(scale > 0, scale, 1.0)[free]
+        left, s, right = np.linalg.svd(here.triangle[:, free] / scale, full_matrices=False)
+        seen = s > self.settings.rank * np.max(s, initial=0.0)
+        s, right = s[seen], right[seen]
+        unseen = np.zeros(len(here.values))
+        unseen[free] = 1.0 - np.sum(np.square(right), axis=0)
+        image = left[:, seen].T @ here.image
+        damping = _damping(np.append(s, 1.0), np.append(image, np.sqrt(rest)), radius)
+        scaled = -right.T @ (s / (s * s + damping) * image)
+        low = (self.low - here.values)[free] * scale
+        high = (self.high - here.values)[free] * scale
+        if np.any((scaled < low) | (scaled > high)):
+            rows = np.vstack([s[:, None] * right, np.sqrt(damping) * np.eye(len(scale))])
+            target = np.concatenate([-image, np.zeros(len(scale))])
+            bounded = lsq_linear(rows, target, (low, high), method="bvls", max_iter=9 * len(scale))
+            scaled = np.clip(bounded.x, low, high)
+        share = 1.0 / (1.0 + damping)
+        left_over = image + s * (right @ scaled)
+        values = here.values.copy()
+        values[free] += scaled / scale
+        values[free] = np.where(scaled <= low, self.low[free], values[free])  # to the last bit
+        values[free] = np.where(scaled >= high, self.high[free], values[free])
+        values = np.clip(values, self.low, self.high)
+        fall = image @ image - left_over @ left_over + rest * (1.0 - (1.0 - share) ** 2)
+        size = np.sqrt(scaled @ scaled + share**2 * rest)
+        return _Step(values, share, float(size), float(fall), unseen, len(scale) - len(s))
+
+    def moved(self, here, step):
+        point = self.problem.move(here.point, here.linearised, step.values, step.share)
+        return self.look(point)
+
+    def descend(self, here, scale, radius):
+        """Try shorter and shorter steps until one is taken: (place, radius, why there is none).
+
+        As long as whole Gauss-Newton steps gain what they promise, there is no radius.
+        """
+        while True:
+            step = self.solve(here, scale, radius)
+            if not step.fall > _EPS * here.chisqr:
+                return here, radius, "stalled"
+            if reason := self.reason_to_stop():
+                return here, radius, reason
+            there = self.moved(here, step)
+            gain = -1.0 if there is None else (here.chisqr - there.chisqr) / step.fall
+            is_taken = gain >= _ACCEPTED
+            if np.isinf(radius) and gain < _GOOD:
+                radius = np.sqrt(np.sum(np.square(scale * here.values))) or np.sqrt(here.chisqr)
+                is_taken = is_taken and step.size <= radius
+            if gain < _POOR:
+                radius = min(radius, step.size * (0.25 if there is not None else 0.1))
+            elif gain > _GOOD:
+                radius = max(radius, 2.0 * step.size)
+            if is_taken:
+                return there, radius, ""
+
+    def polish(self, here, whole):
+        """Make last whole steps while they bring the gradient down and chi-squared stays.
+
+        So small a fall of chi-squared is lost in its rounding; that of the gradient is not.
+        """
+        enough = max(here.rounding, 1e-4 * self.negligible(here))
+        for _ in range(self.settings.last_steps):
+            if whole.fall <= enough or self.reason_to_stop():
+                break
+            there = self.moved(here, whole)
+            if there is None or there.chisqr > here.chisqr * (1.0 + 1e-12) + here.rounding:
+                break
+            after = self.solve(there, there.lengths, np.inf)
+            if not after.fall < whole.fall:
+                break
+            here, whole = there, after
+        return here, whole
+
+    def finish(self, here, whole, code, least):
+        values = here.values
+        is_bound = (self.low < self.high) & ((values <= self.low) | (values >= self.high))
+        if code == "fall" and not is_bound.any():
+            has_idle = np.any(here.lengths[here.free] == 0)
+            code = "flat" if has_idle or whole.n_unseen > least else code
+        status = "unconverged"
+        if code == "fall":
+            status = "at_bound" if is_bound.any() else "converged"
+        undetermined = whole.unseen > 1e-6
+        return Minimum(here.point, values, here.linearised, status, code, here.gradient,
+                       whole.fall, undetermined, self.n_linearised)  # fmt: skip
+
+
+def _damping(s, image, radius):
+    """The damping by which ``s / (s**2 + damping) * image`` is as long as the radius, within 10 %.
+
+    Zero if the undamped step is not longer. Newton's method on the inverse length, from the left.
+    """
+    damping = 0.0
+    for _ in range(60):
+        step = s / (s * s + damping) * image
+        length = np.sqrt(step @ step)
+        excess = length - radius
+        if excess <= 0.1 * radius:
+            break
+        damping += excess / radius * length**2 / np.sum(np.square(step) / (s * s + damping))
+    return damping

@@ -1,0 +1,165 @@
+"""What the least-squares driver is asked and what it answers: problems, settings, minima."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+__all__ = ["Linearised", "Minimum", "Problem", "Settings", "dense_problem"]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A problem linearised at a point; a problem may add fields that its `move` needs.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n,)
+        Whitened, what the local unknowns can explain projected out.
+    jacobian : ndarray, shape (n, k)
+        Of the residual with respect to the shared unknowns, projected in the same way.
+    rest : float
+        Sum of squares of what was projected out: chi-squared at the point is
+        ``residual @ residual + rest``, and a whole local step gains `rest`.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    rest: float = 0.0
+
+    @property
+    def chisqr(self):
+        return float(self.residual @ self.residual) + self.rest
+
+
+class Problem(Protocol):
+    """What `minimise` needs to know; points are opaque to it."""
+
+    def values(self, point) -> np.ndarray:
+        """Shared unknowns of a point, shape (k,)."""
+
+    def linearise(self, point) -> Linearised | None:
+        """The linearisation there; None if the model is not finite."""
+
+    def move(self, point, linearised, values, share) -> Any:
+        """The point with these values of the shared unknowns.
+
+        Local unknowns follow them by the linearisation, and make `share` (0 to 1) of the
+        Gauss-Newton step that they would make if the shared unknowns stayed.
+        """
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When to stop.
+
+    Attributes
+    ----------
+    absolute : float
+        Fall of chi-squared that is nothing, in variances of the noise; 0 if the noise is unknown.
+    relative : float
+        The same as a part of chi-squared.
+    max_linearised : int
+    rank : float
+        Singular values below this part of the largest (columns of unit length) determine nothing.
+    last_steps : int
+        At most so many steps that gain nothing visible are made at the end, until the fall is 1e-4
+        of that again: digits that no longer depend on the start.
+    """
+
+    absolute: float = 1e-4
+    relative: float = 1e-12
+    max_linearised: int = 1000
+    rank: float = 1e-10
+    last_steps: int = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where `minimise` ended.
+
+    Attributes
+    ----------
+    point : object
+    values : ndarray, shape (k,)
+    linearised : Linearised or None
+        None where the start is not finite.
+    status : str
+        "converged", "at_bound" (converged, with an unknown at a bound), "unconverged", "nonfinite".
+    code : str
+        Why it ended: "fall" (nothing to be gained), "flat" (nothing to be gained, since an unknown
+        has no influence at all there, or unknowns can no longer be told apart that could before:
+        a plateau), "stalled", "limit", "stopped", "start".
+    gradient : float
+        Largest cosine between the residual and the column of an unknown that is free to move.
+    fall : float
+        Of chi-squared, as a whole Gauss-Newton step foresees it.
+    undetermined : ndarray of bool, shape (k,)
+        Unknowns that the data do not determine, alone or in combination with others.
+    n_linearised : int
+    n_starts, n_agree : int
+    """
+
+    point: Any
+    values: np.ndarray
+    linearised: Linearised | None
+    status: str
+    code: str
+    gradient: float
+    fall: float
+    undetermined: np.ndarray
+    n_linearised: int
+    n_starts: int = 1
+    n_agree: int = 1
+
+    @property
+    def chisqr(self):
+        return np.inf if self.linearised is None else self.linearised.chisqr
+
+    @property
+    def residual(self):
+        return self.linearised.residual
+
+    @property
+    def jacobian(self):
+        return self.linearised.jacobian
+
+
+@dataclass(frozen=True)
+class _Dense:
+    """A plain problem: a point is the array of its unknowns."""
+
+    residual: Callable
+    jacobian: Callable
+
+    def values(self, point):
+        return np.asarray(point, dtype=float)
+
+    def linearise(self, point):
+        point = self.values(point)
+        residual = np.asarray(self.residual(point), dtype=float)
+        if not np.isfinite(residual).all():
+            return None
+        jacobian = np.asarray(self.jacobian(point), dtype=float)
+        return Linearised(residual, jacobian) if np.isfinite(jacobian).all() else None
+
+    def move(self, point, linearised, values, share):
+        return values
+
+
+def dense_problem(residual, jacobian):
+    """A plain problem: ``residual(x) -> (n,)`` and ``jacobian(x) -> (n, k)``, points are arrays.
+
+    Examples
+    --------
+    >>> from bsp_gp.fitting.least_squares import minimise
+    >>> x, y = np.arange(3.0), np.array([1.0, 3.1, 4.9])
+    >>> line = dense_problem(lambda b: y - b[0] - b[1] * x, lambda b: -np.stack([x**0, x], axis=1))
+    >>> minimum = minimise(line, [0.0, 0.0])
+    >>> minimum.status, minimum.values.round(6)
+    ('converged', array([1.05, 1.95]))
+    """
+    return _Dense(residual, jacobian)
