@@ -20,6 +20,7 @@ ROOMS = (
     "data",
     "language",
     "physics",
+    "fitting",
     "search",
     "inference",
     "loop",

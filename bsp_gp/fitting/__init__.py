@@ -1,0 +1,1 @@
+"""How a hypothesis fits: tracks, their derivatives, the noise, and the one least-squares driver."""
