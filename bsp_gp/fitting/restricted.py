@@ -95,7 +95,8 @@ class Restricted:
         for size in np.unique(sizes) if n_columns else ():
             chains = np.flatnonzero(sizes == size)
             at = self._first[chains][:, None] + np.arange(size)
-            flat = local[:, :, at].transpose(2, 1, 3, 0).reshape(len(chains), -1, n_columns)
+            flat = local[:, :, at].transpose(2, 1, 3, 0)
+            flat = flat.reshape(len(chains), n_rows * size, n_columns)
             norm = np.linalg.norm(flat, axis=1, keepdims=True)
             flat = flat / np.where(norm > 0, norm, 1.0)
             u, s, _ = np.linalg.svd(flat, full_matrices=False)
@@ -172,5 +173,7 @@ def _shared_basis(rest, before):
     """Orthonormal columns of what chains' own columns leave of the shared ones."""
     size = np.sqrt(np.square(before).sum(axis=(1, 2), keepdims=True))
     rest = rest / np.where(size > 0, size, 1.0)
-    u, s, _ = np.linalg.svd(rest.reshape(len(rest), -1).T, full_matrices=False)
-    return u.T[s > _RANK].reshape(-1, *rest.shape[1:])
+    flat = rest.reshape(len(rest), math.prod(rest.shape[1:])).T
+    u, s, _ = np.linalg.svd(flat, full_matrices=False)
+    kept = u.T[s > _RANK]
+    return kept.reshape(len(kept), *rest.shape[1:])
