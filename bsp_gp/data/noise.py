@@ -11,7 +11,7 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError
 from bsp_gp.units import Unit
 
-__all__ = ["NoiseEstimate", "estimate_noise"]
+__all__ = ["NoiseEstimate", "estimate_noise", "finest_noise"]
 
 ORDERS = range(2, 9)
 FLOOR = 1e-12
@@ -121,6 +121,24 @@ def estimate_noise(data):
     return NoiseEstimate(
         tuple(sigma), best, tuple(degrees), inactive, "; ".join(methods), tuple(notes)
     )
+
+
+def finest_noise(data):
+    """Per axis, the step of the grid that positions lie on (0.0: none) and the least sigma, metres.
+
+    Parameters
+    ----------
+    data : Dataset or sequence of Scene
+
+    Returns
+    -------
+    steps, floors : tuple of float, length d
+        The floor of an estimate is the step / sqrt(12) and 1e-12 of the range of the positions;
+        that of a declared value is the latter alone.
+    """
+    scenes = data.scenes if isinstance(data, Dataset) else tuple(data)
+    tracks = [_tracks(scenes, axis) for axis in range(scenes[0].n_dims)]
+    return tuple(_grid_steps(tracks)), tuple(FLOOR * _span(axis) for axis in tracks)
 
 
 def _tracks(scenes, axis):

@@ -13,8 +13,9 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.least_squares import Settings, minimise
+from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
+from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import DECADES, candidates, first_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem

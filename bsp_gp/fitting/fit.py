@@ -16,7 +16,7 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
-from bsp_gp.fitting.least_squares import Minimum
+from bsp_gp.fitting.problem import Minimum
 from bsp_gp.fitting.noise_estimate import estimate, log_likelihood
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.starts import roles_of, scales_of

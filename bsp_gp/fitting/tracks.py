@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.fitting.least_squares import Linearised
+from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import Whitener
 
 __all__ = ["ChainNoise", "TrackLinearised", "TrackPoint", "TrackProblem"]

@@ -1,0 +1,162 @@
+"""The noise of a fit from its residual: levels by restricted likelihood, further parts by evidence.
+
+White noise with a level per axis comes first. Memory, factors of scenes and of bodies, growth with
+speed and tails are each tried in turn; the one whose gain of restricted likelihood lies furthest
+above what chance gives is adopted, and the others are asked again beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from bsp_gp.fitting.noise_model import NoiseFinding
+from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
+from bsp_gp.fitting.student import fit_student
+
+__all__ = ["estimate"]
+
+_N_TIMES = 6
+_PROMISE = 0.5
+"""A memory is estimated where screening promises this part of the gain that it needs."""
+
+
+def estimate(model, channels, residual, columns=None, local=None, tolerances=None, adopt=True):
+    """Estimate what is free of the noise from the residual of a fit.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        What is known; levels serve as a first guess.
+    channels : Channels
+    residual : ndarray, shape (T, C), metres
+    columns : ndarray, shape (p, T, C), optional
+        Derivatives of the residual to what the fit has free everywhere.
+    local : ndarray, shape (q, T, C), optional
+        Derivatives to what each chain has of its own.
+    tolerances : NoiseTolerances, optional
+    adopt : bool
+        Whether parts are chosen anew; otherwise those of `model` are estimated again.
+
+    Returns
+    -------
+    NoiseModel
+
+    Raises
+    ------
+    FitError
+        No row is left after what is free, though a level is to be estimated.
+    """
+    tolerances = tolerances or NoiseTolerances()
+    model = model.plain() if adopt else model
+    task = NoiseTask(model, channels, residual, columns, local, tolerances)
+    if not task.can_estimate:
+        return model
+    if not adopt:
+        return task.refit(model)
+    model = task.refit(task.start)
+    findings, parts = [], _parts(task, model)
+    while parts:
+        tried = {part: _with_part(task, part, model) for part in parts}
+        needed = {part: _needed(task, part) for part in parts}
+        best = max(parts, key=lambda part: tried[part][1] - needed[part])
+        is_adopted = tried[best][1] > needed[best]
+        told = [best] if is_adopted else parts
+        findings += [NoiseFinding(p, tried[p][1], needed[p], is_adopted) for p in told]
+        if not is_adopted:
+            break
+        model = task.refit(tried[best][0])
+        parts.remove(best)
+    return replace(model, findings=tuple(findings))
+
+
+def _parts(task, model):
+    """Parts that these channels can tell."""
+    found = [] if model.is_correlation_known else ["correlation"]
+    if task.free.any():
+        for part, index, names in task.groups:
+            if names and len(np.unique(index[task.free])) > 1:
+                found.append(part)
+        found += ["tails"] if task.channels.speed is None else ["speed", "tails"]
+    if np.max(np.count_nonzero(task.channels.seen, axis=0)) < 4 and "correlation" in found:
+        found.remove("correlation")
+    return found
+
+
+def _needed(task, part):
+    """Gain of log-likelihood that chance exceeds with the probability `level`."""
+    n_free = {"correlation": 3, "speed": 1, "tails": 1}.get(part)  # times are searched over
+    if n_free is None:
+        index = next(index for name, index, _ in task.groups if name == part)
+        n_free = len(np.unique(index[task.free])) - 1
+    return 0.5 * float(chdtri(n_free, task.tolerances.level))
+
+
+def _with_part(task, part, model):
+    """The model with one part more, and what that gains.
+
+    Rows keep the weights that tails gave them, which makes the gain a lower bound, as in an
+    EM step.
+    """
+    if part == "tails":
+        return _student(task, model)
+    value = task.value(model)
+    starts = _starts(task, part, model)
+    if part == "correlation":
+        best, promise = _screened(task, starts, value)
+        if promise < _PROMISE * _needed(task, part):
+            return best, promise
+    elif not starts:
+        return model, 0.0
+    else:
+        best = max(starts, key=task.value) if len(starts) > 1 else starts[0]
+    found, reached = task.refit_normal(best)
+    return found, reached - value
+
+
+def _starts(task, part, model):
+    """Models with one part more, where a search for its numbers may begin."""
+    if part == "correlation":
+        times = np.geomspace(*task.time_bounds(), _N_TIMES)
+        return [replace(model, correlated=0.5, correlation_time=float(t)) for t in times]
+    if part == "speed":
+        speed = task.channels.speed[task.channels.seen & task.free]
+        typical = math.sqrt(float(np.nanmean(np.square(speed))))
+        level = math.sqrt(float(np.mean(np.square(np.array(model.levels)[model.is_free]))))
+        growths = [k * level / typical for k in (0.3, 1.0, 3.0)] if typical > 0 else []
+        return [replace(model, speed_growth=growth) for growth in growths]
+    index, names = next((i, n) for name, i, n in task.groups if name == part)
+    used = np.unique(index[task.free])
+    return [replace(model, **{part: tuple((names[k], 1.0) for k in used)})]
+
+
+def _screened(task, starts, value):
+    """The best of the correlation times, and the gain that a parabola in its share promises."""
+    best, most = starts[0], 0.0
+    small = min(2.0 / math.sqrt(task.n_left), 0.2)
+    for start in starts:
+        one, two = (
+            task.value(replace(start, correlated=share)) - value for share in (small, 2.0 * small)
+        )
+        slope, bend = (4.0 * one - two) / (2.0 * small), (two - 2.0 * one) / small**2
+        gain = -0.5 * slope**2 / bend if slope > 0 > bend else two
+        if gain > most:
+            best, most = start, gain
+    return best, most
+
+
+def _student(task, model):
+    """The model with tails, and what they gain over the normal, on the pure error."""
+    error = task.restricted.pure_error(model.whitener(task.channels))
+    used = task.informative(model, error)
+    z = error.whitened[used] / np.sqrt(error.remaining[used])
+    if not z.any():
+        return model, 0.0
+    scale, degrees, gain = fit_student(z)
+    scaled = np.maximum(scale * np.array(model.levels), model.lowest)
+    levels = np.where(model.is_free, scaled, model.levels)
+    gain *= min(task.n_left / len(z), 1.0)
+    return replace(model, levels=tuple(levels.tolist()), degrees=degrees), gain

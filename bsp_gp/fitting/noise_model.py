@@ -1,0 +1,260 @@
+"""The noise of measured tracks as a part of a hypothesis: what is known of it, what is estimated.
+
+The size of an error is the level of its axis, times a factor of its body and one of its scene.
+A part of its square, `correlated`, belongs to an Ornstein-Uhlenbeck process, the rest is white, so
+that a declared level says the same with and without memory. The white variance may grow with the
+speed (time stamps that jitter by b seconds: (b * speed)^2), have the tails of Student's t, and is
+never below that of rounding, step^2 / 12. Quoted and declared sizes are taken as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bsp_gp.data.noise import estimate_noise, finest_noise
+from bsp_gp.fitting.whitening import Whitener
+
+__all__ = ["NoiseFinding", "NoiseModel", "NoiseParameter"]
+
+KNOWN = ("quoted", "declared")
+
+
+@dataclass(frozen=True)
+class NoiseParameter:
+    """A number of the noise.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        "m", "s" or "".
+    value, low, high : float
+    is_free : bool
+        Whether it is estimated.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    is_free: bool
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """One part of the noise that was asked for.
+
+    Attributes
+    ----------
+    part : str
+        "correlation", "scenes", "bodies", "speed" or "tails".
+    gain, needed : float, nats
+        Of restricted log-likelihood.
+    is_adopted : bool
+    """
+
+    part: str
+    gain: float
+    needed: float
+    is_adopted: bool
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of positions.
+
+    Attributes
+    ----------
+    levels : tuple of float, length d, metres
+        Standard deviation per axis, white and correlated parts together; under Student's t its
+        scale. nan = an axis along which nothing moves.
+    sources : tuple of str, length d
+        "quoted", "declared" (both are known, and stay) or "estimated".
+    floors, steps : tuple of float, length d, metres
+        Least size at all, and the step of the grid of an axis (0 = none).
+    bodies, scenes : tuple of (str, float)
+        Factors of the size; who is not named has 1. On estimated axes only, as what follows.
+    speed_growth : float, s
+    degrees : float
+        Of Student's t; inf = normal.
+    correlated : float
+        Part of the variance that has a memory, on every axis.
+    correlation_time : float, s
+    is_correlation_known : bool
+        Declared, white included.
+    findings : tuple of NoiseFinding
+        Which parts were asked for when it was estimated.
+    """
+
+    levels: tuple[float, ...]
+    sources: tuple[str, ...]
+    floors: tuple[float, ...]
+    steps: tuple[float, ...]
+    bodies: tuple = ()
+    scenes: tuple = ()
+    speed_growth: float = 0.0
+    degrees: float = math.inf
+    correlated: float = 0.0
+    correlation_time: float = 0.0
+    is_correlation_known: bool = False
+    findings: tuple = field(default=(), compare=False)
+
+    @classmethod
+    def of(cls, dataset):
+        """What a data set says of its noise; levels not said are estimated from differences."""
+        found = estimate_noise(dataset)
+        steps, floors = finest_noise(dataset)
+        memory = dataset.noise_memory
+        sources = tuple(_source(dataset, axis) for axis in range(len(found.sigma)))
+        return cls(
+            levels=found.sigma,
+            sources=sources,
+            floors=floors,
+            steps=steps,
+            correlated=1.0 if memory else 0.0,
+            correlation_time=memory or 0.0,
+            is_correlation_known=memory is not None,
+        )
+
+    @property
+    def is_free(self):
+        """Which axes have an estimated level, ndarray of bool, shape (d,)."""
+        pairs = zip(self.sources, self.levels, strict=True)
+        free = [s not in KNOWN and math.isfinite(x) for s, x in pairs]
+        return np.array(free)
+
+    @property
+    def lowest(self):
+        """Least level that may be estimated, ndarray, shape (d,), metres."""
+        rounding = np.array(self.steps) / math.sqrt(12.0)
+        return np.maximum(np.maximum(self.floors, rounding), np.finfo(float).tiny)
+
+    def plain(self):
+        """The same with nothing adopted: levels per axis and what was declared."""
+        model = replace(self, bodies=(), scenes=(), speed_growth=0.0, degrees=math.inf, findings=())
+        if self.is_correlation_known:
+            return model
+        return replace(model, correlated=0.0, correlation_time=0.0)
+
+    def sizes(self, channels):
+        """Standard deviation of every row without growth and tails, shape (T, C); nan = none."""
+        level = np.maximum(np.array(self.levels), self.floors)[channels.axis]
+        size = np.broadcast_to(level * self._factors(channels), channels.seen.shape)
+        if channels.quoted is not None:
+            floor = np.array(self.floors)[channels.axis]
+            # An axis along which nothing moves stays left out.
+            is_quoted = (channels.quoted > 0) & np.isfinite(level)
+            size = np.where(is_quoted, np.fmax(channels.quoted, floor), size)
+        return np.where(channels.seen, size, np.nan)
+
+    def _factors(self, channels):
+        bodies, scenes = dict(self.bodies), dict(self.scenes)
+        of_body = np.array([bodies.get(name, 1.0) for name in channels.body_names])
+        of_scene = np.array([scenes.get(name, 1.0) for name in channels.scene_names])
+        factor = np.ones(len(channels.axis))
+        if bodies:
+            factor = factor * of_body[channels.body]
+        if scenes:
+            factor = factor * of_scene[channels.scene]
+        return np.where(self.is_free[channels.axis], factor, 1.0)
+
+    def parts(self, channels, sizes=None):
+        """White variance and amplitude of the correlated part, both (T, C); nan = not seen."""
+        sizes = self.sizes(channels) if sizes is None else sizes
+        white = (1.0 - self.correlated) * np.square(sizes)
+        free = self.is_free[channels.axis]
+        if free.any():
+            if self.speed_growth and channels.speed is not None:
+                grown = np.square(self.speed_growth * channels.speed)
+                white = white + np.where(free & np.isfinite(grown), grown, 0.0)
+            rounding = np.where(free, np.square(np.array(self.steps))[channels.axis] / 12.0, 0.0)
+            white = np.maximum(white, rounding)
+        return white, math.sqrt(self.correlated) * np.nan_to_num(sizes)
+
+    def whitener(self, channels, weights=None):
+        """Whitens errors (..., T, C).
+
+        Parameters
+        ----------
+        channels : Channels
+        weights : ndarray, shape (T, C), optional
+            Of rows, as `tail_weights` gives them: white variances are divided by them.
+        """
+        white, amplitude = self.parts(channels)
+        if weights is not None:
+            white = white / weights
+        return Whitener(channels.times, white, amplitude, self.correlation_time)
+
+    def tail_weights(self, scaled, channels):
+        """Weights of rows under Student's t, 1 where it does not apply, shape (T, C).
+
+        Parameters
+        ----------
+        scaled : ndarray, shape (T, C)
+            Residual in units of the size that it would have without tails.
+        """
+        if math.isinf(self.degrees):
+            return np.ones(channels.seen.shape)
+        weights = (self.degrees + 1.0) / (self.degrees + np.square(scaled))
+        return np.where(channels.seen & self.is_free[channels.axis], weights, 1.0)
+
+    @property
+    def parameters(self):
+        """Everything that is a number, tuple of NoiseParameter."""
+        found = [
+            NoiseParameter(f"sigma_{'xyz'[k]}", "m", level, self.lowest[k], math.inf, free)
+            for k, (level, free) in enumerate(zip(self.levels, self.is_free, strict=True))
+            if math.isfinite(level)
+        ]
+        for kind, factors in (("body", self.bodies), ("scene", self.scenes)):
+            found += [
+                NoiseParameter(f"sigma[{kind} {name}]", "", value, 0.0, math.inf, True)
+                for name, value in factors
+            ]
+        if self.speed_growth:
+            found.append(NoiseParameter("jitter", "s", self.speed_growth, 0.0, math.inf, True))
+        if math.isfinite(self.degrees):
+            found.append(NoiseParameter("degrees", "", self.degrees, 1.0, math.inf, True))
+        if self.correlated:
+            free = not self.is_correlation_known
+            found.append(NoiseParameter("correlated", "", self.correlated, 0.0, 1.0, free))
+            time = self.correlation_time
+            found.append(NoiseParameter("correlation_time", "s", time, 0.0, math.inf, free))
+        return tuple(found)
+
+    def describe(self):
+        """One line for people."""
+        axes = zip("xyz", self.levels, self.sources, strict=False)
+        said = [f"{axis} {size:.4g} m ({how})" for axis, size, how in axes if math.isfinite(size)]
+        for kind, factors in (("body", self.bodies), ("scene", self.scenes)):
+            if factors:
+                listed = ", ".join(f"{name} {value:.3g}" for name, value in factors[:6])
+                listed += ", ..." if len(factors) > 6 else ""
+                said.append(f"times a factor per {kind}: {listed}")
+        if self.speed_growth:
+            said.append(
+                f"grows with speed as time stamps uncertain by {self.speed_growth:.3g} s do"
+            )
+        if math.isfinite(self.degrees):
+            said.append(f"tails of Student's t with {self.degrees:.3g} degrees of freedom")
+        if self.correlated:
+            said.append(
+                f"{100 * self.correlated:.3g} % of its variance has a memory of "
+                f"{self.correlation_time:.3g} s"
+            )
+        rounded = [f"{a} {s:.3g} m" for a, s in zip("xyz", self.steps, strict=False) if s]
+        if rounded:
+            said.append("rounded to steps of " + ", ".join(rounded))
+        return "; ".join(said)
+
+
+def _source(dataset, axis):
+    """Whether the level of an axis is quoted, declared or to be estimated."""
+    for scene in dataset.scenes:
+        if scene.sigma is not None and np.isfinite(scene.sigma[:, scene.dynamic, axis]).any():
+            return "quoted"
+    return "estimated" if dataset.noise is None else "declared"

@@ -1,0 +1,301 @@
+"""The free numbers of a noise law at the maximum of its restricted likelihood.
+
+Sizes (levels, factors of scenes and bodies) follow from a fixed point: every group's whitened
+squares are as large as its degrees of freedom. What has a shape (memory, growth with speed) is
+searched for by L-BFGS-B; weights of rows under Student's t come in turn with both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from bsp_gp.errors import FitError
+from bsp_gp.fitting.restricted import Restricted
+from bsp_gp.fitting.student import fit_degrees, scaled_without_tails
+
+__all__ = ["NoiseTask", "NoiseTolerances"]
+
+_STEP = 1e-6
+"""Of differences in logarithms; shifts an estimate by half of it, far below its error."""
+_HUGE = 1e100
+_SCALE = (math.log(1e-6), math.log(1e6))
+_SHARE = (-6.0, 14.0)
+"""Logit of the correlated part of the variance: 0.0025 to all but a millionth."""
+_GROWTH = 7.0
+_LEAST = 1e-3
+"""Degrees of freedom left on an axis, below which its level stays at the first guess."""
+_MIN_REMAINING = 0.05
+_N_PASSES = 60
+_N_ROUNDS = 8
+_N_TAILS = 12
+_PRECISE_TAILS = 1e-4
+
+
+@dataclass(frozen=True)
+class NoiseTolerances:
+    """What an estimate of noise goes by.
+
+    Attributes
+    ----------
+    level : float
+        Chance of a further part in noise that lacks it, for each part. 0.001: five are asked for
+        in every fit, and a wrong memory hides effects.
+    max_time : float
+        Longest correlation time, as a part of the longest track: what lasts longer is a different
+        offset in every scene, and belongs to the motion.
+    min_time : float
+        Shortest correlation time, in median intervals between rows; a shorter one is white.
+    min_rows : float
+        Degrees of freedom left that a body or scene must have for a factor of its own.
+    precision : float
+        Largest change of the logarithm of a level in the last pass.
+    """
+
+    level: float = 1e-3
+    max_time: float = 0.2
+    min_time: float = 0.3
+    min_rows: float = 4.0
+    precision: float = 1e-6
+
+
+class NoiseTask:
+    """One residual, and the noise laws that are tried on it.
+
+    Parameters
+    ----------
+    model, channels, residual, columns, local, tolerances
+        As `estimate` takes them.
+
+    Attributes
+    ----------
+    start : NoiseModel
+        With free levels guessed from the residual.
+    free : ndarray of bool, shape (C,)
+        Channels whose level is estimated.
+    n_left : int
+        Rows less the rank of the columns.
+    weights : ndarray, shape (T, C), or None
+        That tails give the rows; those of the last model with tails.
+    """
+
+    def __init__(self, model, channels, residual, columns, local, tolerances):
+        self.channels, self.tolerances = channels, tolerances
+        self.free = model.is_free[channels.axis]
+        size = model.sizes(channels)
+        known = np.isfinite(size)
+        if self.free.any():
+            model = _guessed(model, channels, residual)
+            size = model.sizes(channels)
+        self.start = model
+        seen = known & channels.seen & np.isfinite(channels.times)
+        self.restricted = Restricted(residual, seen, channels.chain, size, columns, local)
+        self.n_left = self.restricted.n_rows - self.restricted.n_free
+        if self.n_left < 1 and self.free.any():
+            raise FitError(
+                f"the noise cannot be estimated: {self.restricted.n_rows} measured values, "
+                f"{self.restricted.n_free} free numbers; declare noise"
+            )
+        self.weights = None
+
+    @property
+    def can_estimate(self):
+        """Whether anything is free, and rows are left to tell it."""
+        return self.n_left > 0 and bool(self.free.any() or not self.start.is_correlation_known)
+
+    @property
+    def groups(self):
+        """Parts that are factors of groups: name, index of every channel, names of the groups."""
+        c = self.channels
+        return (("scenes", c.scene, c.scene_names), ("bodies", c.body, c.body_names))
+
+    def value(self, model):
+        """Restricted log-likelihood of a model, rows weighted as they are."""
+        return self.restricted.value(model.whitener(self.channels, self.weights))
+
+    def refit(self, model):
+        """A model with its free numbers at the maximum."""
+        if math.isfinite(model.degrees):
+            return self._refit_tails(model)
+        return self.refit_normal(model)[0]
+
+    def refit_normal(self, model):
+        """The same with the weights of rows as they are, and its restricted log-likelihood."""
+        shape = self._shape(model)
+        model, value = self._rescale(model)
+        for _ in range(_N_ROUNDS if shape else 0):
+            before = value
+            model = self._optimise(model, shape)
+            model, value = self._rescale(model)
+            if value - before < 1e-3:
+                break
+        return model, value
+
+    def _refit_tails(self, model):
+        """Weights of rows, the other numbers and degrees of freedom in turn."""
+        for _ in range(_N_TAILS):
+            before = np.log(np.array(model.levels)[model.is_free])
+            whitener = model.whitener(self.channels, self.weights)
+            error = self.restricted.pure_error(whitener)
+            innovations = error.whitened * whitener.spread
+            scaled, _ = scaled_without_tails(
+                model, self.channels, whitener, self.weights, innovations
+            )
+            self.weights = model.tail_weights(scaled, self.channels)
+            model = self.refit_normal(model)[0]
+            degrees = fit_degrees(scaled[self.informative(model, error)], model.degrees)
+            model = replace(model, degrees=degrees)
+            after = np.log(np.array(model.levels)[model.is_free])
+            if np.abs(after - before).max() < _PRECISE_TAILS:
+                break
+        return model
+
+    def informative(self, model, error):
+        """Rows that tell of tails: of a free level that is no floor, and not taken by a column."""
+        above = np.array(model.levels) > 1.001 * model.lowest
+        return (error.remaining > _MIN_REMAINING) & (self.free & above[self.channels.axis])
+
+    def time_bounds(self):
+        """Shortest and longest correlation time that these tracks can tell."""
+        times = np.where(self.channels.seen, self.channels.times, np.nan)
+        span = np.nanmax(times, axis=0, initial=-math.inf) - np.nanmin(
+            times, axis=0, initial=math.inf
+        )
+        steps = np.diff(times, axis=0)
+        low = self.tolerances.min_time * float(np.median(steps[np.isfinite(steps)]))
+        return low, max(self.tolerances.max_time * float(span.max()), 2.0 * low)
+
+    def _shape(self, model):
+        """Names of free numbers that are no mere factors of size, with their bounds."""
+        found = {}
+        if model.correlated and not model.is_correlation_known:
+            low, high = self.time_bounds()
+            found["correlated"] = _SHARE
+            found["correlation_time"] = (math.log(low), math.log(high))
+        if model.speed_growth:
+            middle = math.log(model.speed_growth)
+            found["speed_growth"] = (middle - _GROWTH, middle + _GROWTH)
+        return found
+
+    def _optimise(self, model, shape):
+        """Numbers of the shape, and all free levels by one common factor, at the maximum."""
+        names = ["levels", *shape] if self.free.any() else list(shape)
+        bounds = [_SCALE, *shape.values()] if self.free.any() else list(shape.values())
+        start = np.array([_coded(model, name) for name in names])
+        low, high = np.array(bounds).T
+        start = np.clip(start, low, high)
+
+        def loss(values):
+            found = self.value(_decoded(model, names, values))
+            return -found if math.isfinite(found) else _HUGE
+
+        def slope(values):
+            at = loss(values)
+            steps = np.where(values + _STEP > high, -_STEP, _STEP)
+            moved = [
+                loss(values + step * e) for step, e in zip(steps, np.eye(len(values)), strict=True)
+            ]
+            return at, (np.array(moved) - at) / steps
+
+        found = minimize(
+            slope, start, jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"maxiter": 60, "ftol": 1e-10, "gtol": 1e-3},
+        )  # fmt: skip
+        return _decoded(model, names, found.x)
+
+    def _rescale(self, model):
+        """Levels and factors at the maximum, the shape as it is: every z^2 as large as expected."""
+        for _ in range(_N_PASSES):
+            error = self.restricted.pure_error(model.whitener(self.channels, self.weights))
+            change, other = self._rescaled(model, error)
+            if change <= self.tolerances.precision:
+                return model, error.value
+            model = other
+        return model, self.value(model)
+
+    def _rescaled(self, model, error):
+        """One pass: axes, then scenes, then bodies; the largest change of a logarithm."""
+        share = self._share(model)
+        squares = (np.square(error.whitened) * share).sum(axis=0)
+        expected = (error.remaining * share).sum(axis=0)
+        squares, expected = squares[self.free], expected[self.free]
+        axis = self.channels.axis[self.free]
+        levels, largest = np.array(model.levels), 0.0
+        for k in np.flatnonzero(model.is_free):
+            mine = axis == k
+            factor = _factor(squares[mine].sum(), expected[mine].sum(), _LEAST)
+            level = max(levels[k] * factor, model.lowest[k])
+            largest = max(largest, abs(math.log(level / levels[k])))
+            squares[mine] /= (level / levels[k]) ** 2
+            levels[k] = level
+        found = {}
+        for part, index, names in self.groups:
+            if factors := dict(getattr(model, part)):
+                of = index[self.free]
+                sums = np.bincount(of, squares, len(names))
+                rest = np.bincount(of, expected, len(names))
+                steps = np.ones(len(names))
+                for k in np.unique(of):
+                    name = names[k]
+                    old = factors.get(name, 1.0)
+                    factor = _factor(sums[k], rest[k], self.tolerances.min_rows)
+                    new = min(max(old * factor, 1e-4), 1e4)
+                    steps[k], factors[name] = new / old, new
+                    largest = max(largest, abs(math.log(new / old)))
+                squares = squares / np.square(steps[of])
+                middle = math.exp(float(np.mean(np.log(list(factors.values())))))
+                levels = levels * middle
+                found[part] = tuple((name, value / middle) for name, value in factors.items())
+        levels = np.where(model.is_free, np.maximum(levels, model.lowest), model.levels)
+        return largest, replace(model, levels=tuple(levels.tolist()), **found)
+
+    def _share(self, model):
+        """Part of the variance of every row that grows with the size, shape (T, C)."""
+        size = model.sizes(self.channels)
+        white, amplitude = model.parts(self.channels, size)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.square(size) / (white + np.square(amplitude))
+        return np.where(np.isfinite(share), np.minimum(share, 1.0), 0.0)
+
+
+def _factor(squares, expected, least):
+    """By which a size is to grow, at most tenfold either way; none on too few rows."""
+    if expected < least:
+        return 1.0
+    return min(max(math.sqrt(squares / expected), 0.1), 10.0)
+
+
+def _guessed(model, channels, residual):
+    """Free levels from the residual as it is."""
+    levels = np.array(model.levels)
+    for k in np.flatnonzero(model.is_free):
+        values = residual[:, channels.axis == k][channels.seen[:, channels.axis == k]]
+        if len(values):
+            levels[k] = max(math.sqrt(float(np.mean(np.square(values)))), model.lowest[k])
+    return replace(model, levels=tuple(levels.tolist()))
+
+
+def _coded(model, name):
+    """A number as it is searched for: a logit for a share, a logarithm otherwise."""
+    if name == "levels":
+        return 0.0
+    value = getattr(model, name)
+    if name == "correlated":
+        return math.log(value) - math.log1p(-value) if value < 1.0 else _SHARE[1]
+    return math.log(value)
+
+
+def _decoded(model, names, values):
+    changes = {}
+    for name, value in zip(names, values, strict=True):
+        if name == "levels":
+            levels = np.array(model.levels)
+            grown = np.maximum(levels * math.exp(value), model.lowest)
+            changes[name] = tuple(np.where(model.is_free, grown, levels).tolist())
+        else:
+            changes[name] = float(expit(value) if name == "correlated" else math.exp(value))
+    return replace(model, **changes)

@@ -1,0 +1,94 @@
+"""Noise with the tails of Student's t, and the plain likelihood of a residual under any noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import gammaln
+
+__all__ = ["fit_degrees", "fit_student", "log_likelihood", "scaled_without_tails"]
+
+_DEGREES = (1.0, 200.0)
+_N_PASSES = 10
+
+
+def log_likelihood(model, channels, residual):
+    """Plain log-likelihood of a residual, by which different laws are compared.
+
+    Parameters
+    ----------
+    model : NoiseModel
+    channels : Channels
+    residual : ndarray, shape (T, C), metres
+    """
+    if math.isinf(model.degrees):
+        whitener = model.whitener(channels)
+        square = float(np.square(whitener.whiten(residual)).sum())
+        n_rows = np.count_nonzero(whitener.seen)
+        return -0.5 * (square + whitener.log_det + n_rows * math.log(2.0 * math.pi))
+    weights = None
+    for _ in range(_N_PASSES if model.correlated else 1):
+        whitener = model.whitener(channels, weights)
+        innovations = whitener.innovations(residual)
+        scaled, spread = scaled_without_tails(model, channels, whitener, weights, innovations)
+        weights = model.tail_weights(scaled, channels)
+    normal = -0.5 * (np.square(scaled) + math.log(2.0 * math.pi))
+    tailed = np.where(model.is_free[channels.axis], _log_student(scaled, model.degrees), normal)
+    return float(np.where(whitener.seen, tailed - np.log(spread), 0.0).sum())
+
+
+def scaled_without_tails(model, channels, whitener, weights, innovations):
+    """Innovations in units of the spread that they had if their own rows had no weight.
+
+    Parameters
+    ----------
+    whitener : Whitener
+        Of the model and these weights.
+    weights : ndarray, shape (T, C), or None
+    innovations : ndarray, shape (T, C)
+
+    Returns
+    -------
+    scaled, spread : ndarray, shape (T, C)
+    """
+    spread = whitener.spread
+    if weights is not None:
+        white, _ = model.parts(channels)
+        rest = np.where(whitener.seen, white - white / weights, 0.0)
+        spread = np.sqrt(np.square(spread) + rest)
+    return innovations / spread, spread
+
+
+def fit_student(z):
+    """Scale and degrees of freedom of a sample, and the gain of log-likelihood over the normal."""
+    normal = -0.5 * len(z) * (math.log(2.0 * math.pi * float(np.mean(np.square(z)))) + 1.0)
+
+    def loss(values):
+        scale, degrees = np.exp(values)
+        return float(np.log(scale) * len(z) - _log_student(z / scale, degrees).sum())
+
+    bounds = [(-12.0, 5.0), tuple(np.log(_DEGREES))]
+    start = [math.log(1.4826 * float(np.median(np.abs(z))) + 1e-5), math.log(5.0)]
+    found = minimize(loss, start, method="L-BFGS-B", bounds=bounds)
+    scale, degrees = (float(v) for v in np.exp(found.x))
+    return scale, degrees, -float(found.fun) - normal
+
+
+def fit_degrees(z, start):
+    """Degrees of freedom of a sample of unit scale."""
+
+    def loss(values):
+        return -float(_log_student(z, math.exp(values[0])).sum())
+
+    bounds = [tuple(np.log(_DEGREES))]
+    found = minimize(loss, [math.log(start)], method="L-BFGS-B", bounds=bounds)
+    return math.exp(float(found.x[0]))
+
+
+def _log_student(z, degrees):
+    """Logarithm of the density of Student's t."""
+    half = 0.5 * (degrees + 1.0)
+    norm = gammaln(half) - gammaln(0.5 * degrees) - 0.5 * math.log(degrees * math.pi)
+    return norm - half * np.log1p(np.square(z) / degrees)

@@ -1,0 +1,215 @@
+"""Errors of tracks made white: a white and an exponentially correlated part, in O(rows).
+
+A channel is one coordinate of one body in one scene. Its errors are e = w + a u, with w white of
+a variance told row by row and u a stationary Ornstein-Uhlenbeck process of unit size: two of its
+values that lie a time g apart have the correlation rho = exp(-g / correlation time). The Kalman
+filter of u is the Cholesky factorisation of the covariance of e, with positive numbers only, so
+that neither a correlation time of no length nor an endless one costs digits:
+
+    Q = rho^2 P + 1 - rho^2       the variance of u before its row
+    S = a^2 Q + variance          that of the innovation
+    P = Q variance / S            and of u after it
+
+Where time runs long and channels are few, the recursion of P, a Moebius map, is composed block by
+block; the linear one of the mean is a triangular band that LAPACK solves for all columns at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import lapack
+
+from bsp_gp.errors import FitError
+
+__all__ = ["Whitener"]
+
+_MIN_BLOCKED = 64
+_MAX_BLOCKED = 128
+"""Rows from which, and channels up to which, blocks of time are cheaper than rows one by one."""
+_RESCALE = 8
+"""Rows of a block between two rescalings; a factor of 1e-30 a row is still no underflow."""
+
+
+class Whitener:
+    """Whitens errors of independent channels.
+
+    Parameters
+    ----------
+    times : array-like, shape (T, C) or (T, 1), s
+        Increasing along every channel; nan = no row.
+    variance : array-like, shape (T, C), squared units of the errors
+        Of the white part; nan or inf = not seen.
+    amplitude : array-like, shape (C,) or (T, C)
+        Standard deviation of the correlated part.
+    correlation_time : array-like, shape () or (C,), s
+        Zero makes the correlated part white, inf makes it an offset.
+
+    Attributes
+    ----------
+    seen : ndarray of bool, shape (T, C)
+    spread : ndarray, shape (T, C)
+        Standard deviation of every innovation: what an error that is not foreseen is divided by.
+    """
+
+    def __init__(self, times, variance, amplitude=0.0, correlation_time=0.0):
+        variance = np.asarray(variance, dtype=float)
+        times = np.broadcast_to(np.asarray(times, dtype=float), variance.shape)
+        amplitude = np.asarray(amplitude, dtype=float)
+        self.seen = np.isfinite(variance) & np.isfinite(times)
+        self._foreseen = None
+        if np.any(variance[self.seen] < 0) or not np.all(amplitude >= 0):
+            raise FitError("the noise of a track must not be negative or nan")
+        white = np.where(self.seen, variance, 1.0)
+        if not amplitude.any():
+            self.spread = np.sqrt(white)
+        else:
+            self._remember(_decay(times, correlation_time), white, amplitude)
+        if not np.all(self.spread > 0):
+            raise FitError("the noise of a track must not be zero where a row is seen")
+        self._per_spread = np.where(self.seen, 1.0 / self.spread, 0.0)
+
+    def _remember(self, decay, white, amplitude):
+        """The innovations' variances, and the recursion of the mean foreseen."""
+        rho, carried, fresh = decay
+        amplitude = np.where(self.seen, amplitude, 0.0)
+        whole = np.square(amplitude) + white
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part, rest = np.square(amplitude) / whole, white / whole
+            before = _variances(carried, fresh, part, rest)
+            innovation = part * before + rest
+            self.spread = np.sqrt(whole * innovation)
+            self._kept = rho * _earlier(rest / innovation)
+            self._gain = rho * _earlier(amplitude * before / (whole * innovation))
+        self._rho = rho
+        self._foreseen = amplitude
+
+    @property
+    def log_dets(self):
+        """Logarithm of the determinant of the covariance of every channel, shape (C,)."""
+        return 2.0 * np.where(self.seen, np.log(self.spread), 0.0).sum(axis=0)
+
+    @property
+    def log_det(self):
+        """Logarithm of the determinant of the covariance of everything seen."""
+        return float(self.log_dets.sum())
+
+    def innovations(self, errors):
+        """What of every error was not foreseen from the rows before; 0 where not seen."""
+        errors = np.where(self.seen, errors, 0.0)
+        if self._foreseen is None:
+            return errors
+        return errors - self._foreseen * _recur(self._kept, self._gain * _earlier(errors))
+
+    def whiten(self, errors):
+        """Errors of unit covariance; 0 where not seen.
+
+        Parameters
+        ----------
+        errors : ndarray, shape (..., T, C)
+            Finite where seen.
+        """
+        if self._foreseen is None:  # the quotient itself, not a product with a rounded inverse
+            return np.where(self.seen, errors, 0.0) / self.spread
+        return self.innovations(errors) * self._per_spread
+
+    def colour(self, whitened):
+        """Errors that `whiten` makes of unit covariance: its inverse; 0 where not seen."""
+        innovations = np.where(self.seen, whitened, 0.0) * self.spread
+        if self._foreseen is None:
+            return innovations
+        foreseen = _recur(self._rho, self._gain * _earlier(innovations))
+        return np.where(self.seen, innovations + self._foreseen * foreseen, 0.0)
+
+
+def _decay(times, correlation_time):
+    """Correlation of u with its value one row before, its square, and one less that square."""
+    clock = np.maximum.accumulate(np.where(np.isfinite(times), times, -math.inf), axis=0)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        gaps = np.diff(clock, axis=0, prepend=-math.inf)
+        if np.any(clock[1:] > times[1:]) or np.any(gaps < 0):
+            raise FitError("the times of a track must increase")
+        ages = gaps / np.asarray(correlation_time, dtype=float)
+    ages = np.where(gaps == 0, 0.0, ages)
+    ages = np.where(np.isfinite(gaps), ages, math.inf)
+    return np.exp(-ages), np.exp(-2.0 * ages), -np.expm1(-2.0 * ages)
+
+
+def _earlier(values):
+    """Values of the row before, 0 in the first row; time is the second-last axis."""
+    moved = np.zeros_like(values)
+    moved[..., 1:, :] = values[..., :-1, :]
+    return moved
+
+
+def _variances(carried, fresh, part, rest):
+    """Variance of u before every row, shape (T, C).
+
+    Parameters
+    ----------
+    carried, fresh : ndarray, shape (T, C)
+        rho^2 and 1 - rho^2.
+    part, rest : ndarray, shape (T, C)
+        What of the variance of an error is correlated and what is white; they add up to one.
+    """
+    n_rows, n_channels = carried.shape
+    if n_rows >= _MIN_BLOCKED and n_channels < _MAX_BLOCKED:
+        return _blocked(carried, fresh, part, rest)
+    before = np.empty_like(carried)
+    after = np.zeros(n_channels)
+    for t in range(n_rows):
+        before[t] = carried[t] * after + fresh[t]
+        after = rest[t] * before[t] / (part[t] * before[t] + rest[t])
+    return before
+
+
+def _blocked(carried, fresh, part, rest):
+    """The same, blocks of rows at once: the maps as quotients of two linear ones, x / y."""
+    n_rows, n_channels = carried.shape
+    length = math.isqrt(n_rows)
+    n_blocks = -(-n_rows // length)
+    carried, part = (_blocks(a, length, n_blocks, 0.0) for a in (carried, part))
+    fresh, rest = (_blocks(a, length, n_blocks, 1.0) for a in (fresh, rest))
+    above = np.empty((length, 2, n_blocks, n_channels))
+    below = np.empty_like(above)
+    x = np.zeros((2, n_blocks, n_channels))
+    x[0], y = 1.0, np.zeros_like(x)
+    y[1] = 1.0
+    for t in range(length):
+        above[t], below[t] = carried[t] * x + fresh[t] * y, y
+        x, y = rest[t] * above[t], part[t] * above[t] + rest[t] * y
+        if t % _RESCALE == _RESCALE - 1:
+            size = (x + y).sum(axis=0)
+            x, y = x / size, y / size
+    after = np.zeros((n_blocks, n_channels))
+    for k in range(n_blocks - 1):
+        last = after[k]
+        after[k + 1] = (x[0, k] * last + x[1, k]) / (y[0, k] * last + y[1, k])
+    before = (above[:, 0] * after + above[:, 1]) / (below[:, 0] * after + below[:, 1])
+    return before.transpose(1, 0, 2).reshape(-1, n_channels)[:n_rows]
+
+
+def _blocks(values, length, n_blocks, fill):
+    """Rows as (row of its block, block, channel), the last block filled up."""
+    full = np.full((n_blocks * length, values.shape[1]), fill)
+    full[: len(values)] = values
+    return np.ascontiguousarray(full.reshape(n_blocks, length, -1).transpose(1, 0, 2))
+
+
+def _recur(kept, new):
+    """Solve m[t] = kept[t] m[t - 1] + new[t] for every channel and column.
+
+    Parameters
+    ----------
+    kept : ndarray, shape (T, C)
+        0 in the first row: the channels make one long chain.
+    new : ndarray, shape (..., T, C)
+    """
+    n_rows, n_channels = kept.shape
+    band = np.ones((2, kept.size), order="F")
+    band[1, :-1] = -kept.T.ravel()[1:]
+    columns = np.ascontiguousarray(np.swapaxes(new, -1, -2)).reshape(-1, kept.size)
+    solved, _ = lapack.dtbtrs(band, columns.T, uplo="L", diag="U", overwrite_b=True)
+    solved = solved.T.reshape(*new.shape[:-2], n_channels, n_rows)
+    return np.swapaxes(solved, -1, -2)
