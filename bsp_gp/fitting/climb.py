@@ -24,10 +24,12 @@ __all__ = ["Climb"]
 
 GROWTH = 6
 """Times that pieces are longer from level to level."""
-LEAST_ROWS = 6
+LEAST_ROWS = 3
 FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
 """For levels that only lead on."""
 WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
+COARSE = 4
+"""Rows of a piece that shows the acceleration, up to which the rows are coarse."""
 KEPT = 4
 ENOUGH = 3
 """Starts that agree, after which no more are asked."""
@@ -180,7 +182,7 @@ class Climb:
     def first_points(self):
         """Points to begin with: nodes off the data, constants given, guessed, or of likely size."""
         run = self.run
-        nodes = tuple(first_nodes(chains) for chains in run.groups)
+        nodes = tuple(first_nodes(chains, self.scales.rows <= COARSE) for chains in run.groups)
         inner = candidates(run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts)
         points = []
         for values in inner:

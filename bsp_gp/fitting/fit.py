@@ -17,7 +17,8 @@ from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
 from bsp_gp.fitting.problem import Minimum
-from bsp_gp.fitting.noise_estimate import estimate, log_likelihood
+from bsp_gp.fitting.student import log_likelihood
+from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.tracks import ChainNoise

@@ -20,6 +20,8 @@ __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""
+FARTHEST = 0.5
+"""Extents of a window that its nodes may move in one step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,20 @@ class Shooting:
         self._number = np.full(self.chains.times.shape, -1)
         self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         self.prior = self._prior()
+        self._extents = self._window_extents()
+
+    def _window_extents(self):
+        """How far bodies go within each window, (W,), m; at least a part of the whole track's."""
+        windows, observed = self.windows, self.chains.observed
+        whole = np.nanmax(observed, axis=0) - np.nanmin(observed, axis=0)
+        whole = np.nan_to_num(whole).max(axis=(1, 2))
+        out = np.empty(len(windows.chain))
+        seen = np.isfinite(observed)
+        low, high = np.where(seen, observed, np.inf), np.where(seen, observed, -np.inf)
+        for k, (s, a, b) in enumerate(zip(windows.chain, windows.first, windows.stop, strict=True)):
+            spread = high[a:b, s].max(axis=0) - low[a:b, s].min(axis=0)
+            out[k] = max(float(np.max(spread, initial=0.0)), 1e-3 * whole[s])
+        return np.where(out > 0, out, np.inf)
 
     def _prior(self):
         """Inverse prior deviations of the state, (n, S)."""
@@ -225,6 +241,14 @@ class Shooting:
         missing = n + k + 1 - factor.shape[1]
         return np.pad(factor, ((0, 0), (0, max(missing, 0)), (0, 0)))
 
+    def _reined(self, change, inside, group):
+        """Part of its change that each window may make, so that none leaves its surroundings."""
+        half = self.flow.n_state // 2
+        farthest = np.where(inside[..., None], np.abs(change[..., :half]), 0.0).max(axis=(0, 2))
+        allowed = FARTHEST * self._extents[group]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(farthest > allowed, allowed / farthest, 1.0)
+
     def _rows(self, group, length):
         first, stop = self.windows.first[group], self.windows.stop[group]
         rows = first + np.arange(length)[:, None]
@@ -281,6 +305,7 @@ class Shooting:
             )
             change = np.einsum("lwij,wj->lwi", part.columns, weights)
             rows, inside = self._rows(group, len(change))
+            change *= self._reined(change, inside, group)[:, None]
             shape = (*change.shape[:2], 2, *nodes.shape[1:3])
             change = np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
             at = np.nonzero(inside)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import product as every
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from bsp_gp.fitting.coordinates import powers_of
 from bsp_gp.language.formula import Call, Constant, Input, walk
@@ -23,8 +24,15 @@ MOST_RATES = 6
 # --- nodes ------------------------------------------------------------------------------------
 
 
-def first_nodes(chains):
-    """A state for every row: the place where it was seen, and differences of places.
+def first_nodes(chains, is_coarse=False):
+    """A state for every row: the place where it was seen, and the slope of a curve through places.
+
+    Parameters
+    ----------
+    chains : Chains
+    is_coarse : bool
+        Whether neighbouring rows show the acceleration above the noise: then the curve is a spline,
+        else differences over two rows.
 
     Returns
     -------
@@ -43,16 +51,18 @@ def first_nodes(chains):
                     continue
                 place = x if len(seen) == n else np.interp(times, times[seen], x[seen])
                 nodes[0, r, k, :n, s] = place
-                nodes[1, r, k, :n, s] = _slope(times, place)
+                nodes[1, r, k, :n, s] = _slope(times, place, is_coarse)
     if chains.velocities is not None:
         measured = np.moveaxis(chains.velocities, (0, 1), (-2, -1))
         nodes[1] = np.where(np.isfinite(measured), measured, nodes[1])
     return nodes
 
 
-def _slope(times, x):
+def _slope(times, x, is_coarse):
     if len(x) < 2:
         return np.zeros(len(x))
+    if is_coarse and len(x) > 3:
+        return CubicSpline(times, x).derivative()(times)
     return np.gradient(x, times, edge_order=2 if len(x) > 2 else 1)
 
 
@@ -99,14 +109,14 @@ def scales_of(groups, noises):
         extent = max(extent, float(np.nanmax(spread)))
     best, rows = 0.0, 0
     longest = max(int(chains.lengths.max()) for chains in groups)
-    size = 4
+    size = 3
     while size <= longest:
         signal, noise = _curvatures(groups, noises, size)
         if signal > SIGNAL * noise:
             if not rows:
                 rows = size
             best = max(best, signal - noise)
-        size = size * 2 if size < 8 else int(size * 1.5)
+        size = size + 1 if size < 6 else int(size * 1.5)
     if not best:
         best = (extent / span**2) ** 2
     return Scales(float(np.sqrt(best)), rows or longest, span, step, extent or 1.0)
