@@ -7,7 +7,7 @@ like build are stacked with the points of their tracks on the last axis of every
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Chains:
         Quoted errors, nan where a point quotes none.
     velocities : ndarray, shape (T, S, R, d) or None
         Measured ones only.
+    driven_times : ndarray, shape (T, S), s
+        As `times`, also where a chain is cut.
     driven : ndarray, shape (T, S, D, d)
         Measured places of the bodies that forces do not move.
     driven_velocities : ndarray, shape (T, S, D, d) or None
@@ -50,6 +52,7 @@ class Chains:
     observed: np.ndarray
     sigma: np.ndarray | None
     velocities: np.ndarray | None
+    driven_times: np.ndarray
     driven: np.ndarray
     driven_velocities: np.ndarray | None
     properties: dict
@@ -81,6 +84,27 @@ class Chains:
         if name in self.properties:
             return self.properties[name]
         return np.full((self.code.shape[0], self.n_chains), np.nan)
+
+    def cut(self, first, stop):
+        """The same chains, each cut to its rows ``first:stop``.
+
+        Parameters
+        ----------
+        first, stop : ndarray of int, shape (S,)
+        """
+        rows = first + np.arange(int((stop - first).max()))[:, None]
+        inside = rows < stop
+        rows = np.where(inside, rows, first)
+        chain = np.arange(self.n_chains)
+
+        def taken(values):
+            if values is None:
+                return None
+            kept = inside.reshape(*inside.shape, *(1,) * (values.ndim - 2))
+            return np.where(kept, values[rows, chain], np.nan)
+
+        names = ("times", "observed", "sigma", "velocities")
+        return replace(self, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
         """What margins of contacts are measured with, arrays (R, J, S).
@@ -156,15 +180,17 @@ def _chains(batch, coupled):
     names = [batch.bodies.names[s] for _ in groups for s in range(n_scenes)]
     owners = [order[g][:n_own] for g in range(len(groups)) for _ in range(n_scenes)]
     shapes = batch.bodies.shapes
+    times = np.concatenate([batch.times] * len(groups), axis=1)
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(
             tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)
         ),
-        times=np.concatenate([batch.times] * len(groups), axis=1),
+        times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],
         velocities=None if velocities is None else velocities[:, :, :n_own],
+        driven_times=times,
         driven=positions[:, :, n_own:],
         driven_velocities=None if velocities is None else velocities[:, :, n_own:],
         properties={k: of_bodies(v) for k, v in batch.bodies.properties.items()},

@@ -13,11 +13,13 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.flow import Flow
+from bsp_gp.fitting.growing import grow
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
-from bsp_gp.fitting.starts import DECADES, candidates, first_nodes
+from bsp_gp.fitting.regression import regressed
+from bsp_gp.fitting.starts import candidates, first_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 
 __all__ = ["Climb"]
@@ -31,6 +33,9 @@ WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
 COARSE = 4
 """Rows of a piece that shows the acceleration, up to which the rows are coarse."""
 KEPT = 4
+GROWN = 3
+"""Starts from which tracks are grown."""
+AGREE = 2
 ENOUGH = 3
 """Starts that agree, after which no more are asked."""
 DEBUG = bool(__import__("os").environ.get("DBG"))
@@ -105,24 +110,49 @@ class Climb:
 
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
+        points = self.first_points()
+        ends = self._grown(points) if self.is_coarse and not self.paper_steps else []
+        if not ends or not self._is_good(ends):
+            ends += self._climbed(points)
+        best = min(ends, key=_height)
+        agree = sum(_agree(m, best) for m in ends)
+        return self._finish(replace(best, n_starts=len(ends), n_agree=agree), self.problem)
+
+    def _is_good(self, ends):
+        """Whether some starts agree on a minimum that the noise allows."""
+        best = min(ends, key=_height)
+        seen = sum(noise.n_seen for noise in self.noises)
+        agree = sum(_agree(m, best) for m in ends)
+        return agree >= AGREE and best.chisqr < seen + 10 * np.sqrt(2 * seen)
+
+    def _grown(self, points):
+        """Minima that tracks grown from their best rows lead to."""
+        ends = []
+        for point in points[:GROWN]:
+            for rank in range(2):
+                if ends and (self.run.is_over() or self._is_good(ends)):
+                    return ends
+                grown = grow(self, point, rank)
+                self.problem = self.at(None, grown)
+                ends.append(self._minimise(self.problem, grown, WHOLE))
+        return ends
+
+    def _climbed(self, points):
+        """Minima that ever longer pieces lead to; every start of the first level counts."""
         levels = self.levels()
-        firsts = self._firsts(levels[0])
+        firsts = self._firsts(levels[0], points)
         ends = []
         for minimum in _distinct(firsts)[:KEPT]:
             if ends and self.run.is_over():
                 break
-            ends.append(self._up(levels[1:], minimum))
-        best = min(ends, key=_height)
-        agree = sum(_agree(m, best) for m in ends)
-        same_first = len(firsts) - len(_distinct(firsts))
-        return self._finish(
-            replace(best, n_starts=len(firsts), n_agree=agree + same_first), self.problem
-        )
+            end = self._up(levels[1:], minimum)
+            ends += [end] * sum(_agree(other, minimum) for other in firsts)
+        return ends or firsts
 
-    def _firsts(self, rows):
+    def _firsts(self, rows, points):
         """Minima of the first level, the best first; no more starts than it takes to agree."""
         firsts = []
-        for point in self.first_points():
+        for point in points:
             if firsts and self.run.is_over():
                 break
             problem = self.at(rows, point)
@@ -163,7 +193,7 @@ class Climb:
         return minimum
 
     def _minimise(self, problem, start, settings):
-        low, high = self._box()
+        low, high = self.box
         values = np.clip(start.values, low, high)
         if DEBUG: t0=__import__("time").perf_counter()
         m= minimise(
@@ -173,49 +203,49 @@ class Climb:
         if DEBUG: print("   min", problem.shootings[0].windows.length[:1], values, "->", m.values, m.chisqr, m.status, m.code, m.n_linearised, [x.scheme+str(len(x.steps)) for x in problem.meshes], round(__import__("time").perf_counter()-t0,3))
         return m
 
-    def _box(self):
-        """Bounds of the unknowns; those of strengths beside a power hold for the constant itself."""
+    @property
+    def box(self):
+        """Bounds of the unknowns."""
         return self.run.low, self.run.high
 
     # --- starts ------------------------------------------------------------------------------------
 
     def first_points(self):
-        """Points to begin with: nodes off the data, constants given, guessed, or of likely size."""
+        """Points to begin with: nodes off the data, constants given, regressed, or of likely size."""
         run = self.run
-        nodes = tuple(first_nodes(chains, self.scales.rows <= COARSE) for chains in run.groups)
-        inner = candidates(run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts)
-        points = []
-        for values in inner:
-            values = {**values, **run.starts}
-            base = np.array([values.get(name, 0.0) for name, _ in run.parameters])
-            points.append(TrackPoint(self.coordinates.unknowns(base), nodes))
-        if len(inner) == 1:
-            points += self._sized(points[0], nodes)
-        seen, out = set(), []
-        for point in points:
-            key = point.values.tobytes()
-            if key not in seen:
-                seen.add(key)
-                out.append(point)
-        return out[: run.tolerances.most_starts]
-
-    def _sized(self, point, nodes):
-        """Starts with linear constants of the size that makes the acceleration seen."""
-        run = self.run
+        nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
+        inner = candidates(
+            run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts
+        )
         free = [
             k for k, (name, _) in enumerate(run.parameters)
             if run.roles[name] == "linear" and name not in run.starts
         ]  # fmt: skip
-        if not free:
-            return []
+        points = []
+        for values in inner:
+            values = {**values, **run.starts}
+            constants = np.array([values.get(name, 0.0) for name, _ in run.parameters])
+            if free:
+                constants = regressed(self.flows, nodes, self.noises, constants, free)
+            points.append(TrackPoint(self.coordinates.unknowns(constants), nodes))
+        if len(inner) == 1 and free:
+            points += self._sized(points[0], nodes, free)
+        return _unlike(points)[: run.tolerances.most_starts]
+
+    @property
+    def is_coarse(self):
+        """Whether neighbouring rows show the acceleration above the noise."""
+        return self.scales.rows <= COARSE
+
+    def _sized(self, point, nodes, free):
+        """Starts with linear constants at zero, or of the size that makes the acceleration seen."""
         size = self.typical_changes(point, nodes)
         out = []
-        for decade in DECADES:
-            for sign in (1.0, -1.0):
-                values = point.values.copy()
-                values[free] = sign * decade * size[free]
-                out.append(TrackPoint(values, nodes))
-        return out[:6]
+        for scale in (0.0, 1.0, -1.0, 0.1, 10.0, -0.1):
+            values = point.values.copy()
+            values[free] = scale * size[free]
+            out.append(TrackPoint(values, nodes))
+        return out
 
     def typical_changes(self, point, nodes):
         """Change of each unknown that alters the acceleration by its typical size, shape (k,)."""
@@ -343,6 +373,17 @@ def _median_of(base, kind, run):
     found = np.concatenate(found) if found else np.ones(1)
     found = found[np.isfinite(found) & (found > 0)]
     return float(np.median(found)) if len(found) else 1.0
+
+
+def _unlike(points):
+    """Points whose constants differ, in their order."""
+    seen, out = set(), []
+    for point in points:
+        key = point.values.tobytes()
+        if key not in seen:
+            seen.add(key)
+            out.append(point)
+    return out
 
 
 def _height(minimum):

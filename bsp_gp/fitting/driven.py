@@ -34,7 +34,7 @@ class Driven:
         """A spline, the times between which it holds, and its slope."""
         from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-        times, places = chains.times[rows, s], chains.driven[rows, s, k]
+        times, places = chains.driven_times[rows, s], chains.driven[rows, s, k]
         given = chains.driven_velocities
         if given is not None and np.isfinite(given[rows, s, k]).all():
             curve = CubicHermiteSpline(times, places, given[rows, s, k])

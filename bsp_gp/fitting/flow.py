@@ -221,7 +221,7 @@ class Flow:
         scheme = SCHEMES[name]
         n = self.n_intervals
         state = nodes[..., self.row, self.chain]
-        done, h = np.zeros(n), self.length.copy()
+        done, h = np.zeros(n), np.abs(self.length)
         steps = [[] for _ in range(n)]
         open_, complete = np.arange(n), True
         scale = self._scales(nodes)
@@ -234,24 +234,49 @@ class Flow:
                 [mode[..., open_] for mode in modes],
             )  # fmt: skip
             left = self.length[open_] - done[open_]
-            size = left / np.ceil(left / np.maximum(h[open_], 1e-300) - 1e-9)
+            size = left / np.ceil(np.abs(left) / np.maximum(h[open_], 1e-300) - 1e-9)
             with np.errstate(all="ignore"):
                 end, stages, rates = self.step(scheme, points, size)
                 error = self._error(scheme, end, points, rates, size, scale[:, self.chain[open_]])
                 good = error <= 1.0
                 factor = SAFETY * np.where(error > 0, error, 1e-12) ** -scheme.exponent
             factor = np.where(np.isfinite(factor), factor, LEAST_FACTOR)
-            h[open_] = size * np.clip(factor, LEAST_FACTOR, LARGEST_FACTOR)
+            h[open_] = np.abs(size) * np.clip(factor, LEAST_FACTOR, LARGEST_FACTOR)
             if self.motion.has_modes:
                 end = through_events(self, scheme, points, end, size, modes, open_, good)
             for k, length in zip(open_[good], size[good], strict=True):
                 steps[k].append(length)
             state[..., open_[good]] = end[..., good]
             done[open_[good]] += size[good]
-            lost = h[open_] < 1e-12 * self.length[open_]
+            whole = np.abs(self.length[open_])
+            lost = h[open_] < 1e-12 * whole
             complete &= not lost.any()
-            open_ = open_[~lost & (done[open_] < self.length[open_] * (1 - 1e-12))]
+            open_ = open_[~lost & (np.abs(done[open_]) < whole * (1 - 1e-12))]
         return _packed(name, steps, complete and not len(open_))
+
+    def advance(self, state, chain, begin, end):
+        """States of some chains at other times, earlier or later; nan where that fails.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2, R, d, M)
+        chain : ndarray of int, shape (M,)
+        begin, end : ndarray, shape (M,), s
+
+        Returns
+        -------
+        ndarray, shape (2, R, d, M)
+        """
+        leg = object.__new__(Flow)
+        leg.__dict__.update(self.__dict__)
+        leg.row, leg.chain = np.zeros(len(chain), dtype=int), chain
+        leg.start, leg.length = begin, end - begin
+        nodes = np.zeros((*state.shape[:-1], 1, self.chains.n_chains))
+        nodes[..., 0, chain] = state
+        mesh = leg._mesh(nodes, "dop853")
+        ends, _ = leg.run(nodes, mesh, slopes=False)
+        ends[..., mesh.counts == 0] = np.nan
+        return ends
 
     def _scales(self, nodes):
         """Error that a place and a velocity of each chain may have in one step, (2, S)."""
@@ -260,7 +285,7 @@ class Flow:
             spread = np.nanmax(np.abs(places - np.nanmean(places, axis=2, keepdims=True)),
                                axis=(0, 1, 2))  # fmt: skip
             speed = np.nanmax(np.abs(velocities), axis=(0, 1, 2))
-            rate = speed / spread
+            rate = np.where(spread > 0, speed / spread, 0.0)
         span = np.nanmax(self.chains.times, axis=0) - np.nanmin(self.chains.times, axis=0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])
