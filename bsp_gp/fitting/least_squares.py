@@ -24,6 +24,7 @@ __all__ = ["minimise"]
 _EPS = np.finfo(float).eps
 _HUGE = 1e125
 """Residuals and columns longer than this are those of a model that runs away."""
+_BLOCK = 256
 _ACCEPTED, _POOR, _GOOD = 1e-4, 0.25, 0.75
 """Parts of the fall foreseen: from the first a step is taken, below the second the radius shrinks,
 above the third it grows."""
@@ -145,14 +146,14 @@ class _Descent:
         if not (chisqr < _HUGE**2 and np.all(lengths < _HUGE)):
             return None
         values = np.asarray(self.problem.values(point), dtype=float)
-        basis, triangle = np.linalg.qr(jacobian)
+        triangle, image = _triangle(jacobian, residual)
         slopes = jacobian.T @ residual
         blocked = ((values <= self.low) & (slopes > 0)) | ((values >= self.high) & (slopes < 0))
         free = (self.low < self.high) & ~blocked
         lines = lengths * np.sqrt(residual @ residual)
         cosines = np.abs(slopes[free]) / np.where(lines > 0, lines, 1.0)[free]
-        return _Place(point, values, linearised, chisqr, lengths, triangle, basis.T @ residual,
-                      free, float(np.max(cosines, initial=0.0)))  # fmt: skip
+        gradient = float(np.max(cosines, initial=0.0))
+        return _Place(point, values, linearised, chisqr, lengths, triangle, image, free, gradient)
 
     def solve(self, here, scale, radius):
         """The step of the free unknowns that the linearisation finds best within a radius.
@@ -177,11 +178,13 @@ class _Descent:
             target = np.concatenate([-image, np.zeros(len(scale))])
             bounded = lsq_linear(rows, target, (low, high), method="bvls", max_iter=9 * len(scale))
             scaled = np.clip(bounded.x, low, high)
+            scaled = np.where(bounded.active_mask < 0, low, scaled)  # to the last bit
+            scaled = np.where(bounded.active_mask > 0, high, scaled)
         share = 1.0 / (1.0 + damping)
         left_over = image + s * (right @ scaled)
         values = here.values.copy()
         values[free] += scaled / scale
-        values[free] = np.where(scaled <= low, self.low[free], values[free])  # to the last bit
+        values[free] = np.where(scaled <= low, self.low[free], values[free])
         values[free] = np.where(scaled >= high, self.high[free], values[free])
         values = np.clip(values, self.low, self.high)
         fall = image @ image - left_over @ left_over + rest * (1.0 - (1.0 - share) ** 2)
@@ -237,7 +240,8 @@ class _Descent:
     def finish(self, here, whole, code, least):
         values = here.values
         is_bound = (self.low < self.high) & ((values <= self.low) | (values >= self.high))
-        if code == "fall" and not is_bound.any():
+        is_exact = here.chisqr <= max(self.settings.absolute, here.rounding)
+        if code == "fall" and not (is_bound.any() or is_exact):
             has_idle = np.any(here.lengths[here.free] == 0)
             code = "flat" if has_idle or whole.n_unseen > least else code
         status = "unconverged"
@@ -246,6 +250,18 @@ class _Descent:
         undetermined = whole.unseen > 1e-6
         return Minimum(here.point, values, here.linearised, status, code, here.gradient,
                        whole.fall, undetermined, self.n_linearised)  # fmt: skip
+
+
+def _triangle(jacobian, residual):
+    """R and Q' residual of jacobian = QR, by blocks of rows and without Q: cheaper."""
+    rows = np.column_stack([jacobian, residual])
+    n_blocks, n_columns = len(rows) // _BLOCK, rows.shape[1]
+    if n_blocks > 1 and n_columns < _BLOCK // 2:
+        blocks = rows[: n_blocks * _BLOCK].reshape(n_blocks, _BLOCK, n_columns)
+        blocks = np.linalg.qr(blocks, mode="r").reshape(-1, n_columns)
+        rows = np.concatenate([blocks, rows[n_blocks * _BLOCK :]])
+    triangle = np.linalg.qr(rows, mode="r")[: n_columns - 1]
+    return triangle[:, :-1], triangle[:, -1]
 
 
 def _damping(s, image, radius):

@@ -49,7 +49,7 @@ def test_steps_end_on_bounds_where_the_bounded_optimum_is():
     found = minimise(linear(matrix, target), np.zeros(4), low=low, high=high)
     expected = lsq_linear(matrix, target, (low, high), method="bvls").x
     np.testing.assert_allclose(found.values, expected, atol=1e-12)
-    assert found.status == "at_bound"
+    assert found.status == "at_bound" and found.gradient < 1e-9
     assert found.values[0] == 1.0 and found.values[1] == -1.0
 
 
@@ -109,6 +109,31 @@ def test_a_plateau_is_not_called_a_minimum():
     assert plateau.status == "unconverged"
 
 
+SPIKE = np.where(X == 0.0, 1.0, -0.1 * np.abs(NOISE))
+
+
+def test_unknowns_that_run_away_together_are_not_called_a_minimum():
+    late = X + 0.5  # a exp(-b late) comes nearer to a spike the larger a and b, for ever
+    problem = dense_problem(
+        lambda p: (SPIKE - p[0] * np.exp(-p[1] * late)) / 0.01,
+        lambda p: -np.exp(-p[1] * late)[:, None] * np.stack([late**0, -p[0] * late], axis=1) / 0.01,
+    )
+    assert minimise(problem, [1.0, 1.0]).status == "unconverged"
+
+
+@pytest.mark.parametrize(
+    ("misfit", "ending"), [(0.05, ("unconverged", "flat")), (0.0, ("converged", "fall"))]
+)
+def test_unknowns_told_apart_at_the_start_only_are_a_fit_if_the_data_are_met(misfit, ending):
+    problem = dense_problem(  # the product a b, and a threshold that a falls below
+        lambda p: np.array([p[0] * p[1] - 1.0, max(p[0] - 2.0, 0.0), misfit]) / 0.01,
+        lambda p: np.array([[p[1], p[0]], [float(p[0] > 2.0), 0.0], [0.0, 0.0]]) / 0.01,
+    )
+    found = minimise(problem, [3.0, 0.4])
+    assert (found.status, found.code) == ending
+    assert found.undetermined.all() and found.fall < 1e-6
+
+
 def test_a_start_that_is_not_finite():
     found = minimise(DECAY, [1.0, -1e6])
     assert (found.status, found.chisqr, found.n_linearised) == ("nonfinite", np.inf, 1)
@@ -163,6 +188,14 @@ def test_what_is_negligible_without_noise_is_a_part_of_chisqr():
     known, unknown = minimise(tiny, [1.0, 1.0]), minimise(tiny, [1.0, 1.0], settings=UNKNOWN)
     assert known.n_linearised == 1, "all of chi-squared is less than a variance's 1e-4"
     np.testing.assert_allclose(unknown.values, minimise(DECAY, [1.0, 1.0]).values, rtol=1e-6)
+
+
+def test_many_rows_are_the_same_problem():
+    matrix = np.random.default_rng(4).standard_normal((1000, 5)) * 10.0 ** np.arange(-6, 9, 3)
+    target = np.random.default_rng(5).standard_normal(1000)
+    found = minimise(linear(matrix, target), np.zeros(5), settings=UNKNOWN)
+    expected = np.linalg.lstsq(matrix / 10.0 ** np.arange(-6, 9, 3), target)[0]
+    np.testing.assert_allclose(found.values * 10.0 ** np.arange(-6, 9, 3), expected, rtol=1e-10)
 
 
 def test_exact_data_are_fitted_to_rounding():
