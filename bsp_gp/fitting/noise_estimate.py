@@ -21,7 +21,7 @@ __all__ = ["estimate"]
 
 _N_TIMES = 6
 _PROMISE = 0.5
-"""A memory is estimated where screening promises this part of the gain that it needs."""
+"""A part is estimated where screening promises this much of the gain that it needs."""
 
 
 def estimate(model, channels, residual, columns=None, local=None, tolerances=None, adopt=True):
@@ -68,7 +68,8 @@ def estimate(model, channels, residual, columns=None, local=None, tolerances=Non
         findings += [NoiseFinding(p, tried[p][1], needed[p], is_adopted) for p in told]
         if not is_adopted:
             break
-        model = task.refit(tried[best][0])
+        model = tried[best][0]
+        model = model if math.isinf(model.degrees) else task.refit(model)
         parts.remove(best)
     return replace(model, findings=tuple(findings))
 
@@ -80,7 +81,9 @@ def _parts(task, model):
         for part, index, names in task.groups:
             if names and len(np.unique(index[task.free])) > 1:
                 found.append(part)
-        found += ["tails"] if task.channels.speed is None else ["speed", "tails"]
+        speed = task.channels.speed
+        is_moving = speed is not None and np.any(speed[task.channels.seen & task.free] > 0)
+        found += ["speed", "tails"] if is_moving else ["tails"]
     if np.max(np.count_nonzero(task.channels.seen, axis=0)) < 4 and "correlation" in found:
         found.remove("correlation")
     return found
@@ -107,12 +110,11 @@ def _with_part(task, part, model):
     starts = _starts(task, part, model)
     if part == "correlation":
         best, promise = _screened(task, starts, value)
-        if promise < _PROMISE * _needed(task, part):
-            return best, promise
-    elif not starts:
-        return model, 0.0
     else:
-        best = max(starts, key=task.value) if len(starts) > 1 else starts[0]
+        best, promise = max((task.rescale(start) for start in starts), key=lambda pair: pair[1])
+        promise -= value
+    if promise < _PROMISE * _needed(task, part):
+        return best, promise
     found, reached = task.refit_normal(best)
     return found, reached - value
 
@@ -126,7 +128,7 @@ def _starts(task, part, model):
         speed = task.channels.speed[task.channels.seen & task.free]
         typical = math.sqrt(float(np.nanmean(np.square(speed))))
         level = math.sqrt(float(np.mean(np.square(np.array(model.levels)[model.is_free]))))
-        growths = [k * level / typical for k in (0.3, 1.0, 3.0)] if typical > 0 else []
+        growths = [k * level / typical for k in (0.3, 1.0, 3.0)]
         return [replace(model, speed_growth=growth) for growth in growths]
     index, names = next((i, n) for name, i, n in task.groups if name == part)
     used = np.unique(index[task.free])

@@ -11,18 +11,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from bsp_gp.errors import FitError
+from bsp_gp.fitting.ascent import maximise
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import fit_degrees, scaled_without_tails
 
 __all__ = ["NoiseTask", "NoiseTolerances"]
 
-_STEP = 1e-6
-"""Of differences in logarithms; shifts an estimate by half of it, far below its error."""
-_HUGE = 1e100
 _SCALE = (math.log(1e-6), math.log(1e6))
 _SHARE = (-6.0, 14.0)
 """Logit of the correlated part of the variance: 0.0025 to all but a millionth."""
@@ -34,6 +31,9 @@ _N_PASSES = 60
 _N_ROUNDS = 8
 _N_TAILS = 12
 _PRECISE_TAILS = 1e-4
+_SMALL_GAIN = 1e-3
+_FEW_FREE = 0.03
+"""Part of the rows that free numbers may take where the projected residual alone is a likeness."""
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,11 @@ class NoiseTask:
     def refit_normal(self, model):
         """The same with the weights of rows as they are, and its restricted log-likelihood."""
         shape = self._shape(model)
-        model, value = self._rescale(model)
+        model, value = self.rescale(model)
         for _ in range(_N_ROUNDS if shape else 0):
-            before = value
-            model = self._optimise(model, shape)
-            model, value = self._rescale(model)
-            if value - before < 1e-3:
+            model, before = self._optimise(model, shape)
+            model, value = self.rescale(model)
+            if value - before < _SMALL_GAIN:
                 break
         return model, value
 
@@ -185,29 +184,20 @@ class NoiseTask:
         """Numbers of the shape, and all free levels by one common factor, at the maximum."""
         names = ["levels", *shape] if self.free.any() else list(shape)
         bounds = [_SCALE, *shape.values()] if self.free.any() else list(shape.values())
-        start = np.array([_coded(model, name) for name in names])
-        low, high = np.array(bounds).T
-        start = np.clip(start, low, high)
+        likeness = None
+        if self.restricted.n_free < _FEW_FREE * self.restricted.n_rows:
 
-        def loss(values):
-            found = self.value(_decoded(model, names, values))
-            return -found if math.isfinite(found) else _HUGE
+            def likeness(values):
+                other = _decoded(model, names, values)
+                return self.restricted.plain(other.whitener(self.channels, self.weights))
 
-        def slope(values):
-            at = loss(values)
-            steps = np.where(values + _STEP > high, -_STEP, _STEP)
-            moved = [
-                loss(values + step * e) for step, e in zip(steps, np.eye(len(values)), strict=True)
-            ]
-            return at, (np.array(moved) - at) / steps
+        start = [_coded(model, name) for name in names]
+        values, reached = maximise(
+            lambda values: self.value(_decoded(model, names, values)), start, bounds, likeness
+        )
+        return _decoded(model, names, values), reached
 
-        found = minimize(
-            slope, start, jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": 60, "ftol": 1e-10, "gtol": 1e-3},
-        )  # fmt: skip
-        return _decoded(model, names, found.x)
-
-    def _rescale(self, model):
+    def rescale(self, model):
         """Levels and factors at the maximum, the shape as it is: every z^2 as large as expected."""
         for _ in range(_N_PASSES):
             error = self.restricted.pure_error(model.whitener(self.channels, self.weights))

@@ -65,6 +65,7 @@ class Restricted:
         columns = blank if columns is None else columns
         local = blank if local is None else local
         self._order = np.argsort(chain, kind="stable")
+        self._back = np.argsort(self._order)
         ordered = chain[self._order]
         self._first = np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))
         self._chain = np.cumsum(np.diff(ordered, prepend=ordered[:1]) != 0)
@@ -122,6 +123,11 @@ class Restricted:
         found = self._eliminate(whitener)
         return -math.inf if found is None else found[0]
 
+    def plain(self, whitener):
+        """Log-likelihood of the projected residual alone: cheaper, and nearly as curved."""
+        square = float(np.square(whitener.whiten(self._rows[-1][:, self._back])).sum())
+        return -0.5 * (square + whitener.log_det)
+
     def _eliminate(self, whitener):
         q = self._q
         rows = self._whiten(whitener)
@@ -145,9 +151,7 @@ class Restricted:
         return value, rows, lower, across, shared, along
 
     def _whiten(self, whitener):
-        back = np.empty_like(self._order)
-        back[self._order] = np.arange(len(back))
-        return whitener.whiten(self._rows[..., back])[..., self._order]
+        return whitener.whiten(self._rows[..., self._back])[..., self._order]
 
     def pure_error(self, whitener):
         """The whitened residual after the projection, and its leverage."""
