@@ -133,4 +133,4 @@ def rank_lines(table):
         )
     n_tests = 2 * len(found)
     lines += ["", f"Least of {n_tests} p-values: {least:.3g}; level {LEVEL / max(n_tests, 1):.2g}."]
-    return lines, bool(found) and least >= LEVEL / n_tests
+    return lines, bool(found and least >= LEVEL / n_tests)

@@ -92,12 +92,8 @@ class World:
         """The true constants, in the order of `truth`."""
         return np.array(list(self.truth.values()))
 
-    @property
-    def n_rows(self):
-        return sum(len(shot.times) for shot in self.shots)
 
-
-def integrated(acceleration):
+def integrated(acceleration, accuracy=None):
     """A track function of an equation of motion.
 
     Parameters
@@ -105,6 +101,8 @@ def integrated(acceleration):
     acceleration : callable
         ``acceleration(t, p, v, constants)``: p, v of shape (B, R, d), constants a dict of arrays
         (B, 1, 1); returns (B, R, d).
+    accuracy : float, optional
+        Relative; by default the best that doubles allow.
     """
 
     def track(times, constants, states):
@@ -114,7 +112,8 @@ def integrated(acceleration):
             p, v = np.moveaxis(flat.reshape(states.shape), 1, 0)
             return np.stack([v, acceleration(t, p, v, columns)], axis=1).ravel()
 
-        span, rtol = times[-1] - times[0], RTOL if len(states) == 1 else RTOL_COPIES
+        span = times[-1] - times[0]
+        rtol = accuracy or (RTOL if len(states) == 1 else RTOL_COPIES)
         size_p, size_v = np.abs(states[:, 0]).max(), np.abs(states[:, 1]).max()
         sizes = np.broadcast_to(
             np.reshape([size_p + size_v * span * STEP, size_v + size_p / span], (2, 1, 1)),

@@ -4,7 +4,7 @@ Every maker is ``maker(rng) -> World``; times, lengths and masses are of many si
 """
 
 import numpy as np
-from fit_tracks import Shot, World, growth, integrated, linear
+from fit_tracks import Shot, World, growth, integrated, linear, positions_of
 
 from bsp_gp.data.scene import Entity
 
@@ -17,6 +17,7 @@ SINE = "-a * m_i * sin(dot(p_i - p_j, e_x) / 1 [m]) * e_x"
 TIED, BOND = "-k * tie_j * (p_i - p_j)", "-b * bond_j * (p_i - p_j)"
 DAMPING = "-c * v_i"
 PUSH = "a * sin(w * t) * e_x"
+CLOSEST = 0.2
 PAIR = "k * m_i * m_j * norm(p_i - p_j)^n * normalize(p_i - p_j)"
 
 
@@ -208,15 +209,25 @@ def exponent(rng):
     """Two or three free bodies under k m_i m_j r^n, 100 epochs, noise 0.5 to 2 % of their distance.
 
     Two in three attract one another (n from -2.5 to 1.5, far from circles, so that the distance
-    changes); the others fly apart or past one another.
+    changes); the others fly apart or past one another. Closer encounters than `CLOSEST` of that
+    distance, and chaos, are drawn anew.
     """
     while True:
         world = _pairs(rng)
         try:
-            if growth(world) <= 3.0:
+            if _closest(world) >= CLOSEST * world.facts["size"] and growth(world) <= 3.0:
                 return world
         except ArithmeticError:  # a collision
             continue
+
+
+def _closest(world):
+    (shot,) = world.shots
+    often = np.linspace(shot.times[0], shot.times[-1], 1000)
+    places = positions_of(world, Shot(often, shot.states, shot.sigma))
+    apart = places[:, :, None] - places[:, None]
+    first, second = np.triu_indices(places.shape[1], 1)
+    return np.sqrt(np.square(apart).sum(axis=-1))[:, first, second].min()
 
 
 def _pairs(rng):
@@ -235,14 +246,17 @@ def _pairs(rng):
     angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(n_bodies) / n_bodies
     places = size / np.sqrt(n_bodies) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     places *= rng.uniform(0.8, 1.25, (n_bodies, 1))
-    spin = rate * rng.uniform(0.4, 0.8) * rng.choice([-1.0, 1.0])
+    spin = rate * rng.uniform(0.5, 0.85) * rng.choice([-1.0, 1.0])
     speeds = spin * np.stack([-places[:, 1], places[:, 0]], axis=-1)
     speeds -= 0.5 * (sign > 0) * rate * places
     times = np.linspace(0.0, 2 * np.pi / rate * rng.uniform(1.0, 3.0), 100)
     level = between(rng, 0.005, 0.02)
     entities = tuple(moving(f"b{j}", mass) for j, mass in enumerate(masses))
     shot = Shot(times, np.stack([places, speeds]), np.array(level * size))
-    facts = {"bodies": n_bodies, "exponent": n, "attracts": bool(sign < 0), "level": level}
+    facts = {
+        "size": size, "bodies": n_bodies, "exponent": n, "attracts": bool(sign < 0),
+        "level": level,
+    }  # fmt: skip
     return World("pair force", (PAIR,), {"k": k, "n": n}, entities, (shot,),
                  integrated(acceleration), facts=facts)  # fmt: skip
 
