@@ -189,3 +189,21 @@ def test_ranks_that_are_not_uniform_are_told(made, power, uniform):
     ranks = np.random.default_rng(0).random(400) ** power
     table = pd.DataFrame({"kind": "a", "rank_k": ranks})
     assert made.fit_summary.rank_lines(table)[1] is uniform
+
+
+def test_a_summary_shows_what_failed(made):
+    rows = [
+        {"set": k, "kind": "push", "status": "converged", "passed": k > 0, "chi2": 1.0 + k,
+         "wrong_converged": k == 0, "cpu_s": 0.1, "error": ""}
+        for k in range(100)
+    ]  # fmt: skip
+    rows[1] |= {"status": "raised", "passed": False, "error": "ValueError: x", "chi2": np.nan}
+    study = made.fit_studies.STUDIES["oscillators"]
+    text = made.fit_summary.summary("oscillators", study, pd.DataFrame(rows))
+    assert "98 of 100 sets pass" in text and "called converged: 1." in text
+    assert "| 1 | push | raised |  | 0.1 | ValueError: x |" in text
+    # The share is kept, and one wrong minimum is one too many.
+    assert "**oscillators: NOT met**" in text
+    rows[0]["wrong_converged"] = False
+    text = made.fit_summary.summary("oscillators", study, pd.DataFrame(rows))
+    assert "**oscillators: met**" in text
