@@ -84,7 +84,7 @@ def distance(difference, covariance):
 
 def noise_level(found, axis=0):
     """The fitted standard deviation of white noise along an axis, m."""
-    return float(np.ravel(found.noise.sigma)[axis])
+    return float(found.noise.levels[axis])
 
 
 # --- judges: world, rng, deadline -> row ----------------------------------------------------------

@@ -310,7 +310,8 @@ class _Run:
         chisqr = minimum.chisqr
         likelihood = log_likelihood(model, tracks.channels, tracks.residual)
         jacobian = tracks.jacobian
-        covariance = covariance_of(jacobian.T @ jacobian)
+        at_bound = (constants <= self.low) | (constants >= self.high)
+        covariance = _covariance(jacobian.T @ jacobian, at_bound)
         found = Fit(
             law=law, parameters=self.parameters, values=constants, covariance=covariance,
             noise=model, status="converged", chisqr=float(chisqr),
@@ -426,6 +427,16 @@ def covariance_of(information):
     covariance = (vectors * inverse) @ vectors.T / np.outer(size, size)
     free = (np.abs(vectors[:, lost]) > 0.05).any(axis=1) | (np.diag(information) <= 0)
     covariance[free, free] = np.inf
+    return covariance
+
+
+def _covariance(information, is_held):
+    """Covariance of constants of which some stand at a bound: the others' with those held there."""
+    covariance = np.zeros_like(information)
+    free = np.flatnonzero(~is_held)
+    covariance[np.ix_(free, free)] = covariance_of(information[np.ix_(free, free)])
+    for k in np.flatnonzero(is_held):
+        covariance[k, k] = 1.0 / information[k, k] if information[k, k] > 0 else np.inf
     return covariance
 
 
