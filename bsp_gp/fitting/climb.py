@@ -31,8 +31,11 @@ FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
 """For levels that only lead on."""
 WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
 COARSE = 4
-"""Rows of a piece that shows the acceleration, up to which the rows are coarse."""
+"""Rows of a piece that shows the acceleration, up to which the rows may be coarse."""
+TURN = 0.5
+"""Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
+JOININGS = 6
 GROWN = 3
 """Starts from which tracks are grown."""
 AGREE = 2
@@ -193,15 +196,25 @@ class Climb:
         return minimum
 
     def _minimise(self, problem, start, settings):
+        """Descend; where nodes that do not join yet hold the descent up, join them and go on.
+
+        The driver's chi-squared takes gaps between nodes for closed as far as the linearisation
+        goes; while they are wide, what it foresees of a small step is less than what it neglects.
+        """
         low, high = self.box
-        values = np.clip(start.values, low, high)
-        if DEBUG: t0=__import__("time").perf_counter()
-        m= minimise(
-            problem, TrackPoint(values, start.nodes), low=low, high=high, settings=settings,
-            is_over=self.run.is_over,
-        )  # fmt: skip
-        if DEBUG: print("   min", problem.shootings[0].windows.length[:1], values, "->", m.values, m.chisqr, m.status, m.code, m.n_linearised, [x.scheme+str(len(x.steps)) for x in problem.meshes], round(__import__("time").perf_counter()-t0,3))
-        return m
+        point = TrackPoint(np.clip(start.values, low, high), start.nodes)
+        count = 0
+        for _ in range(JOININGS):
+            found = minimise(
+                problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
+            )
+            count += found.n_linearised
+            if DEBUG:
+                print("   min", problem.shootings[0].windows.length[:1], point.values, "->", found.values, found.chisqr, found.status, found.code, found.n_linearised, [x.scheme+str(len(x.steps)) for x in problem.meshes])
+            if settings is not WHOLE or found.code != "stalled" or found.linearised is None:
+                break
+            point = problem.settled(found.point, 2)
+        return replace(found, n_linearised=count)
 
     @property
     def box(self):
@@ -234,8 +247,8 @@ class Climb:
 
     @property
     def is_coarse(self):
-        """Whether neighbouring rows show the acceleration above the noise."""
-        return self.scales.rows <= COARSE
+        """Whether bodies turn from row to row: no noise, but too few rows."""
+        return self.scales.rows <= COARSE and self.scales.turn > TURN
 
     def _sized(self, point, nodes, free):
         """Starts with linear constants at zero, or of the size that makes the acceleration seen."""
@@ -270,6 +283,37 @@ class Climb:
         from bsp_gp.fitting.periodogram import leading_rates
 
         return leading_rates(self.run.groups, self.noises)
+
+    def probe_columns(self, minimum, law, n_most):
+        """Changes of the tracks by terms of strength zero, as columns local to every chain.
+
+        Parameters
+        ----------
+        minimum : Minimum
+        law : ForceLaw
+            The run's law and the terms behind it.
+        n_most : int
+            Columns of the initial state, which come first.
+
+        Returns
+        -------
+        list of ndarray, shape (n_most + q, T, S, R, d)
+            Per group.
+        """
+        constants, _ = self.coordinates.constants(minimum.values)
+        more = [(name, "") for name in law.names if name not in self.run.law.names]
+        values = np.concatenate([constants, np.zeros(len(more))])
+        out = []
+        for flow, noise, nodes, mesh in zip(
+            self.flows, self.noises, minimum.point.nodes, self.problem.meshes, strict=True
+        ):
+            motion = Motion(law, flow.chains, (*self.run.parameters, *more))
+            probed = Flow(motion, flow.tolerance, self.paper_steps)
+            shooting = Shooting(probed, noise, cut_windows(flow.chains.lengths))
+            condensed = shooting.linearise(values, nodes, mesh)[-1]
+            own, shared = shooting.columns(condensed, n_most)
+            out.append(np.concatenate([own, shared[len(constants) :]]))
+        return out
 
     # --- what a minimum is -------------------------------------------------------------------------
 

@@ -16,8 +16,10 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
+from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.problem import Minimum
 from bsp_gp.fitting.student import log_likelihood
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
 from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.starts import roles_of, scales_of
@@ -50,6 +52,9 @@ class FitTolerances:
         Times that noise and law are fitted in turn, at the most.
     refuted : float
         Standard deviations of chi-squared above its mean from which declared errors refute a law.
+    misfit : float
+        Reduced chi-squared from which what is left is looked at for a force before its noise is
+        estimated.
     prior_width : float
         Prior standard deviation of a constant, in changes that alter the acceleration by its
         typical size.
@@ -61,6 +66,7 @@ class FitTolerances:
     most_starts: int = 16
     noise_passes: int = 4
     refuted: float = 5.0
+    misfit: float = 1.5
     prior_width: float = 10.0
 
 
@@ -256,25 +262,73 @@ class _Run:
     def fit(self, paper_steps):
         """The fit with one kind of steps."""
         model = self.hypothesis.noise
-        noises = self.noises(model)
-        scales = scales_of(self.groups, noises)
-        climb = Climb(self, noises, scales, paper_steps)
-        minimum = climb.best()
-        for _ in range(self.tolerances.noise_passes):
-            if minimum.linearised is None or not self._is_estimated or self.is_over():
-                break
-            tracks = _tracks_of(self, climb, minimum)
-            new = estimate(
-                model, tracks.channels, tracks.residual, tracks.shared, tracks.local
-            )
-            settled = _same_noise(new, model)
-            model = new
-            meshes = climb.problem.meshes
-            climb = climb.with_noises(self.noises(model, tracks.channels))
-            minimum = climb.again(minimum, meshes)
-            if settled:
-                break
+        climb, minimum = self.descend(model, paper_steps)
+        if self._is_estimated and minimum.linearised is not None:
+            model = self.noise_beside(climb, minimum, paper_steps)
+            for _ in range(self.tolerances.noise_passes):
+                if minimum.linearised is None or self.is_over():
+                    break
+                meshes = climb.problem.meshes
+                climb = climb.with_noises(self.noises(model, self._channels_at(minimum)))
+                minimum = climb.again(minimum, meshes)
+                if self.has_misfit(minimum):
+                    break  # what is left is no noise: its level is that of the pure error
+                new = self.estimated(climb, minimum, model)
+                if _same_noise(new, model):
+                    break
+                model = new
         return self.result(climb, minimum, model, paper_steps)
+
+    def descend(self, model, paper_steps):
+        """A climb under a noise, and the minimum that it leads to."""
+        noises = self.noises(model)
+        climb = Climb(self, noises, scales_of(self.groups, noises), paper_steps)
+        return climb, climb.best()
+
+    def has_misfit(self, minimum):
+        """Whether more is left than the noise that was assumed."""
+        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
+        return minimum.chisqr > self.tolerances.misfit * dof
+
+    def noise_beside(self, climb, minimum, paper_steps):
+        """The noise, told from what the law lacks by forces that know no physics."""
+        model = self.hypothesis.noise
+        probes = self._probes()
+        if self.has_misfit(minimum) and probes and not paper_steps:
+            law = self.law
+            for term in probes:
+                law = law.plus(term, {term.formula.constants[0]: np.nan})
+            beside = _Run(
+                Hypothesis((Forces(law, False), TrackNoise(model))), self.dataset, self.starts,
+                {}, self.tolerances,
+            )  # fmt: skip
+            beside.is_over = self.is_over
+            other, found = beside.descend(model, False)
+            if found.linearised is not None and found.chisqr < minimum.chisqr:
+                tracks = _tracks_of(beside, other, found)
+                return estimate(
+                    model, tracks.channels, tracks.residual, tracks.shared, tracks.local
+                )
+        return self.estimated(climb, minimum, model)
+
+    def estimated(self, climb, minimum, model):
+        """The noise of the residual, what probes could explain of it taken out."""
+        tracks = _tracks_of(self, climb, minimum)
+        probes, local = self._probes(), tracks.local
+        if probes:
+            law = self.law
+            for term in probes:
+                law = law.plus(term, {term.formula.constants[0]: 0.0})
+            local = np.nan_to_num(join(climb.probe_columns(minimum, law, len(local))))
+        return estimate(model, tracks.channels, tracks.residual, tracks.shared, local)
+
+    def _probes(self):
+        levels = np.array(self.hypothesis.noise.levels)
+        return probe_terms(self.groups, np.isfinite(levels))
+
+    def _channels_at(self, minimum):
+        speeds = [np.abs(np.moveaxis(own[1], (-2, -1), (0, 1))) for own in minimum.point.nodes]
+        return replace(self.channels, speed=join(speeds))
 
     @property
     def _is_estimated(self):

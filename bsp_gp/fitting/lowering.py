@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from bsp_gp.errors import LawError
 from bsp_gp.language.formula import Constant, Input, Number
 
-__all__ = ["MOVING", "Lowering", "Mode"]
+__all__ = ["MOVING", "ORIGIN", "Lowering", "Mode"]
 
 MOVING = ("p_i", "p_j", "v_i", "v_j", "t", "mode")
 """Inputs that differ from instant to instant; all others belong to the bodies of a scene."""
+ORIGIN = "origin"
+"""The point zero, which laws of users cannot name."""
 _CONDITIONS = ("does_collide", "is_on")
 
 
@@ -94,6 +96,8 @@ class Lowering:
             return tuple(g.number(x) for x in self.direction(name))
         if name == "p_c":
             return self._contact_point()
+        if name == ORIGIN:
+            return (g.zero,) * self.n_dims
         if node.type.shape in ("vector", "point") or name in self.vectors:
             return tuple(g.input(name, k) for k in axes)
         return g.input(name)

@@ -81,6 +81,9 @@ class Scales:
     span, step : float, s
         Longest track and shortest interval.
     extent : float, m
+    turn : float
+        Typical change of the step from row to row to the next, in steps: small where rows are
+        dense, around one where a body turns from row to row.
     """
 
     acceleration: float
@@ -88,6 +91,7 @@ class Scales:
     span: float
     step: float
     extent: float
+    turn: float
 
 
 def scales_of(groups, noises):
@@ -119,7 +123,20 @@ def scales_of(groups, noises):
         size = size + 1 if size < 6 else int(size * 1.5)
     if not best:
         best = (extent / span**2) ** 2
-    return Scales(float(np.sqrt(best)), rows or longest, span, step, extent or 1.0)
+    return Scales(
+        float(np.sqrt(best)), rows or longest, span, step, extent or 1.0, _turn(groups)
+    )
+
+
+def _turn(groups):
+    """Root mean square of changes of velocity from row to row, in that of the velocities."""
+    change = size = 0.0
+    for chains in groups:
+        with np.errstate(invalid="ignore"):
+            v = np.diff(chains.observed, axis=0) / np.diff(chains.times, axis=0)[..., None, None]
+        change += float(np.nansum(np.square(np.diff(v, axis=0))))
+        size += float(np.nansum(np.square(v)))
+    return float(np.sqrt(change / size)) if size > 0 else 0.0
 
 
 def _curvatures(groups, noises, size):
