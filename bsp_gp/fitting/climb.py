@@ -41,7 +41,6 @@ GROWN = 3
 AGREE = 2
 ENOUGH = 3
 """Starts that agree, after which no more are asked."""
-DEBUG = bool(__import__("os").environ.get("DBG"))
 """Starts that go on beyond the first level."""
 
 
@@ -209,8 +208,6 @@ class Climb:
                 problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
             )
             count += found.n_linearised
-            if DEBUG:
-                print("   min", problem.shootings[0].windows.length[:1], point.values, "->", found.values, found.chisqr, found.status, found.code, found.n_linearised, [x.scheme+str(len(x.steps)) for x in problem.meshes])
             if settings is not WHOLE or found.code != "stalled" or found.linearised is None:
                 break
             point = problem.settled(found.point, 2)
