@@ -17,14 +17,14 @@ from bsp_gp.fitting.growing import grow
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
-from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.regression import regressed
+from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 
 __all__ = ["Climb"]
 
-GROWTH = 6
+GROWTH = 8
 """Times that pieces are longer from level to level."""
 LEAST_ROWS = 3
 FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
@@ -39,7 +39,7 @@ JOININGS = 6
 GROWN = 3
 """Starts from which tracks are grown."""
 AGREE = 2
-ENOUGH = 3
+ENOUGH = 2
 """Starts that agree, after which no more are asked."""
 """Starts that go on beyond the first level."""
 
@@ -60,14 +60,13 @@ class Climb:
         self.run, self.noises, self.scales = run, noises, scales
         self.paper_steps = paper_steps
         self.flows = [
-            Flow(Motion(run.law, chains, run.parameters), self._tolerance(chains, noise),
-                 paper_steps)
-            for chains, noise in zip(run.groups, noises, strict=True)
-        ]  # fmt: skip
+            Flow(motion, self.tolerance(motion.chains, noise), paper_steps)
+            for motion, noise in zip(run.motions, noises, strict=True)
+        ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
         self.problem = None
 
-    def _tolerance(self, chains, noise):
+    def tolerance(self, chains, noise):
         """Error of one interval such that a whole track keeps to its tolerance."""
         with np.errstate(invalid="ignore"):
             sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))
@@ -87,7 +86,7 @@ class Climb:
         """The same under another noise."""
         return Climb(self.run, noises, self.scales, self.paper_steps)
 
-    # --- levels ------------------------------------------------------------------------------------
+    # --- levels ---------------------------------------------------------------------------------
 
     def levels(self):
         """Rows of the pieces, level by level; None = whole tracks."""
@@ -102,7 +101,8 @@ class Climb:
     def at(self, rows, point):
         """The problem with pieces of so many rows, its steps chosen at a point."""
         shootings = self._shootings(rows)
-        return TrackProblem(shootings, (None,) * len(shootings), self.coordinates).with_meshes(point)
+        problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates)
+        return problem.with_meshes(point)
 
     def _shootings(self, rows):
         return [
@@ -218,10 +218,10 @@ class Climb:
         """Bounds of the unknowns."""
         return self.run.low, self.run.high
 
-    # --- starts ------------------------------------------------------------------------------------
+    # --- starts ---------------------------------------------------------------------------------
 
     def first_points(self):
-        """Points to begin with: nodes off the data, constants given, regressed, or of likely size."""
+        """Points to begin with: nodes off the data, constants given, regressed or of their size."""
         run = self.run
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
         inner = candidates(
@@ -281,14 +281,14 @@ class Climb:
 
         return leading_rates(self.run.groups, self.noises)
 
-    def probe_columns(self, minimum, law, n_most):
+    def probe_columns(self, minimum, motions, n_most):
         """Changes of the tracks by terms of strength zero, as columns local to every chain.
 
         Parameters
         ----------
         minimum : Minimum
-        law : ForceLaw
-            The run's law and the terms behind it.
+        motions : sequence of Motion
+            Of the run's law with the terms behind it.
         n_most : int
             Columns of the initial state, which come first.
 
@@ -298,13 +298,13 @@ class Climb:
             Per group.
         """
         constants, _ = self.coordinates.constants(minimum.values)
-        more = [(name, "") for name in law.names if name not in self.run.law.names]
-        values = np.concatenate([constants, np.zeros(len(more))])
+        n_more = len(motions[0].parameters) - len(constants)
+        values = np.concatenate([constants, np.zeros(n_more)])
         out = []
-        for flow, noise, nodes, mesh in zip(
-            self.flows, self.noises, minimum.point.nodes, self.problem.meshes, strict=True
-        ):
-            motion = Motion(law, flow.chains, (*self.run.parameters, *more))
+        for flow, motion, noise, nodes, mesh in zip(
+            self.flows, motions, self.noises, minimum.point.nodes, self.problem.meshes,
+            strict=True,
+        ):  # fmt: skip
             probed = Flow(motion, flow.tolerance, self.paper_steps)
             shooting = Shooting(probed, noise, cut_windows(flow.chains.lengths))
             condensed = shooting.linearise(values, nodes, mesh)[-1]
@@ -312,7 +312,7 @@ class Climb:
             out.append(np.concatenate([own, shared[len(constants) :]]))
         return out
 
-    # --- what a minimum is -------------------------------------------------------------------------
+    # --- what a minimum is ----------------------------------------------------------------------
 
     def is_joined(self, minimum):
         """Whether the intervals of whole tracks join end to end."""
@@ -407,7 +407,8 @@ def _median_of(base, kind, run):
             graph = Graph()
             lowered = Lowering(graph, chains.n_dims, chains.direction).lower(base)
             tape = Tape(graph, [lowered], MOVING)
-            points = Points(nodes, flow.start, flow.chain, flow.driven.at(flow.start, flow.chain), [])
+            driven = flow.driven.at(flow.start, flow.chain)
+            points = Points(nodes, flow.start, flow.chain, driven, [])
             prepared = tape.prepare(static, dict.fromkeys(base.constants, np.float64(1.0)))
             values = tape.run(prepared, motion._inputs(program, 0, points))[0]
             found.append(np.abs(np.ravel(values)))

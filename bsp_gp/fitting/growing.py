@@ -99,7 +99,7 @@ def _fit_rows(climb, values, nodes, places):
         run.groups, climb.noises, places, nodes, strict=True
     ):
         cut = chains.cut(first, stop)
-        flow = Flow(Motion(run.law, cut, run.parameters), climb._tolerance(chains, noise))
+        flow = Flow(Motion(run.law, cut, run.parameters), climb.tolerance(chains, noise))
         rows = first + np.arange(cut.times.shape[0])[:, None]
         rows = np.minimum(rows, stop - 1)
         chain = np.arange(chains.n_chains)

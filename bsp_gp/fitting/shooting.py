@@ -20,6 +20,8 @@ __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""
+TALL = 128
+"""Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
 FARTHEST = 0.5
 """Extents of a window that its nodes may move in one step."""
 
@@ -237,9 +239,7 @@ class Shooting:
         matrix = np.zeros((n_windows, white.shape[2] + n, n + k + 1))
         matrix[:, : white.shape[2]] = np.swapaxes(white, 1, 2)
         matrix[:, white.shape[2] + np.arange(n), np.arange(n)] = self.prior[:, chain].T
-        factor = np.linalg.qr(matrix, mode="r")
-        missing = n + k + 1 - factor.shape[1]
-        return np.pad(factor, ((0, 0), (0, max(missing, 0)), (0, 0)))
+        return _triangles(matrix)
 
     def _reined(self, change, inside, group):
         """Part of its change that each window may make, so that none leaves its surroundings."""
@@ -312,3 +312,16 @@ class Shooting:
             chain = self.windows.chain[group][at[1]]
             nodes[..., rows[at], chain] += change[..., at[0], at[1]]
         return nodes
+
+
+def _triangles(matrices):
+    """Triangular factors of tall matrices (W, m, c), shape (W, c, c): by blocks of rows first."""
+    n_matrices, n_rows, n_columns = matrices.shape
+    while n_rows > 4 * TALL:
+        n_blocks = n_rows // TALL
+        whole = matrices[:, : n_blocks * TALL].reshape(-1, TALL, n_columns)
+        factors = np.linalg.qr(whole, mode="r").reshape(n_matrices, -1, n_columns)
+        matrices = np.concatenate([factors, matrices[:, n_blocks * TALL :]], axis=1)
+        n_rows = matrices.shape[1]
+    factors = np.linalg.qr(matrices, mode="r")
+    return np.pad(factors, ((0, 0), (0, max(n_columns - factors.shape[1], 0)), (0, 0)))
