@@ -36,9 +36,12 @@ TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
 JOININGS = 6
-GROWN = 3
-"""Starts from which tracks are grown."""
+GROWN = ((0, 0), (1, 0), (0, 1), (2, 0))
+"""Starts, and seeds (best, next to best ...), from which tracks are grown."""
 AGREE = 2
+"""Starts that lead to one minimum before it is believed in, where the noise is estimated."""
+ALLOWED = 10.0
+"""Standard deviations above its mean up to which chi-squared may be that of noise."""
 ENOUGH = 2
 """Starts that agree, after which no more are asked."""
 """Starts that go on beyond the first level."""
@@ -101,8 +104,18 @@ class Climb:
     def at(self, rows, point):
         """The problem with pieces of so many rows, its steps chosen at a point."""
         shootings = self._shootings(rows)
-        problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates)
+        ridge = None if rows is None else self.ridge(point)
+        problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates, ridge)
         return problem.with_meshes(point)
+
+    def ridge(self, point):
+        """Inverse widths of linear unknowns while pieces of tracks may not determine them."""
+        size = self.typical_changes(point, point.nodes)
+        roles = [self.run.roles[name] for name, _ in self.run.parameters]
+        linear = np.array([role == "linear" for role in roles], dtype=bool)
+        known = linear & (size > 0)
+        width = self.run.tolerances.prior_width * np.where(known, size, 1.0)
+        return np.where(known, 1.0 / width, 0.0)
 
     def _shootings(self, rows):
         return [
@@ -118,25 +131,30 @@ class Climb:
             ends += self._climbed(points)
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
-        return self._finish(replace(best, n_starts=len(ends), n_agree=agree), self.problem)
+        return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
 
     def _is_good(self, ends):
-        """Whether some starts agree on a minimum that the noise allows."""
+        """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
+
+        Where the noise is declared, a track as near to the data as the truth is has been found.
+        """
         best = min(ends, key=_height)
         seen = sum(noise.n_seen for noise in self.noises)
-        agree = sum(_agree(m, best) for m in ends)
-        return agree >= AGREE and best.chisqr < seen + 10 * np.sqrt(2 * seen)
+        is_allowed = best.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
+        enough = AGREE if self.run.is_noise_estimated else 1
+        return is_allowed and sum(_agree(m, best) for m in ends) >= enough
 
     def _grown(self, points):
         """Minima that tracks grown from their best rows lead to."""
         ends = []
-        for point in points[:GROWN]:
-            for rank in range(2):
-                if ends and (self.run.is_over() or self._is_good(ends)):
-                    return ends
-                grown = grow(self, point, rank)
-                self.problem = self.at(None, grown)
-                ends.append(self._minimise(self.problem, grown, WHOLE))
+        for number, rank in GROWN:
+            if number >= len(points):
+                continue
+            if ends and (self.run.is_over() or self._is_good(ends)):
+                break
+            grown = grow(self, points[number], rank)
+            problem = self.at(None, grown)
+            ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
         return ends
 
     def _climbed(self, points):
@@ -147,7 +165,7 @@ class Climb:
         for minimum in _distinct(firsts)[:KEPT]:
             if ends and self.run.is_over():
                 break
-            end = self._up(levels[1:], minimum)
+            end = self._up(levels, minimum)
             ends += [end] * sum(_agree(other, minimum) for other in firsts)
         return ends or firsts
 
@@ -165,33 +183,44 @@ class Climb:
         return firsts
 
     def _up(self, levels, minimum):
-        """Go on from a level to whole tracks."""
-        for rows in levels:
+        """Go on from the first level to whole tracks."""
+        problem = None
+        for rows in levels[1:]:
             if minimum.linearised is None:
                 return minimum
-            self.problem = self.at(rows, minimum.point)
+            problem = self.at(rows, minimum.point)
             settings = WHOLE if rows is None else FEW
-            minimum = self._minimise(self.problem, minimum.point, settings)
-        return minimum
+            minimum = self._minimise(problem, minimum.point, settings)
+        if problem is None:  # the first level is the last
+            problem = self.at(None, minimum.point)
+            minimum = self._minimise(problem, minimum.point, WHOLE)
+        return self._joined(minimum, problem)
+
+    def _joined(self, minimum, problem):
+        """A minimum of whole tracks; one whose intervals do not join is none."""
+        self.problem = problem
+        if minimum.linearised is None or self.is_joined(minimum):
+            return minimum
+        return replace(minimum, linearised=None)
 
     def again(self, minimum, meshes):
         """Descend from a minimum under this noise, with the steps it was found with."""
         self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
         new = self._minimise(self.problem, minimum.point, WHOLE)
-        new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
-        return self._finish(new, self.problem)
+        return self._finish(replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree))
 
-    def _finish(self, minimum, problem):
+    def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
         for _ in range(3):
             finer = self.at(None, minimum.point)
-            whole = problem is not None and problem.is_whole
-            if minimum.linearised is None or (whole and problem.is_as_fine_as(finer)):
-                break
-            problem = finer
-            new = self._minimise(problem, minimum.point, WHOLE)
+            if self.problem is not None and self.problem.is_as_fine_as(finer):
+                if minimum.linearised is not None:
+                    break
+            self.problem = finer
+            new = self._minimise(finer, minimum.point, WHOLE)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
-        self.problem = problem
+            if minimum.linearised is None:
+                break
         return minimum
 
     def _minimise(self, problem, start, settings):
@@ -429,13 +458,14 @@ def _unlike(points):
 
 
 def _height(minimum):
-    return minimum.chisqr if np.isfinite(minimum.chisqr) else np.inf
+    """What minima are compared by: the worse end last, those that are none behind all."""
+    return minimum.chisqr if minimum.linearised is not None else np.inf
 
 
 def _agree(minimum, best):
     """Whether two minima are the same, as far as the noise tells."""
     return bool(
-        np.isfinite(minimum.chisqr)
+        minimum.linearised is not None
         and minimum.chisqr - best.chisqr <= 1e-2 + 1e-6 * best.chisqr
     )
 

@@ -25,7 +25,7 @@ __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 
 BLOCK = 2048
 """Intervals that are integrated together: bounds the memory."""
-MAX_STEPS = 4000
+MAX_STEPS = 400
 """Steps within one interval beyond which an integration is given up."""
 FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""

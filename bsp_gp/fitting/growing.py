@@ -80,8 +80,9 @@ def grow(climb, point, rank=0):
     values = point.values
     places = [seeds(chains, SEED_ROWS, rank) for chains in run.groups]
     whole = [chains.lengths for chains in run.groups]
+    ridge = climb.ridge(point)
     while True:
-        values = _fit_rows(climb, values, nodes, places)
+        values = _fit_rows(climb, values, nodes, places, ridge)
         done = all(
             np.all((first == 0) & (stop == n))
             for (first, stop), n in zip(places, whole, strict=True)
@@ -91,7 +92,7 @@ def grow(climb, point, rank=0):
         places = _foresee(climb, values, nodes, places)
 
 
-def _fit_rows(climb, values, nodes, places):
+def _fit_rows(climb, values, nodes, places, ridge):
     """Fit the rows between `places`; their nodes are changed in place."""
     run = climb.run
     shootings, own = [], []
@@ -108,7 +109,8 @@ def _fit_rows(climb, values, nodes, places):
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
     point = TrackPoint(values, tuple(own))
-    problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates).with_meshes(point)
+    problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
+    problem = problem.with_meshes(point)
     low, high = climb.box
     minimum = minimise(problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over)
     for full, new, chains, (first, stop) in zip(
