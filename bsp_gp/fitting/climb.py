@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.growing import grow
+from bsp_gp.fitting.growing import grow, tried
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
@@ -36,8 +36,8 @@ TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
 JOININGS = 6
-GROWN = ((0, 0), (1, 0), (0, 1), (2, 0))
-"""Starts, and seeds (best, next to best ...), from which tracks are grown."""
+SEEDS, GROWN = 3, 4
+"""Pieces from which every start is tried, and trials from which whole tracks are grown."""
 AGREE = 2
 """Starts that lead to one minimum before it is believed in, where the noise is estimated."""
 ALLOWED = 10.0
@@ -145,14 +145,12 @@ class Climb:
         return is_allowed and sum(_agree(m, best) for m in ends) >= enough
 
     def _grown(self, points):
-        """Minima that tracks grown from their best rows lead to."""
+        """Minima that tracks grown from their calmest rows lead to."""
         ends = []
-        for number, rank in GROWN:
-            if number >= len(points):
-                continue
+        for _, point, rank in tried(self, points, range(SEEDS))[:GROWN]:
             if ends and (self.run.is_over() or self._is_good(ends)):
                 break
-            grown = grow(self, points[number], rank)
+            grown = grow(self, point, rank)
             problem = self.at(None, grown)
             ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
         return ends

@@ -266,13 +266,14 @@ class Flow:
 
     def _scales(self, nodes):
         """Error that a place and a velocity of each chain may have in one step, (2, S)."""
+        spread = (nodes[0].max(axis=2) - nodes[0].min(axis=2)).max(axis=(0, 1))
+        speed = np.abs(nodes[1]).max(axis=(0, 1, 2))
         with np.errstate(invalid="ignore", divide="ignore"):
-            places, velocities = nodes[0], nodes[1]
-            spread = np.nanmax(np.abs(places - np.nanmean(places, axis=2, keepdims=True)),
-                               axis=(0, 1, 2))  # fmt: skip
-            speed = np.nanmax(np.abs(velocities), axis=(0, 1, 2))
             rate = np.where(spread > 0, speed / spread, 0.0)
-        span = np.nanmax(self.chains.times, axis=0) - np.nanmin(self.chains.times, axis=0)
+        times = self.chains.times
+        seen = np.isfinite(times)
+        span = np.where(seen, times, -np.inf).max(axis=0) - np.where(seen, times, np.inf).min(axis=0)
+        span = np.where(span > 0, span, 1.0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])
 
