@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.growing import grow, tried
+from bsp_gp.fitting.growing import RANKS, grow, tried
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
@@ -36,8 +36,8 @@ TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
 JOININGS = 6
-SEEDS, GROWN = 3, 4
-"""Pieces from which every start is tried, and trials from which whole tracks are grown."""
+GROWN = 4
+"""Trials from which whole tracks are grown."""
 AGREE = 2
 """Starts that lead to one minimum before it is believed in, where the noise is estimated."""
 ALLOWED = 10.0
@@ -71,11 +71,16 @@ class Climb:
 
     def tolerance(self, chains, noise):
         """Error of one interval such that a whole track keeps to its tolerance."""
-        with np.errstate(invalid="ignore"):
-            sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))
-        sigma = np.where(np.isfinite(sigma), sigma, np.nanmin(sigma))
+        sigma = self.sigma(noise)
         floor = 1e-13 * np.nanmax(np.abs(chains.observed))
         return np.maximum(self.run.tolerances.step_error * sigma / chains.lengths, floor)
+
+    @staticmethod
+    def sigma(noise):
+        """Least standard deviation of a row of each chain, (S,)."""
+        seen = np.isfinite(noise.variance)
+        sigma = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))
+        return np.where(np.isfinite(sigma), sigma, sigma[np.isfinite(sigma)].min())
 
     def _bases(self):
         """Typical value of the base of every fitted power."""
@@ -147,7 +152,7 @@ class Climb:
     def _grown(self, points):
         """Minima that tracks grown from their calmest rows lead to."""
         ends = []
-        for _, point, rank in tried(self, points, range(SEEDS))[:GROWN]:
+        for _, point, rank in tried(self, points, range(RANKS))[:GROWN]:
             if ends and (self.run.is_over() or self._is_good(ends)):
                 break
             grown = grow(self, point, rank)
@@ -222,10 +227,11 @@ class Climb:
         return minimum
 
     def _minimise(self, problem, start, settings):
-        """Descend; where nodes that do not join yet hold the descent up, join them and go on.
+        """Descend; whole tracks until their nodes join.
 
         The driver's chi-squared takes gaps between nodes for closed as far as the linearisation
-        goes; while they are wide, what it foresees of a small step is less than what it neglects.
+        goes; while they are wide, what it foresees of a small step is less than what it neglects,
+        and it stalls.
         """
         low, high = self.box
         point = TrackPoint(np.clip(start.values, low, high), start.nodes)
@@ -235,7 +241,10 @@ class Climb:
                 problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
             )
             count += found.n_linearised
-            if settings is not WHOLE or found.code != "stalled" or found.linearised is None:
+            is_lost = found.linearised is None or found.code in ("stopped", "limit")
+            if settings is not WHOLE or is_lost:
+                break
+            if found.code != "stalled" and self.is_joined(found, problem):
                 break
             point = problem.settled(found.point, 2)
         return replace(found, n_linearised=count)
@@ -341,16 +350,16 @@ class Climb:
 
     # --- what a minimum is ----------------------------------------------------------------------
 
-    def is_joined(self, minimum):
+    def is_joined(self, minimum, problem=None):
         """Whether the intervals of whole tracks join end to end."""
         constants, _ = self.coordinates.constants(minimum.values)
-        problem = self.problem
+        problem = problem or self.problem
         for shooting, mesh, nodes, noise in zip(
             problem.shootings, problem.meshes, minimum.point.nodes, self.noises, strict=True
         ):
             shooting.flow.motion.set_constants(constants)
             gaps = shooting.gaps(nodes, mesh)
-            sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))[shooting.flow.chain]
+            sigma = self.sigma(noise)[shooting.flow.chain]
             floor = 1e-10 * np.nanmax(np.abs(shooting.chains.observed))
             allowed = np.maximum(self.run.tolerances.gap * sigma, floor)
             if not mesh.is_complete or not np.all(np.abs(gaps) <= allowed):

@@ -26,7 +26,6 @@ __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 BLOCK = 2048
 """Intervals that are integrated together: bounds the memory."""
 MAX_STEPS = 400
-"""Steps within one interval beyond which an integration is given up."""
 FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""
 SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 6.0
@@ -113,13 +112,15 @@ class Flow:
     paper_steps : bool
         Take the paper's symplectic Euler step from row to row, conditions as they are at its
         start.
+    max_steps : int
+        Steps within one interval beyond which an integration is given up.
     """
 
-    def __init__(self, motion, tolerance, paper_steps=False):
+    def __init__(self, motion, tolerance, paper_steps=False, max_steps=MAX_STEPS):
         chains = motion.chains
         self.motion, self.chains = motion, chains
         self.tolerance = np.asarray(tolerance, dtype=float)
-        self.paper_steps = paper_steps
+        self.paper_steps, self.max_steps = paper_steps, max_steps
         with np.errstate(invalid="ignore"):
             running = np.isfinite(chains.times[1:]) & np.isfinite(chains.times[:-1])
         self.row, self.chain = np.nonzero(running)
@@ -212,7 +213,7 @@ class Flow:
         open_, complete = np.arange(n), True
         scale = self._scales(nodes)
         modes = self.points(state, self.start, self.chain).modes
-        for _ in range(MAX_STEPS):
+        for _ in range(self.max_steps):
             if not len(open_):
                 break
             points = self.points(
@@ -272,7 +273,9 @@ class Flow:
             rate = np.where(spread > 0, speed / spread, 0.0)
         times = self.chains.times
         seen = np.isfinite(times)
-        span = np.where(seen, times, -np.inf).max(axis=0) - np.where(seen, times, np.inf).min(axis=0)
+        last = np.where(seen, times, -np.inf).max(axis=0)
+        first = np.where(seen, times, np.inf).min(axis=0)
+        span = last - first
         span = np.where(span > 0, span, 1.0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])

@@ -16,16 +16,26 @@ from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 
-__all__ = ["grow", "seeds", "tried"]
+__all__ = ["RANKS", "grow", "seeds", "tried"]
 
 SEED_ROWS = 5
+RANKS = 3
+"""Pieces that are tried where a chain begins."""
 GROWTH = 0.35
 """Rows that are foreseen at once, as a part of those that are fitted."""
 LEADING = Settings(absolute=1e-2, max_linearised=15, last_steps=0)
 CLEAR = 9.0
 """Mean square of changes of velocity, in that of their noise, from which a piece shows a force."""
+ENOUGH = 2
+"""Trials that follow their rows, after which no more are made."""
 CALM = 1.5
 """Chains whose piece turns up to so many times as much as the calmest find the constants first."""
+COARSE = 0.01
+"""Error of one interval on the way, in standard deviations of a position."""
+MAX_STEPS = 150
+"""Steps within one interval on the way: where it takes more, a track is lost."""
+GOOD = 5.0
+"""Standard deviations above its mean up to which chi-squared of a seed is that of noise."""
 LOST = 1e3
 """Chi-squared per row from which a track that was followed before is lost."""
 
@@ -89,17 +99,33 @@ def _turns(chains, noise, s, n, size):
 
 def tried(climb, points, ranks):
     """Which starts and seeds follow the first rows best: (chi-squared, point, rank), best first."""
-    out = []
+    out, seen, n_good = [], [], 0
     for rank in ranks:
+        places = [_calmest(climb, k, rank) for k in range(len(climb.run.groups))]
+        key = [(first.tolist(), stop.tolist()) for first, stop in places]
+        if key in seen:
+            continue
+        seen.append(key)
+        n_rows = _coordinates(climb, places)
         for number, point in enumerate(points):
-            if out and climb.run.is_over():
+            if out and (climb.run.is_over() or n_good >= ENOUGH):
                 break
             nodes = [own.copy() for own in point.nodes]
-            places = [_calmest(climb, k, rank) for k in range(len(nodes))]
             values, chisqr = _fit_rows(climb, point.values, nodes, places, climb.ridge(point))
-            out.append((chisqr, number, rank, TrackPoint(values, point.nodes)))
+            out.append((chisqr, number, rank, TrackPoint(values, tuple(nodes))))
+            n_good += chisqr < n_rows + GOOD * np.sqrt(2 * n_rows)
     out.sort(key=lambda trial: trial[:3])
     return [(chisqr, point, rank) for chisqr, _, rank, point in out]
+
+
+def _coordinates(climb, places):
+    """Coordinates that were seen in some rows."""
+    count = 0
+    for noise, (first, stop) in zip(climb.noises, places, strict=True):
+        seen = np.isfinite(noise.variance)
+        for s, (a, b) in enumerate(zip(first, stop, strict=True)):
+            count += int(seen[a:b, s].sum())
+    return count
 
 
 def _calmest(climb, group, rank):
@@ -110,7 +136,7 @@ def _calmest(climb, group, rank):
 
 
 def grow(climb, point, rank=0):
-    """Fit ever more rows of every chain, from a seed to the whole.
+    """Fit ever more rows of the calmest chains, then of the others, from seeds to the whole.
 
     Parameters
     ----------
@@ -127,26 +153,57 @@ def grow(climb, point, rank=0):
     """
     run = climb.run
     nodes = [own.copy() for own in point.nodes]
-    values = point.values
-    places = [
-        seeds(chains, noise, SEED_ROWS, rank)[:2]
-        for chains, noise in zip(run.groups, climb.noises, strict=True)
-    ]
-    ridge = climb.ridge(point)
+    values, ridge = point.values, climb.ridge(point)
+    places = [_calmest(climb, k, rank) for k in range(len(nodes))]
     while True:
         values, chisqr = _fit_rows(climb, values, nodes, places, ridge)
         n_rows = sum(int((stop - first).sum()) for first, stop in places)
-        is_done = all(
-            np.all((first == 0) & (stop == chains.lengths))
-            for (first, stop), chains in zip(places, run.groups, strict=True)
-        )
-        if is_done or run.is_over() or not chisqr < LOST * n_rows:
+        if run.is_over() or not chisqr < LOST * n_rows:
             return TrackPoint(values, tuple(nodes))
-        places = _foresee(climb, values, nodes, places)
+        if not _is_whole(places, run.groups, begun=True):
+            places = _foresee(climb, values, nodes, places)
+        elif not _is_whole(places, run.groups, begun=False):
+            _begin_next(climb, values, nodes, places)
+        else:
+            return TrackPoint(values, tuple(nodes))
 
 
-def _fit_rows(climb, values, nodes, places, ridge):
+def _is_whole(places, groups, begun):
+    """Whether all rows are in, of all chains or of those that have begun."""
+    for (first, stop), chains in zip(places, groups, strict=True):
+        whole = (first == 0) & (stop == chains.lengths)
+        if not np.all(whole | ((stop == first) & begun)):
+            return False
+    return True
+
+
+def _begin_next(climb, values, nodes, places):
+    """Put in the seed of the calmest chain that has not begun: the one that fits the constants."""
+    waiting = []
+    for group, ((first, stop), chains, noise) in enumerate(
+        zip(places, climb.run.groups, climb.noises, strict=True)
+    ):
+        turn = seeds(chains, noise, SEED_ROWS)[2]
+        waiting += [(turn[s], group, s) for s in np.flatnonzero(first == stop)]
+    _, group, chain = min(waiting)
+    chains, noise = climb.run.groups[group], climb.noises[group]
+    trials = []
+    for rank in range(RANKS):
+        first, stop, _ = seeds(chains, noise, SEED_ROWS, rank)
+        alone = [(np.zeros_like(f), np.zeros_like(f)) for f, _ in places]
+        alone[group][0][chain], alone[group][1][chain] = first[chain], stop[chain]
+        own = [part.copy() for part in nodes]
+        _, chisqr = _fit_rows(climb, values, own, alone, None, is_held=True)
+        trials.append((chisqr, rank, first[chain], stop[chain], own))
+    best = min(trials, key=lambda trial: trial[:2])
+    nodes[group][..., chain] = best[4][group][..., chain]
+    places[group][0][chain], places[group][1][chain] = best[2], best[3]
+
+
+def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     """Fit the rows between `places`; their nodes are changed in place.
+
+    With `is_held` the constants stay.
 
     Returns
     -------
@@ -159,7 +216,8 @@ def _fit_rows(climb, values, nodes, places, ridge):
         run.groups, climb.noises, places, nodes, strict=True
     ):
         cut = chains.cut(first, stop)
-        flow = Flow(Motion(run.law, cut, run.parameters), climb.tolerance(chains, noise))
+        coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
+        flow = Flow(Motion(run.law, cut, run.parameters), coarse, max_steps=MAX_STEPS)
         rows = first + np.arange(cut.times.shape[0])[:, None]
         rows = np.clip(rows, 0, np.maximum(stop - 1, 0))
         chain = np.arange(chains.n_chains)
@@ -170,7 +228,7 @@ def _fit_rows(climb, values, nodes, places, ridge):
     point = TrackPoint(values, tuple(own))
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
     problem = problem.with_meshes(point)
-    low, high = climb.box
+    low, high = (values, values) if is_held else climb.box
     minimum = minimise(problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over)
     for full, new, chains, (first, stop) in zip(
         nodes, minimum.point.nodes, run.groups, places, strict=True
@@ -194,9 +252,8 @@ def _foresee(climb, values, nodes, places):
             for way in (1, -1):
                 source = stop - 1 if way > 0 else first
                 target = source + way
-                open_ = np.flatnonzero(
-                    (step < more) & (target >= 0) & (target < chains.lengths)
-                )
+                has_begun = (step < more) & (stop > first)
+                open_ = np.flatnonzero(has_begun & (target >= 0) & (target < chains.lengths))
                 if not len(open_):
                     continue
                 row, goal = source[open_], target[open_]
