@@ -304,6 +304,11 @@ class Motion:
             else:
                 by_constant[:, k] += column
 
+    def _is_own(self, entity, receiver, chain):
+        """Whether a constant of this entity ("" = of all) is that of a receiver of these chains."""
+        names = np.array([members[receiver] for members in self.chains.bodies])
+        return np.logical_or(not entity, names == entity)[chain]
+
     # --- conditions ------------------------------------------------------------------------------
 
     @property
@@ -353,8 +358,8 @@ class Motion:
                     by_time += value
                 elif axis == "constant":
                     for c, (own, entity) in enumerate(self.parameters):
-                        if own == name and not entity:
-                            by_constant[c] += value
+                        if own == name:
+                            by_constant[c] += value * self._is_own(entity, receiver, points.chain)
                 else:
                     part = 0 if name[0] == "p" else 1
                     body = receiver if name[-1] == "i" else self.others[receiver, other]
@@ -365,7 +370,7 @@ class Motion:
 
 def _lifted(program, value, shape):
     """A value of a margin for every receiver and source, (R, J, M)."""
-    if program.kind == "field" and np.ndim(value):
+    if program.kind == "field" and np.ndim(value) == 2:  # (R, M); of the time alone it is (M,)
         value = value[:, None]
     return np.broadcast_to(value, shape)
 
