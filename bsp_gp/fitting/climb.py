@@ -191,7 +191,7 @@ class Climb:
             problem = finer
             new = self._minimise(problem, minimum.point, WHOLE)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
-        self.problem = problem
+        self.problem = finer if problem is None else problem  # none: no start was finite
         return minimum
 
     def _minimise(self, problem, start, settings):
@@ -266,7 +266,8 @@ class Climb:
             flow.motion.set_constants(constants)
             points = flow.points(own[..., flow.row, flow.chain], flow.start, flow.chain)
             _, by_constant = flow.motion.slopes(points)
-            by_unknown = by_constant @ slopes
+            with np.errstate(all="ignore"):
+                by_unknown = by_constant @ slopes
             good = np.isfinite(by_unknown).all(axis=(1, 2))
             total += np.square(by_unknown[good]).sum(axis=(0, 1))
             count += int(good.sum()) * flow.chains.n_moving

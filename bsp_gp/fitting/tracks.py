@@ -122,7 +122,8 @@ class TrackProblem:
             rest += own
             condensed.append(parts)
         residual = np.concatenate(residuals)
-        jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
+        with np.errstate(all="ignore"):  # constants that run away are refused below
+            jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
             return None
         return TrackLinearised(residual, jacobian, rest, tuple(condensed))

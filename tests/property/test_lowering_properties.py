@@ -78,7 +78,7 @@ def typed(draw):
 
 
 def shapes_of(rng):
-    """Receiver and other: two discs, a disc and a wall, a disc on a mat, points; sizes of order one."""
+    """Receiver and other: two discs, a disc and a wall, a disc on a mat, points."""
     pair = [("disc", "disc"), ("disc", "rect_wall"), ("disc", "rect_mat"), ("point", "disc")]
     own, other = pair[rng.integers(len(pair))]
     sizes = rng.uniform(0.5, 4.0, (3, 2))
@@ -150,7 +150,8 @@ class Lowered:
         return tape.run(tape.prepare(self.value, constants), self.value)
 
     def slopes(self, leaf):
-        return np.array(self.run([self.graph.slope(node, leaf) for node in self.nodes]), dtype=float)
+        slopes = self.run([self.graph.slope(node, leaf) for node in self.nodes])
+        return np.array(slopes, dtype=float)
 
     @property
     def is_tame(self):
@@ -163,7 +164,8 @@ class Lowered:
         size = [np.abs(part) for part in parts]
         finite = all(np.isfinite(part).all() for part in parts)
         near = any(abs(m) < MARGIN for m in self.margins)
-        return finite and not near and all(np.all((s == 0) | ((s > 1e-6) & (s < 1e6))) for s in size)
+        fair = all(np.all((s == 0) | ((s > 1e-6) & (s < 1e6))) for s in size)
+        return finite and fair and not near
 
 
 def directional(node, lowered, name, axis):

@@ -1,6 +1,7 @@
 """Motion from row to row: where it ends, and how that hangs on its start and on the constants."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -210,6 +211,7 @@ def test_motion_goes_back_as_it_came():
     np.testing.assert_allclose(there[..., 0], [x[-1] for x in expected], atol=1e-8)
 
 
+@lru_cache
 def kepler(eccentricity, tolerance):
     """An orbit from its farthest point once around: it must come back."""
     law = law_of(GRAVITY, c1=1.0)
