@@ -302,7 +302,8 @@ class Climb:
             flow.motion.set_constants(constants)
             points = flow.points(own[..., flow.row, flow.chain], flow.start, flow.chain)
             _, by_constant = flow.motion.slopes(points)
-            by_unknown = by_constant @ slopes
+            with np.errstate(all="ignore"):
+                by_unknown = by_constant @ slopes
             good = np.isfinite(by_unknown).all(axis=(1, 2))
             total += np.square(by_unknown[good]).sum(axis=(0, 1))
             count += int(good.sum()) * flow.chains.n_moving

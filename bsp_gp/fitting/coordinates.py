@@ -15,7 +15,7 @@ __all__ = ["Coordinates", "powers_of"]
 
 
 def powers_of(formula):
-    """Powers with a fitted exponent that are factors of a term: (base, exponent's name, sign).
+    """Powers with a fitted exponent in a term: (base, name of the exponent, sign).
 
     Exponents are a plain constant or its negative.
     """
@@ -79,18 +79,20 @@ class Coordinates:
         """Constants, and their derivatives by the unknowns, shapes (k,) and (k, k)."""
         constants, slopes = np.array(unknowns, dtype=float), np.eye(self.n)
         for rows, powers in self._rules:
-            factor = np.exp(-sum(unknowns[k] * size for k, size in powers))
-            for row in rows:
-                constants[row] = unknowns[row] * factor
-                slopes[row, row] = factor
-                for k, size in powers:
-                    slopes[row, k] -= constants[row] * size
+            with np.errstate(all="ignore"):  # what runs away is refused by the driver
+                factor = np.exp(-sum(unknowns[k] * size for k, size in powers))
+                for row in rows:
+                    constants[row] = unknowns[row] * factor
+                    slopes[row, row] = factor
+                    for k, size in powers:
+                        slopes[row, k] -= constants[row] * size
         return constants, slopes
 
     def unknowns(self, constants):
         """The inverse of `constants`."""
         unknowns = np.array(constants, dtype=float)
         for rows, powers in self._rules:
-            factor = np.exp(sum(unknowns[k] * size for k, size in powers))
-            unknowns[rows] = unknowns[rows] * factor
+            with np.errstate(all="ignore"):
+                factor = np.exp(sum(unknowns[k] * size for k, size in powers))
+                unknowns[rows] = unknowns[rows] * factor
         return unknowns

@@ -451,11 +451,19 @@ def _tracks_of(run, climb, minimum: Minimum):
         speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
     jacobian = np.zeros((0, len(run.parameters)))
     if minimum.linearised is not None and len(run.parameters):
-        jacobian = -minimum.linearised.jacobian @ np.linalg.inv(slopes)
+        jacobian = -minimum.linearised.jacobian @ _inverse(slopes)
     return _Tracks(
         replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
         np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), jacobian, join(variances),
     )  # fmt: skip
+
+
+def _inverse(slopes):
+    """Inverse of the slopes of the constants; nan where a power has left the range of numbers."""
+    try:
+        return np.linalg.inv(slopes)
+    except np.linalg.LinAlgError:
+        return np.full(slopes.shape, np.nan)
 
 
 def _channels(groups):

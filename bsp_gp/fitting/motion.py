@@ -150,6 +150,8 @@ class Motion:
             values = self.chains.column(column)
             if axis is not None:
                 values = values[..., axis]
+            if role == "i":  # who does not know it has no weight, and 0 * nan is nan
+                values = np.where(np.isnan(values), 1.0, values)
             own = values[: self.chains.n_moving]
             if program.kind == "field":
                 return _shared(own)
@@ -214,6 +216,8 @@ class Motion:
             if name == "mode":
                 mode = program.modes[axis]
                 held = points.modes[number][axis]
+                if program.kind == "field":
+                    held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
             part = 0 if name[0] == "p" else 1
             if name[-1] == "i":
@@ -300,6 +304,11 @@ class Motion:
             else:
                 by_constant[:, k] += column
 
+    def _is_own(self, entity, receiver, chain):
+        """Whether a constant of this entity ("" = of all) is that of a receiver of these chains."""
+        names = np.array([members[receiver] for members in self.chains.bodies])
+        return np.logical_or(not entity, names == entity)[chain]
+
     # --- conditions ------------------------------------------------------------------------------
 
     @property
@@ -314,8 +323,7 @@ class Motion:
         for k, program, outputs in self._run(2, points):
             if outputs:
                 shape = self._shape(program, points.state.shape[-1])
-                lifted = [v[:, None] if program.kind == "field" else v for v in outputs]
-                out[k] = np.stack([np.broadcast_to(v, shape) for v in lifted])
+                out[k] = np.stack([_lifted(program, v, shape) for v in outputs])
         return out
 
     def _shape(self, program, n_points):
@@ -345,20 +353,26 @@ class Motion:
             for (number, name, axis), value in zip(program.margin_slope_of, outputs, strict=True):
                 if number != mode:
                     continue
-                value = value[:, None] if program.kind == "field" else value
-                value = np.broadcast_to(value, shape)[receiver, other]
+                value = _lifted(program, value, shape)[receiver, other]
                 if name == "t":
                     by_time += value
                 elif axis == "constant":
                     for c, (own, entity) in enumerate(self.parameters):
-                        if own == name and not entity:
-                            by_constant[c] += value
+                        if own == name:
+                            by_constant[c] += value * self._is_own(entity, receiver, points.chain)
                 else:
                     part = 0 if name[0] == "p" else 1
                     body = receiver if name[-1] == "i" else self.others[receiver, other]
                     if body < n_own:
                         by_state[part, body, axis] += value
         return by_state.reshape(-1, n_points).T, by_time, by_constant.T
+
+
+def _lifted(program, value, shape):
+    """A value of a margin for every receiver and source, (R, J, M)."""
+    if program.kind == "field" and np.ndim(value) == 2:  # (R, M); of the time alone it is (M,)
+        value = value[:, None]
+    return np.broadcast_to(value, shape)
 
 
 def _shared(values):

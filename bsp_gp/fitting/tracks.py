@@ -29,6 +29,7 @@ class ChainNoise:
         self.times, self.variance = times, variance
         self.amplitude = np.zeros(variance.shape) if amplitude is None else amplitude
         self.correlation_time = correlation_time
+        self._lengths = np.isfinite(times).sum(axis=0)
         self._whiteners = {}
 
     def whiten(self, errors, rows, chain):
@@ -41,20 +42,21 @@ class ChainNoise:
         rows : ndarray of int, shape (L, W)
         chain : ndarray of int, shape (W,)
         """
-        if not self.amplitude.any() or len(rows) < len(self.times):
+        if not self.amplitude.any() or len(rows) < self._lengths[chain].max():
             # Within windows that are pieces of tracks the memory is left out: they only lead on.
             variance = self.variance[rows, chain] + np.square(self.amplitude[rows, chain])
             seen = np.isfinite(variance) & np.isfinite(errors[-1])
             size = np.sqrt(np.where(seen, variance, 1.0))
             return np.where(seen, errors, 0.0) / size
-        key = chain.tobytes()
+        n = len(rows)
+        key = n, chain.tobytes()
         if key not in self._whiteners:
-            variance = self.variance[:, chain]
+            variance = self.variance[:n, chain]
             shape = variance.shape
-            times = np.broadcast_to(self.times[:, chain, None, None], shape)
+            times = np.broadcast_to(self.times[:n, chain, None, None], shape)
             self._whiteners[key] = Whitener(
-                times.reshape(len(times), -1), variance.reshape(len(times), -1),
-                self.amplitude[:, chain].reshape(len(times), -1), self.correlation_time,
+                times.reshape(n, -1), variance.reshape(n, -1),
+                self.amplitude[:n, chain].reshape(n, -1), self.correlation_time,
             )  # fmt: skip
         flat = np.where(np.isfinite(errors), errors, 0.0).reshape(*errors.shape[:2], -1)
         return self._whiteners[key].whiten(flat).reshape(errors.shape)
@@ -124,10 +126,11 @@ class TrackProblem:
             rest += own
             condensed.append(parts)
         residual = np.concatenate(residuals)
-        jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
-        if self.ridge is not None:
-            residual = np.concatenate([residual, self.ridge * point.values])
-            jacobian = np.concatenate([jacobian, np.diag(self.ridge)])
+        with np.errstate(all="ignore"):  # constants that run away are refused below
+            jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
+            if self.ridge is not None:
+                residual = np.concatenate([residual, self.ridge * point.values])
+                jacobian = np.concatenate([jacobian, np.diag(self.ridge)])
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
             return None
         return TrackLinearised(residual, jacobian, rest, tuple(condensed))
