@@ -153,7 +153,7 @@ class Shooting:
             factor = self._factor(group, columns, nodes)
             condensed.append(Condensed(columns, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
-            jacobians.append(factor[:, n:, n : n + k].reshape(-1, k))
+            jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
             rest += float(np.square(factor[:, :n, -1]).sum())
         return np.concatenate(residuals), np.concatenate(jacobians), rest, condensed
 

@@ -347,7 +347,7 @@ def test_a_bug_shows_its_traceback(data, monkeypatch):
     def broken(*args, **kwargs):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("bsp_gp.loop.fitting.fit_law", broken)
+    monkeypatch.setattr("bsp_gp.fitting.law_fit.fit_law", broken)
     with pytest.raises(ZeroDivisionError):
         main(["fit", data, "--law", GRAVITY])
 
