@@ -13,18 +13,18 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.growing import grow
+from bsp_gp.fitting.growing import grow, tried
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
-from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.regression import regressed
+from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 
 __all__ = ["Climb"]
 
-GROWTH = 6
+GROWTH = 8
 """Times that pieces are longer from level to level."""
 LEAST_ROWS = 3
 FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
@@ -36,10 +36,13 @@ TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
 JOININGS = 6
-GROWN = 3
-"""Starts from which tracks are grown."""
+SEEDS, GROWN = 3, 4
+"""Pieces from which every start is tried, and trials from which whole tracks are grown."""
 AGREE = 2
-ENOUGH = 3
+"""Starts that lead to one minimum before it is believed in, where the noise is estimated."""
+ALLOWED = 10.0
+"""Standard deviations above its mean up to which chi-squared may be that of noise."""
+ENOUGH = 2
 """Starts that agree, after which no more are asked."""
 """Starts that go on beyond the first level."""
 
@@ -60,14 +63,13 @@ class Climb:
         self.run, self.noises, self.scales = run, noises, scales
         self.paper_steps = paper_steps
         self.flows = [
-            Flow(Motion(run.law, chains, run.parameters), self._tolerance(chains, noise),
-                 paper_steps)
-            for chains, noise in zip(run.groups, noises, strict=True)
-        ]  # fmt: skip
+            Flow(motion, self.tolerance(motion.chains, noise), paper_steps)
+            for motion, noise in zip(run.motions, noises, strict=True)
+        ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
         self.problem = None
 
-    def _tolerance(self, chains, noise):
+    def tolerance(self, chains, noise):
         """Error of one interval such that a whole track keeps to its tolerance."""
         with np.errstate(invalid="ignore"):
             sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))
@@ -87,7 +89,7 @@ class Climb:
         """The same under another noise."""
         return Climb(self.run, noises, self.scales, self.paper_steps)
 
-    # --- levels ------------------------------------------------------------------------------------
+    # --- levels ---------------------------------------------------------------------------------
 
     def levels(self):
         """Rows of the pieces, level by level; None = whole tracks."""
@@ -102,7 +104,18 @@ class Climb:
     def at(self, rows, point):
         """The problem with pieces of so many rows, its steps chosen at a point."""
         shootings = self._shootings(rows)
-        return TrackProblem(shootings, (None,) * len(shootings), self.coordinates).with_meshes(point)
+        ridge = None if rows is None else self.ridge(point)
+        problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates, ridge)
+        return problem.with_meshes(point)
+
+    def ridge(self, point):
+        """Inverse widths of linear unknowns while pieces of tracks may not determine them."""
+        size = self.typical_changes(point, point.nodes)
+        roles = [self.run.roles[name] for name, _ in self.run.parameters]
+        linear = np.array([role == "linear" for role in roles], dtype=bool)
+        known = linear & (size > 0)
+        width = self.run.tolerances.prior_width * np.where(known, size, 1.0)
+        return np.where(known, 1.0 / width, 0.0)
 
     def _shootings(self, rows):
         return [
@@ -118,25 +131,28 @@ class Climb:
             ends += self._climbed(points)
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
-        return self._finish(replace(best, n_starts=len(ends), n_agree=agree), self.problem)
+        return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
 
     def _is_good(self, ends):
-        """Whether some starts agree on a minimum that the noise allows."""
+        """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
+
+        Where the noise is declared, a track as near to the data as the truth is has been found.
+        """
         best = min(ends, key=_height)
         seen = sum(noise.n_seen for noise in self.noises)
-        agree = sum(_agree(m, best) for m in ends)
-        return agree >= AGREE and best.chisqr < seen + 10 * np.sqrt(2 * seen)
+        is_allowed = best.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
+        enough = AGREE if self.run.is_noise_estimated else 1
+        return is_allowed and sum(_agree(m, best) for m in ends) >= enough
 
     def _grown(self, points):
-        """Minima that tracks grown from their best rows lead to."""
+        """Minima that tracks grown from their calmest rows lead to."""
         ends = []
-        for point in points[:GROWN]:
-            for rank in range(2):
-                if ends and (self.run.is_over() or self._is_good(ends)):
-                    return ends
-                grown = grow(self, point, rank)
-                self.problem = self.at(None, grown)
-                ends.append(self._minimise(self.problem, grown, WHOLE))
+        for _, point, rank in tried(self, points, range(SEEDS))[:GROWN]:
+            if ends and (self.run.is_over() or self._is_good(ends)):
+                break
+            grown = grow(self, point, rank)
+            problem = self.at(None, grown)
+            ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
         return ends
 
     def _climbed(self, points):
@@ -147,7 +163,7 @@ class Climb:
         for minimum in _distinct(firsts)[:KEPT]:
             if ends and self.run.is_over():
                 break
-            end = self._up(levels[1:], minimum)
+            end = self._up(levels, minimum)
             ends += [end] * sum(_agree(other, minimum) for other in firsts)
         return ends or firsts
 
@@ -165,33 +181,44 @@ class Climb:
         return firsts
 
     def _up(self, levels, minimum):
-        """Go on from a level to whole tracks."""
-        for rows in levels:
+        """Go on from the first level to whole tracks."""
+        problem = None
+        for rows in levels[1:]:
             if minimum.linearised is None:
                 return minimum
-            self.problem = self.at(rows, minimum.point)
+            problem = self.at(rows, minimum.point)
             settings = WHOLE if rows is None else FEW
-            minimum = self._minimise(self.problem, minimum.point, settings)
-        return minimum
+            minimum = self._minimise(problem, minimum.point, settings)
+        if problem is None:  # the first level is the last
+            problem = self.at(None, minimum.point)
+            minimum = self._minimise(problem, minimum.point, WHOLE)
+        return self._joined(minimum, problem)
+
+    def _joined(self, minimum, problem):
+        """A minimum of whole tracks; one whose intervals do not join is none."""
+        self.problem = problem
+        if minimum.linearised is None or self.is_joined(minimum):
+            return minimum
+        return replace(minimum, linearised=None)
 
     def again(self, minimum, meshes):
         """Descend from a minimum under this noise, with the steps it was found with."""
         self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
         new = self._minimise(self.problem, minimum.point, WHOLE)
-        new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
-        return self._finish(new, self.problem)
+        return self._finish(replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree))
 
-    def _finish(self, minimum, problem):
+    def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
         for _ in range(3):
             finer = self.at(None, minimum.point)
-            whole = problem is not None and problem.is_whole
-            if minimum.linearised is None or (whole and problem.is_as_fine_as(finer)):
-                break
-            problem = finer
-            new = self._minimise(problem, minimum.point, WHOLE)
+            if self.problem is not None and self.problem.is_as_fine_as(finer):
+                if minimum.linearised is not None:
+                    break
+            self.problem = finer
+            new = self._minimise(finer, minimum.point, WHOLE)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
-        self.problem = problem
+            if minimum.linearised is None:
+                break
         return minimum
 
     def _minimise(self, problem, start, settings):
@@ -218,10 +245,10 @@ class Climb:
         """Bounds of the unknowns."""
         return self.run.low, self.run.high
 
-    # --- starts ------------------------------------------------------------------------------------
+    # --- starts ---------------------------------------------------------------------------------
 
     def first_points(self):
-        """Points to begin with: nodes off the data, constants given, regressed, or of likely size."""
+        """Points to begin with: nodes off the data, constants given, regressed or of their size."""
         run = self.run
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
         inner = candidates(
@@ -281,14 +308,14 @@ class Climb:
 
         return leading_rates(self.run.groups, self.noises)
 
-    def probe_columns(self, minimum, law, n_most):
+    def probe_columns(self, minimum, motions, n_most):
         """Changes of the tracks by terms of strength zero, as columns local to every chain.
 
         Parameters
         ----------
         minimum : Minimum
-        law : ForceLaw
-            The run's law and the terms behind it.
+        motions : sequence of Motion
+            Of the run's law with the terms behind it.
         n_most : int
             Columns of the initial state, which come first.
 
@@ -298,13 +325,13 @@ class Climb:
             Per group.
         """
         constants, _ = self.coordinates.constants(minimum.values)
-        more = [(name, "") for name in law.names if name not in self.run.law.names]
-        values = np.concatenate([constants, np.zeros(len(more))])
+        n_more = len(motions[0].parameters) - len(constants)
+        values = np.concatenate([constants, np.zeros(n_more)])
         out = []
-        for flow, noise, nodes, mesh in zip(
-            self.flows, self.noises, minimum.point.nodes, self.problem.meshes, strict=True
-        ):
-            motion = Motion(law, flow.chains, (*self.run.parameters, *more))
+        for flow, motion, noise, nodes, mesh in zip(
+            self.flows, motions, self.noises, minimum.point.nodes, self.problem.meshes,
+            strict=True,
+        ):  # fmt: skip
             probed = Flow(motion, flow.tolerance, self.paper_steps)
             shooting = Shooting(probed, noise, cut_windows(flow.chains.lengths))
             condensed = shooting.linearise(values, nodes, mesh)[-1]
@@ -312,7 +339,7 @@ class Climb:
             out.append(np.concatenate([own, shared[len(constants) :]]))
         return out
 
-    # --- what a minimum is -------------------------------------------------------------------------
+    # --- what a minimum is ----------------------------------------------------------------------
 
     def is_joined(self, minimum):
         """Whether the intervals of whole tracks join end to end."""
@@ -407,7 +434,8 @@ def _median_of(base, kind, run):
             graph = Graph()
             lowered = Lowering(graph, chains.n_dims, chains.direction).lower(base)
             tape = Tape(graph, [lowered], MOVING)
-            points = Points(nodes, flow.start, flow.chain, flow.driven.at(flow.start, flow.chain), [])
+            driven = flow.driven.at(flow.start, flow.chain)
+            points = Points(nodes, flow.start, flow.chain, driven, [])
             prepared = tape.prepare(static, dict.fromkeys(base.constants, np.float64(1.0)))
             values = tape.run(prepared, motion._inputs(program, 0, points))[0]
             found.append(np.abs(np.ravel(values)))
@@ -428,13 +456,14 @@ def _unlike(points):
 
 
 def _height(minimum):
-    return minimum.chisqr if np.isfinite(minimum.chisqr) else np.inf
+    """What minima are compared by: the worse end last, those that are none behind all."""
+    return minimum.chisqr if minimum.linearised is not None else np.inf
 
 
 def _agree(minimum, best):
     """Whether two minima are the same, as far as the noise tells."""
     return bool(
-        np.isfinite(minimum.chisqr)
+        minimum.linearised is not None
         and minimum.chisqr - best.chisqr <= 1e-2 + 1e-6 * best.chisqr
     )
 

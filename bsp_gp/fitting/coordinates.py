@@ -15,10 +15,9 @@ __all__ = ["Coordinates", "powers_of"]
 
 
 def powers_of(formula):
-    """Powers with a fitted exponent in a term: (base, exponent's name, sign) of those that multiply.
+    """Powers with a fitted exponent that are factors of a term: (base, exponent's name, sign).
 
-    Only powers that are factors of the whole term, and exponents that are a plain constant or its
-    negative.
+    Exponents are a plain constant or its negative.
     """
     above, below = factors(formula)
     found = []

@@ -114,7 +114,8 @@ def _next_change(flow, scheme, points, h):
 
     def margins(length):
         end, _, _ = flow.step(scheme, points, np.array([length]))
-        return flow.motion.margins(flow.points(end, points.times + length, points.chain, points.modes))
+        there = flow.points(end, points.times + length, points.chain, points.modes)
+        return flow.motion.margins(there)
 
     at_end = margins(h)
     first, which = h, None

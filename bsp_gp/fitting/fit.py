@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
-from bsp_gp.fitting.probes import probe_terms
-from bsp_gp.fitting.problem import Minimum
-from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
+from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.probes import probe_terms
+from bsp_gp.fitting.problem import Minimum
 from bsp_gp.fitting.starts import roles_of, scales_of
+from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.force import ForceLaw
 
@@ -191,7 +194,8 @@ def fit(
     run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
-    found = [run.fit(paper) for paper in run.step_kinds()]
+    with threadpool_limits(1, "blas"):  # faster on small matrices, and the same bits everywhere
+        found = [run.fit(paper) for paper in run.step_kinds()]
     best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
     return replace(best, seconds=time.monotonic() - began)
 
@@ -257,26 +261,24 @@ class _Run:
         levels = np.array(self.hypothesis.noise.levels)
         return bool(np.nanmax(levels) <= self.tolerances.exact * self.extent)
 
-    # --- one way of stepping -----------------------------------------------------------------------
+    # --- one way of stepping ---------------------------------------------------------------------
 
     def fit(self, paper_steps):
         """The fit with one kind of steps."""
         model = self.hypothesis.noise
         climb, minimum = self.descend(model, paper_steps)
-        if self._is_estimated and minimum.linearised is not None:
-            model = self.noise_beside(climb, minimum, paper_steps)
+        if self.is_noise_estimated and minimum.linearised is not None:
+            new = self.noise_beside(climb, minimum, paper_steps)
             for _ in range(self.tolerances.noise_passes):
-                if minimum.linearised is None or self.is_over():
-                    break
+                is_settled, model = _same_noise(new, model), new
                 meshes = climb.problem.meshes
                 climb = climb.with_noises(self.noises(model, self._channels_at(minimum)))
                 minimum = climb.again(minimum, meshes)
-                if self.has_misfit(minimum):
-                    break  # what is left is no noise: its level is that of the pure error
-                new = self.estimated(climb, minimum, model)
-                if _same_noise(new, model):
+                # What is left of a misfit is no noise: its level is that of the pure error.
+                is_over = is_settled or minimum.linearised is None or self.is_over()
+                if is_over or self.has_misfit(minimum):
                     break
-                model = new
+                new = self.estimated(climb, minimum, model, adopt=False)
         return self.result(climb, minimum, model, paper_steps)
 
     def descend(self, model, paper_steps):
@@ -293,15 +295,9 @@ class _Run:
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""
         model = self.hypothesis.noise
-        probes = self._probes()
-        if self.has_misfit(minimum) and probes and not paper_steps:
-            law = self.law
-            for term in probes:
-                law = law.plus(term, {term.formula.constants[0]: np.nan})
-            beside = _Run(
-                Hypothesis((Forces(law, False), TrackNoise(model))), self.dataset, self.starts,
-                {}, self.tolerances,
-            )  # fmt: skip
+        if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
+            parts = (Forces(self.probed_law, False), TrackNoise(model))
+            beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
             beside.is_over = self.is_over
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:
@@ -311,27 +307,49 @@ class _Run:
                 )
         return self.estimated(climb, minimum, model)
 
-    def estimated(self, climb, minimum, model):
-        """The noise of the residual, what probes could explain of it taken out."""
-        tracks = _tracks_of(self, climb, minimum)
-        probes, local = self._probes(), tracks.local
-        if probes:
-            law = self.law
-            for term in probes:
-                law = law.plus(term, {term.formula.constants[0]: 0.0})
-            local = np.nan_to_num(join(climb.probe_columns(minimum, law, len(local))))
-        return estimate(model, tracks.channels, tracks.residual, tracks.shared, local)
+    def estimated(self, climb, minimum, model, adopt=True):
+        """The noise of the residual, what probes could explain of it taken out.
 
-    def _probes(self):
-        levels = np.array(self.hypothesis.noise.levels)
-        return probe_terms(self.groups, np.isfinite(levels))
+        With `adopt` further parts than those of the model are asked for.
+        """
+        tracks = _tracks_of(self, climb, minimum)
+        local = tracks.local
+        if self.probed_motions:
+            columns = climb.probe_columns(minimum, self.probed_motions, len(local))
+            local = np.nan_to_num(join(columns))
+        return estimate(
+            model, tracks.channels, tracks.residual, tracks.shared, local, adopt=adopt
+        )
+
+    @cached_property
+    def motions(self):
+        """The law on every group."""
+        return tuple(Motion(self.law, chains, self.parameters) for chains in self.groups)
+
+    @cached_property
+    def probed_law(self):
+        """The law with probes beside it, of unknown strength."""
+        law = self.law
+        is_moving = np.isfinite(self.hypothesis.noise.levels)
+        for term in probe_terms(self.groups, is_moving):
+            law = law.plus(term, {term.formula.constants[0]: np.nan})
+        return law
+
+    @cached_property
+    def probed_motions(self):
+        """The law and its probes on every group; none where the tracks bear no probes."""
+        more = [(name, "") for name in self.probed_law.names if name not in self.law.names]
+        if not more:
+            return ()
+        parameters = (*self.parameters, *more)
+        return tuple(Motion(self.probed_law, chains, parameters) for chains in self.groups)
 
     def _channels_at(self, minimum):
         speeds = [np.abs(np.moveaxis(own[1], (-2, -1), (0, 1))) for own in minimum.point.nodes]
         return replace(self.channels, speed=join(speeds))
 
     @property
-    def _is_estimated(self):
+    def is_noise_estimated(self):
         return bool(self.hypothesis.noise.is_free.any())
 
     def noises(self, model, channels=None):
@@ -391,7 +409,7 @@ class _Run:
             return "aliased"
         if minimum.status == "at_bound":
             return "at_bound"
-        if not self._is_estimated and not self.is_exact:
+        if not self.is_noise_estimated and not self.is_exact:
             dof = max(found.n_rows - found.n_free, 1)
             if found.chisqr > dof + self.tolerances.refuted * np.sqrt(2 * dof):
                 return "refuted"

@@ -25,7 +25,7 @@ __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 
 BLOCK = 2048
 """Intervals that are integrated together: bounds the memory."""
-MAX_STEPS = 4000
+MAX_STEPS = 400
 """Steps within one interval beyond which an integration is given up."""
 FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""
@@ -149,26 +149,17 @@ class Flow:
         -------
         end : ndarray, shape (2, R, d, M)
         stages : list of Points
-        rates : list of ndarray, shape (2, R, d, M)
+        rates : ndarray, shape (s, 2, R, d, M)
         """
-        stages, rates = [], []
         y, t = points.state, points.times
-        for k in range(scheme.n_stages):
-            if k:
-                weights = [(scheme.a[k, m], rates[m]) for m in range(k) if scheme.a[k, m]]
-                change = weights[0][0] * weights[0][1]
-                for weight, rate in weights[1:]:
-                    change += weight * rate
-                here = self.points(y + h * change, t + scheme.c[k] * h, points.chain, points.modes)
-            else:
-                here = points
+        stages, rates = [points], np.empty((scheme.n_stages, *y.shape))
+        rates[0] = self._rate(points)
+        for k in range(1, scheme.n_stages):
+            state = y + h * _weighted(scheme.a[k, :k], rates)
+            here = self.points(state, t + scheme.c[k] * h, points.chain, points.modes)
             stages.append(here)
-            rates.append(self._rate(here))
-        change = scheme.b[0] * rates[0]
-        for weight, rate in zip(scheme.b[1:], rates[1:], strict=True):
-            if weight:
-                change += weight * rate
-        return y + h * change, stages, rates
+            rates[k] = self._rate(here)
+        return y + h * _weighted(scheme.b, rates), stages, rates
 
     def _rate(self, points):
         return np.stack([points.state[1], self.motion.acceleration(points)])
@@ -180,20 +171,15 @@ class Flow:
         by_state, by_constant = self.motion.slopes(_joined(stages))
         first = np.zeros((m, n, n + k))
         first[:, np.arange(n), np.arange(n)] = 1.0
-        rates = []
+        rates = np.empty((scheme.n_stages, *first.shape))
         h = h[:, None, None]
         for s in range(scheme.n_stages):
-            change = first
-            if s:
-                total = sum(scheme.a[s, q] * rates[q] for q in range(s) if scheme.a[s, q])
-                change = first + h * total
+            change = first + h * _weighted(scheme.a[s, :s], rates) if s else first
             part = slice(s * m, (s + 1) * m)
-            rate = np.empty_like(first)
-            rate[:, :half] = change[:, half:]
-            np.matmul(by_state[part], change, out=rate[:, half:])
-            rate[:, half:, n:] += by_constant[part]
-            rates.append(rate)
-        return first + h * sum(b * r for b, r in zip(scheme.b, rates, strict=True) if b)
+            rates[s, :, :half] = change[:, half:]
+            np.matmul(by_state[part], change, out=rates[s, :, half:])
+            rates[s, :, half:, n:] += by_constant[part]
+        return first + h * _weighted(scheme.b, rates)
 
     # --- steps -----------------------------------------------------------------------------------
 
@@ -280,23 +266,24 @@ class Flow:
 
     def _scales(self, nodes):
         """Error that a place and a velocity of each chain may have in one step, (2, S)."""
+        spread = (nodes[0].max(axis=2) - nodes[0].min(axis=2)).max(axis=(0, 1))
+        speed = np.abs(nodes[1]).max(axis=(0, 1, 2))
         with np.errstate(invalid="ignore", divide="ignore"):
-            places, velocities = nodes[0], nodes[1]
-            spread = np.nanmax(np.abs(places - np.nanmean(places, axis=2, keepdims=True)),
-                               axis=(0, 1, 2))  # fmt: skip
-            speed = np.nanmax(np.abs(velocities), axis=(0, 1, 2))
             rate = np.where(spread > 0, speed / spread, 0.0)
-        span = np.nanmax(self.chains.times, axis=0) - np.nanmin(self.chains.times, axis=0)
+        times = self.chains.times
+        seen = np.isfinite(times)
+        span = np.where(seen, times, -np.inf).max(axis=0) - np.where(seen, times, np.inf).min(axis=0)
+        span = np.where(span > 0, span, 1.0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])
 
     def _error(self, scheme, end, points, rates, h, scale):
         """Estimated error of a step in parts of what it may have, (M,)."""
         last = self.points(end, points.times + h, points.chain, points.modes)
-        rates = [*rates, self._rate(last)]
+        rates = np.concatenate([rates, self._rate(last)[None]])
         parts = []
         for weights in scheme.errors:
-            error = h * sum(w * r for w, r in zip(weights, rates, strict=True) if w)
+            error = h * _weighted(weights, rates)
             parts.append(np.abs(error / scale[:, None, None]).max(axis=(0, 1, 2)))
         if len(parts) == 1:
             return parts[0]
@@ -381,6 +368,13 @@ class Flow:
         moved[:, half:, n:] = by_constant * h
         moved[:, :half] += moved[:, half:] * h
         return end, moved
+
+
+def _weighted(weights, rates):
+    """Sum of the first rates, each times its weight: one matrix product."""
+    count = len(weights)
+    flat = rates[:count].reshape(count, -1)
+    return (weights @ flat).reshape(rates.shape[1:])
 
 
 def _joined(stages):

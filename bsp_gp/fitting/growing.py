@@ -16,20 +16,27 @@ from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 
-__all__ = ["grow", "seeds"]
+__all__ = ["grow", "seeds", "tried"]
 
 SEED_ROWS = 5
 GROWTH = 0.35
 """Rows that are foreseen at once, as a part of those that are fitted."""
 LEADING = Settings(absolute=1e-2, max_linearised=15, last_steps=0)
+CLEAR = 9.0
+"""Mean square of changes of velocity, in that of their noise, from which a piece shows a force."""
+CALM = 1.5
+"""Chains whose piece turns up to so many times as much as the calmest find the constants first."""
+LOST = 1e3
+"""Chi-squared per row from which a track that was followed before is lost."""
 
 
-def seeds(chains, rows, rank=0):
-    """Where each chain begins: the piece of so many rows of the shortest span, or the next ones.
+def seeds(chains, noise, rows, rank=0):
+    """Where each chain begins: the piece of so many rows that turns least, or the next ones.
 
     Parameters
     ----------
     chains : Chains
+    noise : ChainNoise
     rows : int
     rank : int
         0 for the best piece, 1 for the best that shares no row with it, and so on.
@@ -37,26 +44,69 @@ def seeds(chains, rows, rank=0):
     Returns
     -------
     first, stop : ndarray of int, shape (S,)
+    turn : ndarray, shape (S,)
+        Change of the velocity from row to row, in velocities.
     """
-    first, stop = [], []
+    first, stop, turns = [], [], []
     for s in range(chains.n_chains):
         n = int(chains.lengths[s])
         size = min(rows, n)
-        times = chains.times[:n, s]
-        seen = np.isfinite(chains.observed[:n, s]).all(axis=(1, 2))
-        span = times[size - 1 :] - times[: n - size + 1]
-        count = np.convolve(seen, np.ones(size), mode="valid")
-        span = np.where(count >= size, span, span + times[-1] - times[0])
+        score = _turns(chains, noise, s, n, size)
         for _ in range(rank):
-            best = int(np.argmin(span))
-            near = np.abs(np.arange(len(span)) - best) < size
+            near = np.abs(np.arange(len(score)) - int(np.argmin(score))) < size
             if near.all():
                 break
-            span = np.where(near, np.inf, span)
-        best = int(np.argmin(span))
+            score = np.where(near, np.inf, score)
+        best = int(np.argmin(score))
         first.append(best)
         stop.append(best + size)
-    return np.array(first), np.array(stop)
+        turns.append(float(score[best]))
+    return np.array(first), np.array(stop), np.array(turns)
+
+
+def _turns(chains, noise, s, n, size):
+    """How much each piece of a chain turns from row to row; pieces that show no force behind."""
+    times, x = chains.times[:n, s], chains.observed[:n, s].reshape(n, -1)
+    variance = noise.variance[:n, s].reshape(n, -1)
+    steps = np.diff(times)[:, None]
+    velocity, error = np.diff(x, axis=0) / steps, (variance[1:] + variance[:-1]) / steps**2
+    change, wrong = np.square(np.diff(velocity, axis=0)), error[1:] + error[:-1]
+    seen = np.isfinite(x).all(axis=1)
+
+    def mean(values, width):
+        total = np.concatenate([[0.0], np.cumsum(np.nansum(values, axis=1))])
+        return (total[width:] - total[:-width]) / width
+
+    changes, errors = mean(change, size - 2), mean(wrong, size - 2)
+    sizes = mean(np.square(velocity), size - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turn = np.sqrt(changes / sizes)
+        turn = np.where(changes > CLEAR * errors, turn, 10.0 + np.sqrt(errors / changes))
+    whole = np.convolve(seen, np.ones(size), mode="valid") >= size
+    turn = np.where(whole, turn, 100.0)
+    return np.where(np.isfinite(turn), turn, 1e6)
+
+
+def tried(climb, points, ranks):
+    """Which starts and seeds follow the first rows best: (chi-squared, point, rank), best first."""
+    out = []
+    for rank in ranks:
+        for number, point in enumerate(points):
+            if out and climb.run.is_over():
+                break
+            nodes = [own.copy() for own in point.nodes]
+            places = [_calmest(climb, k, rank) for k in range(len(nodes))]
+            values, chisqr = _fit_rows(climb, point.values, nodes, places, climb.ridge(point))
+            out.append((chisqr, number, rank, TrackPoint(values, point.nodes)))
+    out.sort(key=lambda trial: trial[:3])
+    return [(chisqr, point, rank) for chisqr, _, rank, point in out]
+
+
+def _calmest(climb, group, rank):
+    """Seeds of the chains of a group that turn least; the others are empty."""
+    chains, noise = climb.run.groups[group], climb.noises[group]
+    first, stop, turn = seeds(chains, noise, SEED_ROWS, rank)
+    return first, np.where(turn <= CALM * turn.min(), stop, first)
 
 
 def grow(climb, point, rank=0):
@@ -73,42 +123,53 @@ def grow(climb, point, rank=0):
     Returns
     -------
     TrackPoint
-        With nodes at all rows.
+        With nodes at all rows; those behind a place where the track was lost as they were.
     """
     run = climb.run
     nodes = [own.copy() for own in point.nodes]
     values = point.values
-    places = [seeds(chains, SEED_ROWS, rank) for chains in run.groups]
-    whole = [chains.lengths for chains in run.groups]
+    places = [
+        seeds(chains, noise, SEED_ROWS, rank)[:2]
+        for chains, noise in zip(run.groups, climb.noises, strict=True)
+    ]
+    ridge = climb.ridge(point)
     while True:
-        values = _fit_rows(climb, values, nodes, places)
-        done = all(
-            np.all((first == 0) & (stop == n))
-            for (first, stop), n in zip(places, whole, strict=True)
+        values, chisqr = _fit_rows(climb, values, nodes, places, ridge)
+        n_rows = sum(int((stop - first).sum()) for first, stop in places)
+        is_done = all(
+            np.all((first == 0) & (stop == chains.lengths))
+            for (first, stop), chains in zip(places, run.groups, strict=True)
         )
-        if done or run.is_over():
+        if is_done or run.is_over() or not chisqr < LOST * n_rows:
             return TrackPoint(values, tuple(nodes))
         places = _foresee(climb, values, nodes, places)
 
 
-def _fit_rows(climb, values, nodes, places):
-    """Fit the rows between `places`; their nodes are changed in place."""
+def _fit_rows(climb, values, nodes, places, ridge):
+    """Fit the rows between `places`; their nodes are changed in place.
+
+    Returns
+    -------
+    values : ndarray, shape (k,)
+    chisqr : float
+    """
     run = climb.run
     shootings, own = [], []
     for chains, noise, (first, stop), full in zip(
         run.groups, climb.noises, places, nodes, strict=True
     ):
         cut = chains.cut(first, stop)
-        flow = Flow(Motion(run.law, cut, run.parameters), climb._tolerance(chains, noise))
+        flow = Flow(Motion(run.law, cut, run.parameters), climb.tolerance(chains, noise))
         rows = first + np.arange(cut.times.shape[0])[:, None]
-        rows = np.minimum(rows, stop - 1)
+        rows = np.clip(rows, 0, np.maximum(stop - 1, 0))
         chain = np.arange(chains.n_chains)
         variance = noise.variance[rows, chain] + np.square(noise.amplitude[rows, chain])
         variance[~np.isfinite(cut.times)] = np.nan
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
     point = TrackPoint(values, tuple(own))
-    problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates).with_meshes(point)
+    problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
+    problem = problem.with_meshes(point)
     low, high = climb.box
     minimum = minimise(problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over)
     for full, new, chains, (first, stop) in zip(
@@ -116,7 +177,7 @@ def _fit_rows(climb, values, nodes, places):
     ):
         for s in range(chains.n_chains):
             full[..., first[s] : stop[s], s] = new[..., : stop[s] - first[s], s]
-    return minimum.values
+    return minimum.values, float(minimum.chisqr)
 
 
 def _foresee(climb, values, nodes, places):

@@ -20,6 +20,8 @@ __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""
+TALL = 128
+"""Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
 FARTHEST = 0.5
 """Extents of a window that its nodes may move in one step."""
 
@@ -44,9 +46,14 @@ class Windows:
 
 
 def cut_windows(lengths, rows=None):
-    """Windows of about so many rows each (None: whole chains), none shorter than three."""
+    """Windows of about so many rows each (None: whole chains), none shorter than three.
+
+    Chains without rows have none.
+    """
     chain, first, stop = [], [], []
     for s, n in enumerate(lengths.tolist()):
+        if not n:
+            continue
         count = 1 if rows is None else max(1, n // max(rows, 3))
         edges = np.linspace(0, n, count + 1).astype(int)
         for a, b in zip(edges[:-1], edges[1:], strict=True):
@@ -96,8 +103,7 @@ class Shooting:
     def _window_extents(self):
         """How far bodies go within each window, (W,), m; at least a part of the whole track's."""
         windows, observed = self.windows, self.chains.observed
-        whole = np.nanmax(observed, axis=0) - np.nanmin(observed, axis=0)
-        whole = np.nan_to_num(whole).max(axis=(1, 2))
+        whole = _spread(observed).max(axis=(1, 2))
         out = np.empty(len(windows.chain))
         seen = np.isfinite(observed)
         low, high = np.where(seen, observed, np.inf), np.where(seen, observed, -np.inf)
@@ -109,12 +115,9 @@ class Shooting:
     def _prior(self):
         """Inverse prior deviations of the state, (n, S)."""
         chains = self.chains
-        with np.errstate(invalid="ignore"):
-            spread = np.nanmax(chains.observed, axis=(0, 2, 3)) - np.nanmin(
-                chains.observed, axis=(0, 2, 3)
-            )
+        spread = _spread(chains.observed).max(axis=(1, 2))
         spread = np.where(spread > 0, spread, 1.0)
-        span = np.nanmax(chains.times, axis=0) - np.nanmin(chains.times, axis=0)
+        span = _spread(chains.times)
         half = self.flow.n_state // 2
         return np.repeat(
             np.stack([1 / (STATE_PRIOR * spread), span / (STATE_PRIOR * spread)]), half, axis=0
@@ -237,9 +240,7 @@ class Shooting:
         matrix = np.zeros((n_windows, white.shape[2] + n, n + k + 1))
         matrix[:, : white.shape[2]] = np.swapaxes(white, 1, 2)
         matrix[:, white.shape[2] + np.arange(n), np.arange(n)] = self.prior[:, chain].T
-        factor = np.linalg.qr(matrix, mode="r")
-        missing = n + k + 1 - factor.shape[1]
-        return np.pad(factor, ((0, 0), (0, max(missing, 0)), (0, 0)))
+        return _triangles(matrix)
 
     def _reined(self, change, inside, group):
         """Part of its change that each window may make, so that none leaves its surroundings."""
@@ -312,3 +313,24 @@ class Shooting:
             chain = self.windows.chain[group][at[1]]
             nodes[..., rows[at], chain] += change[..., at[0], at[1]]
         return nodes
+
+
+def _spread(values):
+    """Largest less smallest along the first axis; 0 where there is none."""
+    seen = np.isfinite(values)
+    high = np.where(seen, values, -np.inf).max(axis=0)
+    low = np.where(seen, values, np.inf).min(axis=0)
+    return np.where(seen.any(axis=0), high - low, 0.0)
+
+
+def _triangles(matrices):
+    """Triangular factors of tall matrices (W, m, c), shape (W, c, c): by blocks of rows first."""
+    n_matrices, n_rows, n_columns = matrices.shape
+    while n_rows > 4 * TALL:
+        n_blocks = n_rows // TALL
+        whole = matrices[:, : n_blocks * TALL].reshape(-1, TALL, n_columns)
+        factors = np.linalg.qr(whole, mode="r").reshape(n_matrices, -1, n_columns)
+        matrices = np.concatenate([factors, matrices[:, n_blocks * TALL :]], axis=1)
+        n_rows = matrices.shape[1]
+    factors = np.linalg.qr(matrices, mode="r")
+    return np.pad(factors, ((0, 0), (0, max(n_columns - factors.shape[1], 0)), (0, 0)))

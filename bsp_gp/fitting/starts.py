@@ -187,7 +187,8 @@ def roles_of(law):
                 _angle_roles(node.args[0], roles)
     for name in law.names:
         if name not in roles:
-            roles[name] = "linear" if all(_is_linear(t.formula, name) for t in law.terms) else "inner"
+            is_linear = all(_is_linear(term.formula, name) for term in law.terms)
+            roles[name] = "linear" if is_linear else "inner"
     return roles
 
 

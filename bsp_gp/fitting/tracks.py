@@ -97,11 +97,15 @@ class TrackProblem:
     meshes : sequence of Mesh
     coordinates : Coordinates
         Between the driver's unknowns and the constants of the law.
+    ridge : ndarray, shape (k,), optional
+        Inverse standard deviations of unknowns about zero: on the way, few rows may determine
+        nothing of a constant.
     """
 
-    def __init__(self, shootings, meshes, coordinates):
+    def __init__(self, shootings, meshes, coordinates, ridge=None):
         self.shootings, self.meshes = tuple(shootings), tuple(meshes)
         self.coordinates = coordinates
+        self.ridge = ridge
 
     def values(self, point):
         """Shared unknowns of a point."""
@@ -121,6 +125,9 @@ class TrackProblem:
             condensed.append(parts)
         residual = np.concatenate(residuals)
         jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
+        if self.ridge is not None:
+            residual = np.concatenate([residual, self.ridge * point.values])
+            jacobian = np.concatenate([jacobian, np.diag(self.ridge)])
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
             return None
         return TrackLinearised(residual, jacobian, rest, tuple(condensed))
@@ -164,6 +171,6 @@ class TrackProblem:
         for shooting, nodes in zip(self.shootings, point.nodes, strict=True):
             shooting.flow.motion.set_constants(constants)
             meshes.append(shooting.flow.mesh(nodes))
-        return TrackProblem(self.shootings, meshes, self.coordinates)
+        return TrackProblem(self.shootings, meshes, self.coordinates, self.ridge)
 
 

@@ -8,8 +8,8 @@ from scipy.optimize import least_squares, lsq_linear
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Linearised, Settings, dense_problem
 from bsp_gp.fitting.multistart import multistart
+from bsp_gp.fitting.problem import Linearised, Settings, dense_problem
 
 X = np.linspace(0.0, 4.0, 30)
 NOISE = np.random.default_rng(1).standard_normal(30)
