@@ -236,7 +236,7 @@ def _widening(found):
     """
     dof = max(found.n_rows - found.n_free, 1)
     misfit = found.chisqr / dof
-    if not misfit > 1 + 5 * math.sqrt(2 / dof):
+    if found.is_failed or not misfit > 1 + 5 * math.sqrt(2 / dof):
         return 1.0
     if misfit > MISFIT:
         white = found.whitened
@@ -268,7 +268,7 @@ def _constants(found, dataset, bounds, widening):
         state = ""
         if not (math.isfinite(half) and math.isfinite(value)):
             state = "undetermined"
-        elif value <= low or value >= high:
+        elif (value <= low or value >= high) and not found.is_failed:
             state = "at_bound"
         ends = (max(value - half, low), min(value + half, high))
         if found.is_failed:

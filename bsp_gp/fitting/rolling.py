@@ -53,6 +53,8 @@ def roll(law, chains, first, tolerance, paper_steps=False):
     while row < last:
         stop = min(row + length, last)
         leg = _leg(flow, nodes, row, stop)
+        if not leg.n_intervals:  # every track has ended, or run away
+            break
         if stop - row > 1:
             joined = _joined(leg, nodes, row, stop, tolerance)
             if joined is None:
@@ -62,7 +64,10 @@ def roll(law, chains, first, tolerance, paper_steps=False):
         else:
             _one_row(leg, nodes)
         row, length = stop, length if paper_steps else 2 * length
-    return np.where(np.isfinite(nodes), nodes, np.inf)
+    with np.errstate(invalid="ignore"):
+        lost = ~np.isfinite(nodes).all(axis=(0, 1, 2)) & np.isfinite(chains.times)
+    lost = np.logical_or.accumulate(lost, axis=0)
+    return np.where(lost, np.inf, nodes)
 
 
 def _leg(flow, nodes, row, stop):

@@ -47,7 +47,8 @@ def test_a_constant_is_recovered_within_its_interval(fit):
 def test_text_has_the_parts_of_a_fit_report(fit):
     text = fit.text()
     for part in ("[[Model]]\n    F_i = 9.81 [m/s^2] * m_i * down - c1 * v_i", "[[Fit Statistics]]",
-                 "# data points      = 240", "reduced chi-square = ", "status             = converged: a minimum",
+                 "# data points      = 240", "reduced chi-square = ",
+                 "status             = converged: a minimum",
                  "[[Held-out Errors]]", "rollout rms", " m\n", "    c1: 0.", " ± ", " kg/s ("):
         assert part in text
     assert "[[Correlations]]" not in text
@@ -142,7 +143,6 @@ def test_a_time_limit_ends_a_fit_and_is_told(noisy):
 
 
 def test_what_is_told_can_be_typed_back():
-    # Half a metre a pixel and a clock of minutes: told in SI, as `fit_law` takes it.
     fit = fit_law(throws(n_scenes=6, n_times=30, sigma=0.01), [GRAVITY, DRAG])
     (c1,) = fit.constants
     again = fit_law(
@@ -248,3 +248,52 @@ def test_an_axis_without_motion_is_reported():
     fit = fit_law(replace(falls, scenes=tuple(scenes)), [GRAVITY, DRAG], rng=rng())
     assert "nothing moves along x: that axis is left out" in fit.notes
     assert "noise              = -, 0.0" in fit.text()
+
+
+def test_rolled_tracks_are_those_of_a_step_by_step_integration():
+    from scipy.integrate import solve_ivp
+
+    from bsp_gp.data.scene import Dataset, Entity, Scene
+    from bsp_gp.fitting.chains import build_chains
+    from bsp_gp.fitting.hypothesis import read_law
+    from bsp_gp.fitting.rolling import roll
+
+    times = np.linspace(0.0, 12.0, 241)
+    start = np.array([1.0, 0.0, 0.0, 0.6])  # an ellipse about a mass at rest
+
+    def rate(t, y):
+        return [y[2], y[3], *(-y[:2] / np.hypot(*y[:2]) ** 3)]
+
+    true = solve_ivp(rate, (0, 12), start, t_eval=times, method="DOP853", rtol=1e-12, atol=1e-13)
+    places = np.stack([true.y[:2].T, np.zeros((241, 2))], axis=1)
+    measured = places + 0.02 * rng().standard_normal(places.shape) * [[[1.0], [0.0]]]
+    bodies = (
+        Entity("moon", properties={"mass": 1.0}),
+        Entity("sun", is_static=True, properties={"mass": 1.0}),
+    )
+    dataset = Dataset("orbit", (Scene("s", times, measured, bodies),))
+    law = read_law(dataset, ["k * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"])
+    for factor in (1.0, 0.7):  # under another law the track leaves the measured one far behind
+        law = law.with_constants({"k": factor})
+        (chains,) = build_chains(law, dataset.scenes)
+        nodes = roll(law, chains, start.reshape(2, 1, 2, 1), np.array([1e-7]))
+        rated = solve_ivp(
+            lambda t, y, k=factor: [y[2], y[3], *(-k * y[:2] / np.hypot(*y[:2]) ** 3)],
+            (0, 12), start, t_eval=times, method="DOP853", rtol=1e-12, atol=1e-13,
+        )  # fmt: skip
+        np.testing.assert_allclose(nodes[0, 0, :, :, 0], rated.y[:2], atol=1e-6)
+
+
+def test_a_motion_that_runs_away_is_infinitely_wrong():
+    from bsp_gp.fitting.chains import build_chains
+    from bsp_gp.fitting.hypothesis import read_law
+    from bsp_gp.fitting.rolling import roll
+
+    dataset = throws(n_scenes=2, n_times=30)
+    law = read_law(dataset, ["k * norm(v_i)^4 * v_i"]).with_constants({"k": 1.0})
+    (chains,) = build_chains(law, dataset.scenes)
+    first = np.zeros((2, 1, 2, 2))
+    first[1, 0, 0] = [3.0, 1e-3]  # only the fast one explodes
+    tracks = roll(law, chains, first, np.full(2, 1e-6))[0, 0, 0]
+    assert np.isinf(tracks[-1, 0])
+    assert tracks[-1, 1] == pytest.approx(1e-3 * dataset.scenes[0].times[-1], rel=1e-6)
