@@ -14,6 +14,7 @@ from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Positions, TrackNoise
+from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.rolling import roll
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
@@ -128,6 +129,7 @@ def _first_states(found, dataset, scenes, deadline):
     hypothesis = Hypothesis(
         (FixedForces(found.law, found.paper_steps), Positions(), TrackNoise(noise))
     )
+    heads, _ = without_outliers(heads, found.noise.levels)
     heads = replace(dataset, scenes=heads, train=(), test=())
     head = fit(hypothesis, heads, deadline=deadline)
     return {

@@ -18,6 +18,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
+from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
@@ -162,7 +163,9 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, _generator(rng))
-    train = replace(dataset, scenes=split.train, train=(), test=())
+    said = estimate_noise(dataset)
+    scenes, told = without_outliers(split.train, said.sigma)
+    train = replace(dataset, scenes=scenes, train=(), test=())
     check_properties(stack(train.scenes, dataset.up), law)
     found = fit(
         Hypothesis.from_laws(train, _unset(law)), train, starts=starts, bounds=bounds,
@@ -174,7 +177,6 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     errors = held_out_errors(found, dataset, split.test, deadline=left)
     widening = _widening(found)
     constants = _constants(found, dataset, bounds or {}, widening)
-    said = estimate_noise(train)
     noise_told = _about_noise(found.noise, said, dataset.units)
     return LawFit(
         dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
@@ -184,7 +186,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         chi2_red=found.chi2_red, bic=_bic(found), log_evidence=found.log_evidence,
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
-        notes=(*dataset.notes, *said.notes, *doubts(found, widening, bool(split.test))),
+        notes=(*dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test))),
     )  # fmt: skip
 
 

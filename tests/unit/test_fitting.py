@@ -297,3 +297,17 @@ def test_a_motion_that_runs_away_is_infinitely_wrong():
     tracks = roll(law, chains, first, np.full(2, 1e-6))[0, 0, 0]
     assert np.isinf(tracks[-1, 0])
     assert tracks[-1, 1] == pytest.approx(1e-3 * dataset.scenes[0].times[-1], rel=1e-6)
+
+
+def test_a_row_far_off_its_neighbours_is_left_out_and_told(noisy, fit):
+    scenes = list(noisy.scenes)
+    for k in range(len(scenes)):
+        positions = scenes[k].positions.copy()
+        positions[14, 0, 1] += 0.7
+        scenes[k] = replace(scenes[k], positions=positions)
+    found = fit_law(replace(noisy, scenes=tuple(scenes)), [GRAVITY, DRAG], noise=0.01)
+    assert any(n.startswith("far off their neighbours, and left out of") for n in found.notes)
+    assert found.status == "converged"
+    assert found.n_rows == fit.n_rows - 2 * 4
+    (c1,), (before,) = found.constants, fit.constants
+    assert c1.value == pytest.approx(before.value, abs=before.high - before.low)
