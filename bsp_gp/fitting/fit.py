@@ -198,7 +198,7 @@ def fit(
         found = []
         for paper in run.step_kinds():
             found.append(run.fit(paper))
-            if run.is_reproduced(found[-1]):
+            if run.is_reproduced(found[-1]) or run.is_over():
                 break
     best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
     return replace(best, seconds=time.monotonic() - began)
