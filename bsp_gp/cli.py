@@ -12,7 +12,9 @@ from bsp_gp.cli_inputs import (
     masked_grammar,
     read_constants,
     read_dataset,
+    read_fit_settings,
     read_laws,
+    refuse_fit_settings,
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
@@ -183,10 +185,13 @@ def _run_loop(args, progress):
 
 
 def _fit(args):
+    is_plain = not args.latent and (args.declare or args.model)
+    if not is_plain:
+        refuse_fit_settings(args)
     if args.latent:
         _with_latents(args, "run_learn", "LEARN_FILES", "Law and posterior")
         return
-    if not args.declare and not args.model:
+    if not is_plain:
         _close(args)
         return
     out = _free_folder(args.out, args.overwrite, ("fit.json", "fit.txt")) if args.out else None
@@ -194,16 +199,15 @@ def _fit(args):
     dataset = read_dataset(args)
     import json
 
-    import numpy as np
+    from bsp_gp.fitting.hypothesis import read_law
+    from bsp_gp.fitting.law_fit import fit_law
 
-    from bsp_gp.loop.close import declared_law
-    from bsp_gp.loop.fitting import fit_law
-
-    laws = declared_law(dataset, laws)
+    law = read_law(dataset, laws)
+    settings = read_fit_settings(args)
     with _Progress(args.quiet) as progress:
         progress("fitting")
-        fit = fit_law(dataset, laws, rng=np.random.default_rng(args.seed))
-    _tell_constants(args, laws.names)
+        fit = fit_law(dataset, law, rng=args.seed, **settings)
+    _tell_constants(args, law.names)
     text = fit.text()
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
@@ -252,7 +256,7 @@ def _simulate(args):
     import numpy as np
 
     from bsp_gp.data.tables import save_dataset
-    from bsp_gp.loop.fitting import simulate_law
+    from bsp_gp.loop.simulation import simulate_law
 
     with _Progress(args.quiet) as progress:
         progress("simulating")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from bsp_gp.errors import LawError, SettingsError
@@ -11,7 +12,9 @@ __all__ = [
     "masked_grammar",
     "read_constants",
     "read_dataset",
+    "read_fit_settings",
     "read_laws",
+    "refuse_fit_settings",
     "unit_of_length",
 ]
 
@@ -94,21 +97,65 @@ def read_laws(args):
     return tuple(laws)
 
 
-def read_constants(pairs):
-    """Values of --set in SI."""
+def read_constants(pairs, option="--set"):
+    """Values of constants in SI."""
     from bsp_gp.units import parse_unit
 
     values = {}
-    for name, text in (_mapping("--set", pairs) or {}).items():
-        match = re.fullmatch(r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?", text)
+    for name, text in (_mapping(option, pairs) or {}).items():
+        match = re.fullmatch(_WITH_UNIT, text)
         try:
             value = float(match[1]) * parse_unit(match[2] or "1")[0]
         except (TypeError, ValueError):
-            raise LawError(f'--set {name}={text}: expected a number, as in "c1=3 [g/s]"') from None
+            raise LawError(
+                f'{option} {name}={text}: expected a number, as in "c1=3 [g/s]"'
+            ) from None
         if not abs(value) < float("inf"):
-            raise LawError(f"--set {name}={text}: the number must be finite")
+            raise LawError(f"{option} {name}={text}: the number must be finite")
         values[name] = value
     return values
+
+
+_WITH_UNIT = r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?"
+
+
+def _read_bounds(pairs):
+    """Values of --bounds in SI, (low, high); an end that is not given is open."""
+    from bsp_gp.units import parse_unit
+
+    bounds = {}
+    for name, text in (_mapping("--bounds", pairs) or {}).items():
+        match = re.fullmatch(_WITH_UNIT, text)
+        low, dots, high = match[1].partition("..") if match else ("", "", "")
+        try:
+            ends = float(low or "-inf"), float(high or "inf")
+        except ValueError:
+            ends = (math.nan, math.nan)
+        if not dots or not ends[0] <= ends[1] or ends[0] == math.inf or ends[1] == -math.inf:
+            raise LawError(
+                f'--bounds {name}={text}: expected LOW..HIGH, as in n=-4..0, c1=0.. or "k=1..3 '
+                '[g/s]"'
+            )
+        scale = parse_unit(match[2] or "1")[0]
+        bounds[name] = (ends[0] * scale, ends[1] * scale)
+    return bounds
+
+
+def read_fit_settings(args):
+    """--start, --bounds and --time-limit as the settings of `fit_law`."""
+    return {
+        "starts": read_constants(args.start, "--start") or None,
+        "bounds": _read_bounds(args.bounds) or None,
+        "time_limit": args.time_limit,
+    }
+
+
+def refuse_fit_settings(args):
+    """SettingsError if one of them is given where it would do nothing."""
+    given = {"--start": args.start, "--bounds": args.bounds, "--time-limit": args.time_limit}
+    for option, value in given.items():
+        if value:
+            raise SettingsError(f"{option} is for the fit of a --law, without --latent")
 
 
 def excluded_inputs(args, grammar, dataset):

@@ -15,6 +15,8 @@ MAX_SCENES = 100_000
 MIN_ALPHA = 1e-4
 _OPTION = re.compile(r"-h|--|--[a-z][a-z-]*(=.*)?", re.DOTALL)
 _TAKES_DASH = ("--declare", "--law", "--up", "--set")
+_TIME = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(s|m|min|h)?")
+_SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 _LAW_HELP = """\
 A law is one force, with v_i, p_j, m_i, norm(...), normalize(...), up, down, e_x, ...:
   --declare "9.81 [m/s^2] * m_i * down" --declare="-c1 * v_i"
@@ -158,6 +160,7 @@ def _add_fit(commands):
     )  # fmt: skip
     _data(parser)
     _model(parser, "--law", "--declare", help_="a force; repeat for more", required=False)
+    _descent(parser)
     _loop(parser)
     _latents(parser)
     _output(
@@ -461,6 +464,31 @@ def _model(parser, *names, help_, required):
     model = parser.add_mutually_exclusive_group(required=required)
     model.add_argument(*names, dest="declare", action="append", metavar="LAW", help=help_)
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+
+
+def _time(text):
+    match = _TIME.fullmatch(text.strip())
+    seconds = float(match[1]) * _SECONDS[match[2] or ""] if match else 0.0
+    if not 0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a time such as 20s, 2m or 1h, got {text[:60]!r}")
+    return seconds
+
+
+def _descent(parser):
+    group = parser.add_argument_group("fit of a law")
+    group.add_argument(
+        "--start", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=VALUE",
+        help='where constants begin, in the units they are told in or with a [unit]: n=-2 "c1=3 '
+        '[g/s]" (default: found from the data)',
+    )  # fmt: skip
+    group.add_argument(
+        "--bounds", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=LOW..HIGH",
+        help="between which constants stay, in the same units: n=-4..0 c1=0..",
+    )  # fmt: skip
+    group.add_argument(
+        "--time-limit", type=_time, metavar="TIME",
+        help="after which the fit ends with what it has: 20s, 2m (default: none)",
+    )  # fmt: skip
 
 
 def _loop(parser):

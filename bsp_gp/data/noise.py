@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.data.scene import Dataset
-from bsp_gp.errors import DataError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import Unit
 
-__all__ = ["NoiseEstimate", "estimate_noise", "finest_noise"]
+__all__ = ["NoiseEstimate", "checked_noise", "estimate_noise", "finest_noise"]
 
 ORDERS = range(2, 9)
 FLOOR = 1e-12
@@ -55,6 +55,18 @@ class NoiseEstimate:
     inactive_axes: tuple[str, ...] = ()
     method: str = ""
     notes: tuple[str, ...] = ()
+
+
+def checked_noise(noise, n_dims):
+    """One standard deviation, or one per axis, as a tuple; SettingsError if it is none."""
+    values = tuple(float(v) for v in np.atleast_1d(noise))
+    if len(values) not in (1, n_dims):
+        raise SettingsError(
+            f"noise must be one number or one per axis ({n_dims}), got {len(values)}"
+        )
+    if not all(math.isfinite(v) and v >= 0 for v in values):
+        raise SettingsError(f"noise must be finite and not negative, got {noise}")
+    return values
 
 
 def estimate_noise(data):

@@ -89,7 +89,7 @@ class Channels:
 
 def join(arrays):
     """Arrays (..., T, S, R, d) of batches as one (..., T, C), shorter ones filled up with nan."""
-    flat = [np.reshape(a, (*np.shape(a)[:-3], -1)) for a in arrays]
+    flat = [np.reshape(a, (*np.shape(a)[:-3], int(np.prod(np.shape(a)[-3:])))) for a in arrays]
     n_rows = max(a.shape[-2] for a in flat)
     filled = []
     for a in flat:

@@ -19,7 +19,7 @@ from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
-from bsp_gp.fitting.starts import candidates, first_nodes
+from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 
 __all__ = ["Climb"]
@@ -260,6 +260,8 @@ class Climb:
         """Points to begin with: nodes off the data, constants given, regressed or of their size."""
         run = self.run
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
+        if self.paper_steps:
+            nodes = tuple(map(stepped_nodes, run.groups, nodes))
         inner = candidates(
             run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts
         )

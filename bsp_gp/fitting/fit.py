@@ -195,7 +195,11 @@ def fit(
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
     with threadpool_limits(1, "blas"):  # faster on small matrices, and the same bits everywhere
-        found = [run.fit(paper) for paper in run.step_kinds()]
+        found = []
+        for paper in run.step_kinds():
+            found.append(run.fit(paper))
+            if run.is_reproduced(found[-1]) or run.is_over():
+                break
     best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
     return replace(best, seconds=time.monotonic() - began)
 
@@ -251,6 +255,10 @@ class _Run:
         if said is not None:
             return (said,)
         return (True, False) if self.is_exact else (False,)
+
+    def is_reproduced(self, found):
+        """Whether nothing is left of exact data but rounding, below which no fit can get."""
+        return self.is_exact and found.chisqr <= found.n_rows - found.n_free
 
     @property
     def extent(self):
@@ -403,7 +411,8 @@ class _Run:
         finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
         if minimum.linearised is None or not finite:
             return "nonfinite"
-        if minimum.status == "unconverged" or not climb.is_joined(minimum):
+        is_minimum = minimum.status != "unconverged" or self.is_reproduced(found)
+        if not is_minimum or not climb.is_joined(minimum):
             return "unconverged"
         if climb.is_aliased(minimum):
             return "aliased"

@@ -150,13 +150,15 @@ class Shooting:
         ends, transitions = flow.run(nodes, mesh)
         gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
         n, k = flow.n_state, flow.n_constants
-        condensed, residuals, jacobians, rest = [], [], [], 0.0
+        # A motion without finite values is no track; its rows must not pass for unseen ones.
+        rest = 0.0 if np.isfinite(gaps).all() else np.nan
+        condensed, residuals, jacobians = [], [], []
         for group in self.groups:
             columns = self._columns(group, transitions, gaps)
             factor = self._factor(group, columns, nodes)
             condensed.append(Condensed(columns, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
-            jacobians.append(factor[:, n:, n : n + k].reshape(-1, k))
+            jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
             rest += float(np.square(factor[:, :n, -1]).sum())
         return np.concatenate(residuals), np.concatenate(jacobians), rest, condensed
 

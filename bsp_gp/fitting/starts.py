@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from bsp_gp.fitting.coordinates import powers_of
 from bsp_gp.language.formula import Call, Constant, Input, walk
 
-__all__ = ["Scales", "candidates", "first_nodes", "scales_of"]
+__all__ = ["Scales", "candidates", "first_nodes", "scales_of", "stepped_nodes"]
 
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
@@ -55,6 +55,17 @@ def first_nodes(chains, is_coarse=False):
     if chains.velocities is not None:
         measured = np.moveaxis(chains.velocities, (0, 1), (-2, -1))
         nodes[1] = np.where(np.isfinite(measured), measured, nodes[1])
+    return nodes
+
+
+def stepped_nodes(chains, nodes):
+    """States with the velocities of the paper's steps: of the step that led to a row."""
+    nodes = nodes.copy()
+    with np.errstate(invalid="ignore"):
+        velocity = np.diff(nodes[0], axis=-2) / np.diff(chains.times, axis=0)
+    velocity = np.where(np.isfinite(velocity), velocity, nodes[1, ..., 1:, :])
+    nodes[1, ..., 1:, :] = velocity
+    nodes[1, ..., 0, :] = velocity[..., 0, :]
     return nodes
 
 

@@ -14,33 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from bsp_gp.loop.outcome import METRICS, Ratio
+from bsp_gp.loop.outcome import Ratio
+from bsp_gp.physics.metrics import ERRORS, METRICS
 
-__all__ = ["BeforeAfter", "compared", "error_of"]
+__all__ = ["BeforeAfter", "compared"]
 
 FEWEST_SCENES = 5
 """That are resampled."""
 N_RESAMPLES = 999
 TAIL = 0.05
-
-
-def error_of(metric, rows):
-    """An error of some held-out scenes.
-
-    Parameters
-    ----------
-    metric : str
-        One of `outcome.METRICS`.
-    rows : sequence of dict
-        Of `Observation.errors`, a row per scene.
-
-    Returns
-    -------
-    float
-        nan where there is nothing to score.
-    """
-    field, told_by, error = _ERRORS[metric]
-    return error([told_by(row[field]) for row in rows])
 
 
 class BeforeAfter(NamedTuple):
@@ -145,7 +127,7 @@ class _Draws:
     def _of(self, k, metric):
         """An error and its draws."""
         if (k, metric) not in self.kept:
-            rows, (field, told_by, error) = self.rows[k], _ERRORS[metric]
+            rows, (field, told_by, error) = self.rows[k], ERRORS[metric]
             fields = [row[field] for row in rows]
             scenes = [told_by(f) for f in fields]
             if self.is_parametric:
@@ -190,47 +172,3 @@ def _carried(fields, copies):
 
 def _total(fields):
     return sum(float(np.nansum(np.square(f))) for f in fields)
-
-
-def _squares(field):
-    """Sum of squared sizes and their number."""
-    squares = np.square(field).sum(axis=-1)
-    squares = squares[~np.isnan(squares)]
-    return float(squares.sum()), len(squares)
-
-
-def _sizes(field):
-    sizes = np.linalg.norm(field, axis=-1).ravel()
-    return sizes[~np.isnan(sizes)]
-
-
-def _root_mean_square(scenes):
-    total, n = map(sum, zip(*scenes, strict=True))
-    return (total / n) ** 0.5 if n else float("nan")
-
-
-def _mean_of_scenes(scenes):
-    return sum(scenes) / len(scenes)
-
-
-def _average(average):
-    def error(scenes):
-        sizes = np.concatenate(scenes)
-        return float(average(sizes)) if len(sizes) else float("nan")
-
-    return error
-
-
-def _mean_size(field):
-    sizes = _sizes(field)
-    return float(sizes.mean()) if len(sizes) else float("nan")
-
-
-_ERRORS = {
-    "residual_acceleration": ("accelerations", _squares, _root_mean_square),
-    "one_step_nrmse": ("steps", _mean_size, _mean_of_scenes),
-    "rollout_rmse": ("track", _squares, _root_mean_square),
-    "endpoint": ("ends", _sizes, _average(np.median)),
-    "endpoint_mean": ("ends", _sizes, _average(np.mean)),
-}
-"""The field of rows of `Observation.errors`, what of a scene tells, and the error of scenes."""

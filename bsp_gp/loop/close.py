@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.errors import LawError, SettingsError
+from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.language.parse import parse_formula
-from bsp_gp.language.render import to_text
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.guide import check_guide
@@ -20,10 +19,8 @@ from bsp_gp.loop.pruning import prune
 from bsp_gp.loop.rounds import run_round
 from bsp_gp.loop.seeing import with_scenes
 from bsp_gp.loop.writing_up import corrections, write_up
-from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.evaluation import unknown_receivers
-from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.units import FORCE
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.masses import check_properties
 
 __all__ = ["close_loop", "declared_law"]
 
@@ -42,18 +39,7 @@ def declared_law(dataset, texts):
     ForceLaw
         Constants at 1 until they are fitted.
     """
-    types = dataset_types(dataset)
-    terms = []
-    for text in texts:
-        formula = parse_formula(text, types, units=dataset.units)
-        unit = formula.type.unit
-        if unit is not None and unit != FORCE:
-            raise LawError(
-                f"law {text!r} has the unit {unit}, but a force has {FORCE}; "
-                "give its number a unit, as in 9.81 [m/s^2]"
-            )
-        terms.append(Term(formula, is_declared=True))
-    law = ForceLaw(tuple(terms), {})
+    law = read_law(dataset, texts)
     return law.with_constants(dict.fromkeys(law.names, 1.0))
 
 
@@ -250,14 +236,4 @@ def _check(alpha, max_rounds, n_null, n_bootstrap, max_levels):
 
 def _check_masses(observation, law):
     """A declared pooled term must be able to act on every body that moves."""
-    for batch in observation.train_regression.batches:
-        mass = batch.bodies.column("mass")[:, batch.bodies.receivers]
-        for term in law.terms:
-            lost = unknown_receivers(term, batch.bodies) | (term.needs_mass & np.isnan(mass))
-            if lost.any():
-                s, r = np.argwhere(lost)[0]
-                raise LawError(
-                    f"declared law {to_text(term.formula)} needs a property of "
-                    f"{batch.bodies.receiver_names[s][r]!r} that is unknown; give it in "
-                    "entities.csv, or leave the body out"
-                )
+    check_properties(observation.train_regression.batches, law)

@@ -12,13 +12,15 @@ import numpy as np
 
 from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
-from bsp_gp.loop.before_after import error_of
+from bsp_gp.fitting.estimates import Errors
 from bsp_gp.loop.denoise import tracks_of
 from bsp_gp.loop.fitted import Fit
-from bsp_gp.loop.outcome import METRICS, Errors
 from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
 from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.masses import NO_MASS
 from bsp_gp.physics.metrics import (
+    METRICS,
+    error_of,
     one_step_errors,
     residual_acceleration,
     residual_accelerations,
@@ -38,8 +40,6 @@ MOST_POINTS = 500_000
 TOO_FAR = 2.33
 """Standard errors by which held-out tracks must fall short of a law to contradict it (1 %)."""
 _SAME_CHISQR = 1e-6
-NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
-"""Note on a data set."""
 
 
 def contradicts(gain, sight, seen):

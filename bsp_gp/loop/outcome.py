@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from bsp_gp.fitting.estimates import ConstantEstimate, Errors
+from bsp_gp.fitting.estimates import plain as _plain
 from bsp_gp.loop.traced import Guidance, Trace
 
 __all__ = [
@@ -27,39 +29,7 @@ __all__ = [
 ]
 
 SCHEMA = "bsp_gp/report/1"
-METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "endpoint_mean")
-"""Errors of a model on held-out data, as `Errors` has them."""
 VERDICTS = ("effect adopted", "nothing missing", "seen, not adopted", "cannot tell")
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Error of one model on held-out data.
-
-    Attributes
-    ----------
-    residual_acceleration : float
-        Root mean square, unit `acceleration_unit`.
-    one_step_nrmse : float
-        The paper's metric, in `unit`.
-    rollout_rmse : float
-        Root mean square position error of rollouts from fitted initial states, in `unit`.
-    endpoint : float
-        Median position error at the end-point row, in `unit`.
-    endpoint_mean : float
-    unit, acceleration_unit : str
-    intervals : dict of str to (float, float)
-        90 % intervals of the errors, nan where there is none.
-    """
-
-    residual_acceleration: float
-    one_step_nrmse: float
-    rollout_rmse: float
-    endpoint: float
-    unit: str
-    endpoint_mean: float = math.nan
-    acceleration_unit: str = ""
-    intervals: dict = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -70,28 +40,6 @@ class Ratio:
     low: float
     high: float
     method: str = ""
-
-
-@dataclass(frozen=True)
-class ConstantEstimate:
-    """A fitted constant.
-
-    Attributes
-    ----------
-    name : str
-    entity : str
-        The receiver that it belongs to; "" where it is one for all.
-    value, low, high : float
-    unit : str
-        "" if it cannot be said.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str = ""
-    entity: str = ""
 
 
 @dataclass(frozen=True)
@@ -414,20 +362,3 @@ class LoopReport:
                         {"round": r.number, "model": label, "adopted": r.adopted, **told}
                     )
         return pd.DataFrame(rows)
-
-
-def _plain(value):
-    """Turn dataclasses, tuples and numpy numbers into what JSON can hold; nan and inf -> None."""
-    if hasattr(value, "__dataclass_fields__"):
-        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
-    if hasattr(value, "_asdict"):
-        return _plain(value._asdict())
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

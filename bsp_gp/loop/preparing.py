@@ -12,11 +12,12 @@ from bsp_gp.data.point_errors import with_point_errors
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError
-from bsp_gp.loop.observation import NO_MASS, Observation
+from bsp_gp.loop.observation import Observation
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.differences import too_many
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.masses import with_usable_masses
 from bsp_gp.physics.shooting import cut_segments, guess_state
 from bsp_gp.search.constants import fit_constants
 
@@ -73,7 +74,7 @@ def observe(dataset, law, rng, *, sources=True, noise=None, method=None):
     SettingsError
         If a method is asked for that these data have no use for.
     """
-    dataset = _thinned(_with_usable_masses(dataset))
+    dataset = _thinned(with_usable_masses(dataset))
     estimate = noise or estimate_noise(dataset)
     sigma = np.array(estimate.sigma, dtype=float)
     if not np.isfinite(sigma).any():
@@ -185,23 +186,6 @@ def _touches(law):
     return any(node in term.formula.inputs for term in law.terms for node in ("s_i", "s_j", "p_c"))
 
 
-def _with_usable_masses(dataset):
-    """Where no dynamic entity has a mass, every mass is one: constants are per unit mass."""
-    dynamic = [e for s in dataset.scenes for e in s.entities if not e.is_static]
-    if not dynamic:
-        raise DataError(
-            "no entity is dynamic: there is no motion to explain",
-            remedy="set dynamic to 1 for the bodies that move",
-        )
-    if any(np.isfinite(e.mass) for e in dynamic):
-        return dataset
-    scenes = [
-        replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
-        for scene in dataset.scenes
-    ]
-    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, NO_MASS))
-
-
 def _thinned(dataset):
     """Long tracks with every k-th row only: more rows cost much and say little."""
     longest = max(len(scene.times) for scene in dataset.scenes)
@@ -226,20 +210,6 @@ def _every(scene, step):
         positions=scene.positions[::step],
         velocities=cut(scene.velocities),
         sigma=cut(scene.sigma),
-    )
-
-
-def _unit_mass(entity):
-    if entity.is_static or np.isfinite(entity.mass):
-        return entity
-    return Entity(
-        entity.name,
-        entity.shape,
-        entity.radius,
-        entity.width,
-        entity.height,
-        entity.is_static,
-        {**entity.properties, "mass": 1.0},
     )
 
 

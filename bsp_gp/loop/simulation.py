@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import checked_noise, estimate_noise
 from bsp_gp.errors import EvaluationError, LawError, SettingsError
 from bsp_gp.loop.close import declared_law
 from bsp_gp.physics.dynamics import INTEGRATORS
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import predict
 
-__all__ = ["checked_noise", "simulate_law"]
+__all__ = ["simulate_law"]
 
 MAX_SUBSTEPS = 64
 STEP_TOLERANCE = 1e-9
 """Simulated positions must not change by more than this part of their range with the step."""
-
-
-def checked_noise(noise, n_dims):
-    """One standard deviation, or one per axis, as a tuple; SettingsError if it is none."""
-    values = tuple(float(v) for v in np.atleast_1d(noise))
-    if len(values) not in (1, n_dims):
-        raise SettingsError(
-            f"noise must be one number or one per axis ({n_dims}), got {len(values)}"
-        )
-    if not all(math.isfinite(v) and v >= 0 for v in values):
-        raise SettingsError(f"noise must be finite and not negative, got {noise}")
-    return values
 
 
 def simulate_law(

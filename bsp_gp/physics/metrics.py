@@ -8,8 +8,32 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.likelihood import build_regression
 
 __all__ = [
-    "one_step_errors", "one_step_nrmse", "residual_acceleration", "residual_accelerations",
+    "ERRORS", "METRICS", "error_of", "one_step_errors", "one_step_nrmse", "residual_acceleration",
+    "residual_accelerations",
 ]  # fmt: skip
+
+
+METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "endpoint_mean")
+"""Errors of a model on held-out data, as `Errors` has them."""
+
+
+def error_of(metric, rows):
+    """An error of some held-out scenes.
+
+    Parameters
+    ----------
+    metric : str
+        One of `METRICS`.
+    rows : sequence of dict
+        A row per scene, with the fields of `ERRORS`: nan where there is nothing.
+
+    Returns
+    -------
+    float
+        nan where there is nothing to score.
+    """
+    field, told_by, error = ERRORS[metric]
+    return error([told_by(row[field]) for row in rows])
 
 
 def one_step_errors(scenes, law, up=None):
@@ -65,3 +89,47 @@ def residual_acceleration(regression, law):
         total += float(np.nansum(np.square(part)))
         count += int(seen.sum())
     return float(np.sqrt(total / count))
+
+
+def _squares(field):
+    """Sum of squared sizes and their number."""
+    squares = np.square(field).sum(axis=-1)
+    squares = squares[~np.isnan(squares)]
+    return float(squares.sum()), len(squares)
+
+
+def _sizes(field):
+    sizes = np.linalg.norm(field, axis=-1).ravel()
+    return sizes[~np.isnan(sizes)]
+
+
+def _root_mean_square(scenes):
+    total, n = map(sum, zip(*scenes, strict=True))
+    return (total / n) ** 0.5 if n else float("nan")
+
+
+def _mean_of_scenes(scenes):
+    return sum(scenes) / len(scenes)
+
+
+def _average(average):
+    def error(scenes):
+        sizes = np.concatenate(scenes)
+        return float(average(sizes)) if len(sizes) else float("nan")
+
+    return error
+
+
+def _mean_size(field):
+    sizes = _sizes(field)
+    return float(sizes.mean()) if len(sizes) else float("nan")
+
+
+ERRORS = {
+    "residual_acceleration": ("accelerations", _squares, _root_mean_square),
+    "one_step_nrmse": ("steps", _mean_size, _mean_of_scenes),
+    "rollout_rmse": ("track", _squares, _root_mean_square),
+    "endpoint": ("ends", _sizes, _average(np.median)),
+    "endpoint_mean": ("ends", _sizes, _average(np.mean)),
+}
+"""The field of a scene's row, what of a scene tells, and the error of scenes."""

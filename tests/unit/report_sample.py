@@ -6,7 +6,6 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 
 from bsp_gp.loop.outcome import (
-    METRICS,
     ConstantEstimate,
     Effect,
     Errors,
@@ -19,6 +18,7 @@ from bsp_gp.loop.outcome import (
     Round,
 )
 from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.metrics import METRICS
 
 NAN = math.nan
 DRAG = r"-{c}_{1}\,\mathbf{v}_i\,\left\|\mathbf{v}_i\right\|"

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.loop.before_after import compared, error_of
+from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.close import declared_law
 from bsp_gp.loop.models import Model
-from bsp_gp.loop.outcome import METRICS
 from bsp_gp.loop.preparing import observe
-from bsp_gp.physics.metrics import one_step_nrmse, residual_acceleration
+from bsp_gp.physics.metrics import METRICS, error_of, one_step_nrmse, residual_acceleration
 from tests.throws import C1, GRAVITY, throws
 
 TRUE = (GRAVITY, f"-{C1} [kg/s] * v_i")

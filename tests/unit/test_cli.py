@@ -347,9 +347,45 @@ def test_a_bug_shows_its_traceback(data, monkeypatch):
     def broken(*args, **kwargs):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("bsp_gp.loop.fitting.fit_law", broken)
+    monkeypatch.setattr("bsp_gp.fitting.law_fit.fit_law", broken)
     with pytest.raises(ZeroDivisionError):
         main(["fit", data, "--law", GRAVITY])
+
+
+def test_start_bounds_and_time_limit_of_a_fit(data, capsys):
+    words = ["fit", data, "--law", GRAVITY, "--law=-c1 * norm(v_i)^n * normalize(v_i)", "--json",
+             "--quiet", "--start", "n=1", "--start", "c1=200 [g/s]", "--bounds", "n=-4..2",
+             "c1=0..", "--time-limit", "5m"]  # fmt: skip
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["schema"] == "bsp_gp/fit/2"
+    assert [c["name"] for c in found["constants"]] == ["c1", "n"]
+    assert found["constants"][1]["value"] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--start", "c1"], "must be NAME=VALUE"),
+        (["--start", "c1=x"], "--start c1=x: expected a number"),
+        (["--start", "zz=1"], "start of zz: the law has no such constant; it has c1"),
+        (["--bounds", "c1=3"], "expected LOW..HIGH"),
+        (["--bounds", "c1=3..1"], "expected LOW..HIGH"),
+        (["--bounds", "c1=a..b"], "expected LOW..HIGH"),
+        (["--bounds", "zz=0..1"], "bound of zz: the law has no such constant; it has c1"),
+        (["--bounds", "c1=0..1", "--start", "c1=2"], "must lie within its bounds 0..1"),
+        (["--time-limit", "soon"], "must be a time such as 20s"),
+        (["--time-limit", "0"], "must be a time such as 20s"),
+    ],
+)
+def test_bad_settings_of_a_fit(data, words, message, capsys):
+    assert main(["fit", data, "--law", GRAVITY, "--law", DRAG, *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_settings_of_a_fit_need_a_law(data, capsys):
+    assert main(["fit", data, "--start", "c1=1"]) == 2
+    assert "--start is for the fit of a --law" in capsys.readouterr().err
 
 
 def test_interrupt_is_130(data, tmp_path, monkeypatch, capsys):

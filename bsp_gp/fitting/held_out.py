@@ -1,0 +1,202 @@
+"""Errors of a fitted law on scenes that it was not fitted to.
+
+The initial state of a held-out scene is fitted on its first rows, with the law as it is; the rest
+of the scene is foreseen from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.fitting.chains import build_chains
+from bsp_gp.fitting.estimates import Errors
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Positions, TrackNoise
+from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.rolling import roll
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
+from bsp_gp.units import ACCELERATION, Unit
+
+__all__ = ["held_out_errors", "predictions"]
+
+LEAST_ROWS = 3
+"""Rows that a state is fitted on, at least."""
+STEP_ERROR = 0.02
+"""Error of the integration over a whole track, in standard deviations of a position."""
+ROUNDING = 1e-13
+"""The same as a part of the largest coordinate, at least, for every row."""
+
+
+@dataclass(frozen=True)
+class FixedForces(Forces):
+    """Forces whose constants keep their values."""
+
+    @property
+    def parameters(self):
+        """None."""
+        return ()
+
+
+def held_out_errors(found, dataset, scenes, *, deadline=None):
+    """Errors of a fit on scenes that it has not seen.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+        For its axes, units and rows of evaluation.
+    scenes : sequence of Scene
+    deadline : float, optional
+        Seconds.
+
+    Returns
+    -------
+    Errors
+        nan where nothing is held out, or the fit has no finite constants.
+    """
+    units = dataset.units
+    said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
+    if not scenes or not np.isfinite(found.values).all():
+        return Errors(**dict.fromkeys(METRICS, float("nan")), **said)
+    rows = _rows(found, dataset, tuple(scenes), deadline)
+    return Errors(**{metric: error_of(metric, rows) for metric in METRICS}, **said)
+
+
+def predictions(found, dataset, scenes, *, deadline=None):
+    """Positions that a fitted law foresees, from states fitted on the first rows.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+    scenes : sequence of Scene
+    deadline : float, optional
+        Seconds.
+
+    Returns
+    -------
+    list of ndarray, shape (T, R, d), one per scene
+        inf where the motion runs away, nan for bodies that the first rows do not show.
+    """
+    measured = _is_measured(dataset, scenes)
+    states = {} if measured else _first_states(found, dataset, scenes, deadline)
+    tracks = {scene.name: np.full(scene.positions[:, scene.dynamic].shape, np.nan)
+              for scene in scenes}  # fmt: skip
+    bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
+    for chains in build_chains(found.law, scenes, dataset.up, dataset.velocity):
+        first = _stacked(chains, states, measured)
+        nodes = roll(found.law, chains, first, _tolerance(found, chains), found.paper_steps)
+        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+            for r, name in enumerate(members):
+                track = tracks[scene]
+                track[:, bodies[scene].index(name)] = nodes[0, r, :, : len(track), s].T
+    for scene in scenes:
+        tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
+    return [tracks[scene.name] for scene in scenes]
+
+
+def _is_measured(dataset, scenes):
+    """Whether velocities were measured, so that the first row is a state."""
+    return dataset.velocity == "measured" and all(s.velocities is not None for s in scenes)
+
+
+def _n_initial(dataset, scene, measured):
+    """First rows on which the initial state is fitted.
+
+    As declared; else a fifth of the scene, so that a higher frame rate does not make the start
+    worse known, and at least 12 rows where a third of the scene has them.
+    """
+    if measured:
+        return 1
+    n = len(scene.times)
+    wanted = dataset.evaluation.initial_rows
+    return min(wanted if wanted is not None else max(min(12, max(3, n // 3)), n // 5), n - 1)
+
+
+def _is_late(dataset, scene, measured):
+    """Which moving bodies the first rows do not show often enough to know their state."""
+    head = scene.positions[: _n_initial(dataset, scene, measured), scene.dynamic]
+    return np.isfinite(head).all(axis=-1).sum(axis=0) < (1 if measured else 2)
+
+
+def _first_states(found, dataset, scenes, deadline):
+    """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
+    heads = tuple(s.rows(0, max(_n_initial(dataset, s, False), LEAST_ROWS)) for s in scenes)
+    noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
+    hypothesis = Hypothesis(
+        (FixedForces(found.law, found.paper_steps), Positions(), TrackNoise(noise))
+    )
+    heads, _ = without_outliers(heads, found.noise.levels)
+    heads = replace(dataset, scenes=heads, train=(), test=())
+    head = fit(hypothesis, heads, deadline=deadline)
+    return {
+        (scene, name): nodes[:, r, :, 0, s]
+        for chains, nodes in zip(head.groups, head.nodes, strict=True)
+        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True))
+        for r, name in enumerate(members)
+    }
+
+
+def _stacked(chains, states, measured):
+    """States at the first rows of some chains, (2, R, d, S)."""
+    if measured:
+        first = np.stack([chains.observed[0], chains.velocities[0]])
+        return np.moveaxis(first, 1, -1)
+    own = [[states[scene, name] for name in members]
+           for scene, members in zip(chains.scenes, chains.bodies, strict=True)]  # fmt: skip
+    return np.moveaxis(np.array(own), (0, 1, 2, 3), (3, 1, 0, 2))
+
+
+def _tolerance(found, chains):
+    """Error of the integration that whole tracks may have, (S,), metres."""
+    level = float(np.nanmin(found.noise.levels))
+    with np.errstate(invalid="ignore"):
+        largest = np.nanmax(np.abs(chains.observed), axis=(0, 2, 3))
+    return np.maximum(STEP_ERROR * level, ROUNDING * chains.lengths * largest)
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+def _rows(found, dataset, scenes, deadline):
+    """What the errors are made of, scene by scene, see `bsp_gp.physics.metrics.ERRORS`."""
+    tracks = predictions(found, dataset, scenes, deadline=deadline)
+    steps = one_step_errors(scenes, found.law, dataset.up)
+    accelerations = residual_accelerations(_regression(found, dataset, scenes), found.law)
+    measured = _is_measured(dataset, scenes)
+    return [
+        {
+            "scene": scene.name,
+            "steps": step[..., None],
+            "accelerations": accelerations[scene.name],
+            **_track_errors(found, dataset, scene, track, measured),
+        }
+        for scene, track, step in zip(scenes, tracks, steps, strict=True)
+    ]
+
+
+def _track_errors(found, dataset, scene, track, measured):
+    """Errors of a foreseen track, and at the row of the end point."""
+    observed = scene.positions[:, scene.dynamic]
+    error = np.where(np.isfinite(found.noise.levels), observed - track, 0.0)
+    error[: _n_initial(dataset, scene, measured)] = np.nan
+    row = dataset.evaluation.endpoint_row
+    index = (row - 1) if row is not None else len(scene.times) - 1
+    # Where a track ends before the end-point row there is no end point to score.
+    ends = error[index] if index < len(scene.times) else np.full_like(error[0], np.nan)
+    return {"track": error, "ends": ends}
+
+
+def _regression(found, dataset, scenes):
+    """Accelerations read off the scenes as they can be read best."""
+    measured = _is_measured(dataset, scenes)
+    method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
+    pairs = any(term.kind == "pair" for term in found.law.terms)
+    return build_regression(
+        scenes, method=method, sigma=np.array(found.noise.levels), up=dataset.up,
+        sources=pairs and max(len(scene.entities) for scene in scenes) > 1,
+        memory=dataset.noise_memory or 0.0,
+    )  # fmt: skip

@@ -1,0 +1,309 @@
+"""A law without the loop: constants fitted to a data set, errors on what is held out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from numbers import Integral
+
+import numpy as np
+
+from bsp_gp.data.noise import checked_noise, estimate_noise
+from bsp_gp.data.split import choose_split
+from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import held_out_errors
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
+from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.force import ForceLaw, constant_units
+from bsp_gp.physics.masses import check_properties, with_usable_masses
+from bsp_gp.units import Unit
+
+__all__ = ["SCHEMA", "LawFit", "fit_law"]
+
+SCHEMA = "bsp_gp/fit/2"
+MISFIT = 1.5
+"""Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
+LEAST_SHARE = 0.2
+"""Part of the time limit that the errors on held-out scenes have at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class LawFit:
+    """A law with its constants fitted to the training scenes of a data set.
+
+    Attributes
+    ----------
+    dataset : str
+    law : ForceLaw
+        With the fitted constants.
+    law_text : str
+        As typed, constants as names.
+    constants : tuple of ConstantEstimate
+        Values with 90 % intervals and units; no interval (nan) where the fit failed.
+    correlation : ndarray, shape (k, k)
+        Of the constants, in their order; 0 for those that the data do not determine.
+    errors : Errors
+        On the held-out scenes.
+    noise : dict
+        sigma (per axis), unit, source, method, correlation_time (s, None = white), correlated
+        (part of the variance that has a memory), tails (degrees of freedom of Student's t, None =
+        normal).
+    status : str
+        The first that applies of "nonfinite", "unconverged", "aliased" (failed fits, which say
+        nothing of the law), "at_bound", "refuted" (by declared errors) and "converged".
+    message : str
+        The status in words, and what to do.
+    chisqr, chi2_red : float
+        Whitened sum of squares, and per degree of freedom.
+    bic : float
+        Of everything fitted, noise included, nats times two.
+    log_evidence : float, nats
+        By Laplace's approximation, see `bsp_gp.fitting.fit.Fit`.
+    n_rows, n_free : int
+        Numbers fitted, and free parameters, initial states included.
+    n_starts, n_agree : int
+        Starts, and those that led to this minimum.
+    gradient : float
+        Largest cosine between the residual and the change by a constant, 0 at a minimum.
+    split : str
+    notes : tuple of str
+        Those that begin with "check: " cast a doubt on the result.
+    """
+
+    dataset: str
+    law: ForceLaw
+    law_text: str
+    constants: tuple[ConstantEstimate, ...]
+    correlation: np.ndarray
+    errors: Errors
+    noise: dict
+    status: str
+    message: str
+    chisqr: float
+    chi2_red: float
+    bic: float
+    log_evidence: float
+    n_rows: int
+    n_free: int
+    n_starts: int
+    n_agree: int
+    gradient: float
+    split: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def converged(self):
+        """Whether the constants are a minimum, be it at a bound or refuted."""
+        return self.status in ("at_bound", "refuted", "converged")
+
+    @property
+    def reduced_chisqr(self):
+        """The same as `chi2_red`."""
+        return self.chi2_red
+
+    def to_dict(self):
+        """The contents of fit.json: plain dicts, lists, numbers and None for nan."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "law"}
+        law = {"text": fields.pop("law_text"), "with_values": self.law.text()}
+        return plain({"schema": SCHEMA, "law": law, "converged": self.converged, **fields})
+
+    def text(self):
+        """The fit as a table for a terminal; variables stand with their 90 % intervals."""
+        return fit_text(self)
+
+    def correlations(self):
+        """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value)."""
+        return strong_correlations(self.constants, self.correlation)
+
+
+def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, time_limit=None):
+    """Fit the constants of a law to a data set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    laws : ForceLaw or sequence of str
+        The forces; named constants are fitted, whatever values a ForceLaw has for them.
+    rng : numpy.random.Generator, int or None
+        For a split that is not declared; None is 0.
+    noise : float or sequence of float, optional
+        Standard deviation of a position (one, or one per axis), metres; overrides the data's.
+    starts : mapping of str to float, optional
+        Where constants begin, in the units in which they are told (SI where the data are
+        calibrated); the others are found from the data.
+    bounds : mapping of str to (float, float), optional
+        Between which constants stay, in the same units.
+    time_limit : float, optional
+        Seconds after which the fit is ended and what was found is told.
+
+    Returns
+    -------
+    LawFit
+
+    Raises
+    ------
+    BspError
+        If the data, the law or a setting is unusable.
+
+    Examples
+    --------
+    >>> found = fit_law(dataset, ["-k * norm(v_i)^n * normalize(v_i)"], bounds={"n": (0, 4)})
+    ... # doctest: +SKIP
+    """
+    began = time.monotonic()
+    _check_settings(starts, bounds, time_limit)
+    if noise is not None:
+        dataset = replace(dataset, noise=checked_noise(noise, dataset.n_dims))
+    law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
+    dataset = with_usable_masses(dataset)
+    split = choose_split(dataset, _generator(rng))
+    said = estimate_noise(dataset)
+    scenes, told = without_outliers(split.train, said.sigma)
+    train = replace(dataset, scenes=scenes, train=(), test=())
+    check_properties(stack(train.scenes, dataset.up), law)
+    found = fit(
+        Hypothesis.from_laws(train, _unset(law)), train, starts=starts, bounds=bounds,
+        deadline=time_limit,
+    )  # fmt: skip
+    left = None
+    if time_limit is not None:
+        left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
+    errors = held_out_errors(found, dataset, split.test, deadline=left)
+    widening = _widening(found)
+    constants = _constants(found, dataset, bounds or {}, widening)
+    noise_told = _about_noise(found.noise, said, dataset.units)
+    return LawFit(
+        dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
+        constants=constants, correlation=_correlation(found.covariance), errors=errors,
+        noise=noise_told, status=found.status,
+        message=how_it_ended(found, constants, time_limit), chisqr=found.chisqr,
+        chi2_red=found.chi2_red, bic=_bic(found), log_evidence=found.log_evidence,
+        n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
+        gradient=float(found.gradient), split=split.note,
+        notes=(*dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test))),
+    )  # fmt: skip
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def _check_settings(starts, bounds, time_limit):
+    for what, given in (("starts", starts), ("bounds", bounds)):
+        if given is not None and not isinstance(given, Mapping):
+            raise SettingsError(f"{what} must be a mapping of constants, got {given!r:.60}")
+    for name, value in (starts or {}).items():
+        if not _is_number(value) or not math.isfinite(value):
+            raise SettingsError(f"the start of {name} must be a finite number, got {value!r:.60}")
+    for name, pair in (bounds or {}).items():
+        is_pair = isinstance(pair, list | tuple) and len(pair) == 2
+        if not is_pair or not all(_is_number(v) and not math.isnan(v) for v in pair):
+            raise SettingsError(
+                f"bounds of {name} must be two numbers, (low, high), got {pair!r:.60}"
+            )
+    if time_limit is not None and not (_is_number(time_limit) and 0 < time_limit < math.inf):
+        raise SettingsError(
+            f"time_limit must be a positive number of seconds, got {time_limit!r:.60}"
+        )
+
+
+def _is_number(value):
+    return hasattr(value, "__float__") and not isinstance(value, str | bytes | bool)
+
+
+def _generator(rng):
+    if rng is None or isinstance(rng, Integral):
+        return np.random.default_rng(0 if rng is None else int(rng))
+    return rng
+
+
+def _unset(law):
+    """The law without values of constants that are one for all: a fit finds its own starts."""
+    shared = [n for n in law.names if not hasattr(law.constants.get(n), "items")]
+    return law.with_constants(dict.fromkeys(shared, math.nan))
+
+
+# --- what is told ---------------------------------------------------------------------------------
+
+
+def _widening(found):
+    """Factor on standard errors: misfit beyond the noise counts against the constants.
+
+    With as many independent rows as the autocorrelation of the residual leaves.
+    """
+    dof = max(found.n_rows - found.n_free, 1)
+    misfit = found.chisqr / dof
+    if found.is_failed or not misfit > 1 + 5 * math.sqrt(2 / dof):
+        return 1.0
+    if misfit > MISFIT:
+        white = found.whitened
+        power = float(np.square(white).sum())
+        rho = min(max(float((white[1:] * white[:-1]).sum()) / power, 0.0), 0.999)
+        misfit *= (1 + rho) / (1 - rho)
+    return math.sqrt(misfit)
+
+
+def _constants(found, dataset, bounds, widening):
+    """The constants with 90 % intervals; Student's t where the noise was estimated."""
+    from scipy.stats import t as student_t  # a slow import
+
+    dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
+    units = {}
+    for term in found.law.terms:
+        for name, unit in constant_units(term).items():
+            units[name] = dataset.units.text(unit)
+    massless = {
+        e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
+    }  # fmt: skip
+    halves = student_t.ppf(0.95, dof) * widening * found.errors
+    out = []
+    for (name, entity), value, half in zip(found.parameters, found.values, halves, strict=True):
+        low, high = bounds.get(name, (-math.inf, math.inf))
+        unit = units.get(name, "")
+        if entity in massless and unit:
+            unit = f"{unit} per unit mass"
+        state = ""
+        if not (math.isfinite(half) and math.isfinite(value)):
+            state = "undetermined"
+        elif (value <= low or value >= high) and not found.is_failed:
+            state = "at_bound"
+        ends = (max(value - half, low), min(value + half, high))
+        if found.is_failed:
+            ends = (math.nan, math.nan)
+        out.append(ConstantEstimate(name, float(value), *map(float, ends), unit, entity, state))
+    return tuple(out)
+
+
+def _correlation(covariance):
+    sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # What is undetermined, or exact, has no correlation with anything.
+    known = np.isfinite(sizes) & (sizes > 0)
+    sizes = np.where(known, sizes, 1.0)
+    correlation = np.where(np.outer(known, known), covariance, 0.0) / sizes / sizes[:, None]
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def _bic(found):
+    n_noise = sum(p.is_free for p in found.noise.parameters)
+    return float((found.n_free + n_noise) * math.log(found.n_rows) - 2 * found.log_likelihood)
+
+
+def _about_noise(model, said, units):
+    """What is known of the noise, or was estimated under the law."""
+    is_estimated = bool(model.is_free.any())
+    has_memory = model.correlated > 0
+    return {
+        "sigma": [float(level) for level in model.levels],
+        "unit": units.text(Unit.of(m=1)),
+        "source": said.source,
+        "method": f"under the law: {model.describe()}" if is_estimated else said.method,
+        "correlation_time": float(model.correlation_time) if has_memory else None,
+        "correlated": float(model.correlated),
+        "tails": float(model.degrees) if math.isfinite(model.degrees) else None,
+    }

@@ -1,0 +1,210 @@
+"""A fitted law in words: the table for a terminal, how the fit ended, what is doubtful."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["doubts", "fit_text", "how_it_ended", "strong_correlations"]
+
+MIN_CORRELATION = 0.1
+CHECK = "check: "
+"""How notes begin that cast a doubt on the result."""
+UNKNOWN = "—"
+"""In the place of an interval that there is not."""
+
+
+def fit_text(found):
+    """The fit as a table for a terminal; variables stand with their 90 % intervals.
+
+    Parameters
+    ----------
+    found : LawFit
+
+    Returns
+    -------
+    str
+    """
+    e = found.errors
+    lines = [
+        "[[Model]]", f"    F_i = {found.law_text}",
+        "[[Fit Statistics]]",
+        f"    data set           = {found.dataset}; {found.split}",
+        f"    # data points      = {found.n_rows}",
+        f"    # variables        = {len(found.constants)} constants, {found.n_free} free in all",
+        f"    chi-square         = {found.chisqr:.6g}",
+        f"    reduced chi-square = {found.chi2_red:.6g}",
+        f"    Bayesian info crit = {found.bic:.6g}",
+        f"    log evidence       = {found.log_evidence:.6g} nats",
+        f"    noise              = {_noise(found.noise)}",
+        f"    status             = {found.status}: {found.message}",
+        "[[Held-out Errors]]",
+        f"    rollout rms        = {e.rollout_rmse:.4g} {e.unit}",
+        f"    end point (median) = {e.endpoint:.4g} {e.unit}",
+        f"    one-step nrmse     = {e.one_step_nrmse:.4g} {e.unit}",
+        f"    residual accel.    = {e.residual_acceleration:.4g} {e.acceleration_unit}",
+        "[[Variables]] (± half of the 90 % interval)",
+        *(list(_variables(found.constants)) or ["    none: every number of the law is given"]),
+    ]  # fmt: skip
+    pairs = found.correlations()
+    if pairs:
+        lines.append(f"[[Correlations]] (unreported correlations are < {MIN_CORRELATION:g})")
+        width = max(len(a) + len(b) for a, b, _ in pairs)
+        lines += [
+            f"    C({a}, {b}){' ' * (width - len(a) - len(b))} = {value:+.4f}"
+            for a, b, value in pairs
+        ]
+    lines += [f"Note: {note}" for note in found.notes]
+    return "\n".join(lines)
+
+
+def how_it_ended(found, constants, time_limit=None):
+    """The status of a fit in words: what it means and, where it is not good, what to do.
+
+    Parameters
+    ----------
+    found : Fit
+    constants : sequence of ConstantEstimate
+    time_limit : float, optional
+        Seconds that it had.
+
+    Returns
+    -------
+    str
+    """
+    if found.status == "nonfinite":
+        return (
+            "failed, no value of the constants gives finite tracks; give --start and --bounds, or "
+            "look for a division by zero or a power of a negative number in the law"
+        )
+    if found.status == "unconverged":
+        cause = "no minimum was reached; give --start or --bounds"
+        if found.message == "stopped" and time_limit is not None:
+            cause = (
+                f"the time limit of {time_limit:g} s came first; give a longer --time-limit, or "
+                "--start near the answer"
+            )
+        return f"failed, {cause}; the values are where it stood"
+    if found.status == "aliased":
+        return (
+            "failed, the motion turns more than once between two rows: slower and faster rates fit "
+            "alike; give --bounds of the rate, or record more rows"
+        )
+    starts = _starts(found)
+    if found.status == "at_bound":
+        names = ", ".join(label(c) for c in constants if c.state == "at_bound")
+        return (
+            f"{starts}; {names or 'a constant'} ends at a bound, beyond which the data would have "
+            "it: widen --bounds, or take it out of the law"
+        )
+    if found.status == "refuted":
+        return (
+            f"{starts}, but more is left than the known errors of the positions: the law lacks "
+            "something (bsp-gp close looks for it), or the errors are too small"
+        )
+    if not constants:
+        return "initial states fitted, there is no constant"
+    return starts
+
+
+def _starts(found):
+    """How many starts led here."""
+    if found.n_starts == 1:
+        return "a minimum, from one start"
+    return f"a minimum, to which {found.n_agree} of {found.n_starts} starts lead"
+
+
+def doubts(found, widening, has_test):
+    """Notes on what is doubtful about a fit.
+
+    Parameters
+    ----------
+    found : Fit
+    widening : float
+        Factor on the standard errors.
+    has_test : bool
+        Whether anything is held out.
+
+    Returns
+    -------
+    list of str
+    """
+    notes = []
+    if found.is_failed:
+        notes.append(f"{CHECK}the fit failed ({found.status}): its values say nothing of the law")
+    elif widening > 1:
+        what = "known errors" if found.status == "refuted" else "noise"
+        note = f"{CHECK}{found.chi2_red:.3g} times the variance of the {what} is left"
+        if found.parameters:
+            note += f"; for that the intervals were widened {widening:.3g} times"
+        notes.append(note)
+    if not found.is_failed and found.n_starts > 2 and found.n_agree == 1 and found.parameters:
+        notes.append(
+            f"{CHECK}of {found.n_starts} starts only one leads to this minimum; there may be a "
+            "better one"
+        )
+    if not has_test:
+        notes.append("nothing is held out: there are no errors of prediction")
+    return notes
+
+
+def _noise(noise):
+    """Level per axis, source, memory and tails."""
+    levels = ", ".join(f"{s:.3g}" if math.isfinite(s) else "-" for s in noise["sigma"])
+    said = [f"{levels} {noise['unit']} ({noise['source']})"]
+    if noise["correlation_time"] is not None:
+        said.append(
+            f"{100 * noise['correlated']:.3g} % of its variance with a memory of "
+            f"{noise['correlation_time']:.3g} s"
+        )
+    if noise["tails"] is not None:
+        said.append(f"tails of Student's t with {noise['tails']:.3g} degrees of freedom")
+    return "; ".join(said)
+
+
+def label(constant):
+    """Name of a constant, with the body that it belongs to."""
+    return f"{constant.name}[{constant.entity}]" if constant.entity else constant.name
+
+
+def _variables(constants):
+    width = max((len(label(c)) for c in constants), default=0) + 1
+    for c in constants:
+        head, unit = f"    {label(c) + ':':<{width}}", f" {c.unit}" if c.unit else ""
+        half = (c.high - c.low) / 2
+        if c.state == "undetermined":
+            at = f" (left at {c.value:.3g}{unit})" if math.isfinite(c.value) else ""
+            yield f"{head} undetermined by these data{at}"
+        elif c.state == "at_bound":
+            yield f"{head} at its bound, {c.value:.8g}{unit}"
+        elif not math.isfinite(half):
+            yield f"{head} {c.value:.8g} ± {UNKNOWN}{unit}"
+        else:
+            value, error = _rounded(c.value, half)
+            share = f" ({100 * half / abs(c.value):.2g} %)" if c.value else ""
+            yield f"{head} {value} ± {error}{unit}{share}"
+
+
+def _rounded(value, half):
+    """Value and half-width with two digits of the half-width."""
+    if not half > 0:
+        return f"{value:.8g}", f"{half:.2g}"
+    digits = math.floor(math.log10(max(abs(value), half))) - math.floor(math.log10(half)) + 2
+    return f"{value:.{min(max(digits, 2), 15)}g}", f"{half:.2g}"
+
+
+def strong_correlations(constants, correlation):
+    """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value).
+
+    Parameters
+    ----------
+    constants : sequence of ConstantEstimate
+    correlation : ndarray, shape (k, k)
+    """
+    names = [label(c) for c in constants]
+    pairs = [
+        (names[a], names[b], float(correlation[a, b]))
+        for a in range(len(names))
+        for b in range(a + 1, len(names))
+        if abs(correlation[a, b]) > MIN_CORRELATION
+    ]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))

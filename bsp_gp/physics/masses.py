@@ -1,0 +1,90 @@
+"""Masses and other properties that a law needs, known or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.scene import Entity
+from bsp_gp.errors import DataError, LawError
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.evaluation import unknown_receivers
+
+__all__ = ["NO_MASS", "check_properties", "with_usable_masses"]
+
+NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
+"""Note on a data set."""
+
+
+def with_usable_masses(dataset):
+    """Where no dynamic entity has a mass, every mass is one: constants are per unit mass.
+
+    Parameters
+    ----------
+    dataset : Dataset
+
+    Returns
+    -------
+    Dataset
+        The same object where a mass is known; else with a note.
+
+    Raises
+    ------
+    DataError
+        If nothing is dynamic.
+    """
+    dynamic = [e for s in dataset.scenes for e in s.entities if not e.is_static]
+    if not dynamic:
+        raise DataError(
+            "no entity is dynamic: there is no motion to explain",
+            remedy="set dynamic to 1 for the bodies that move",
+        )
+    if any(np.isfinite(e.mass) for e in dynamic):
+        return dataset
+    scenes = [
+        replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
+        for scene in dataset.scenes
+    ]
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, NO_MASS))
+
+
+def _unit_mass(entity):
+    if entity.is_static or np.isfinite(entity.mass):
+        return entity
+    return Entity(
+        entity.name,
+        entity.shape,
+        entity.radius,
+        entity.width,
+        entity.height,
+        entity.is_static,
+        {**entity.properties, "mass": 1.0},
+    )
+
+
+def check_properties(batches, law):
+    """A pooled term must be able to act on every body that moves.
+
+    Parameters
+    ----------
+    batches : sequence
+        With the `bodies` of some scenes.
+    law : ForceLaw
+
+    Raises
+    ------
+    LawError
+        If a term needs a property that is unknown.
+    """
+    for batch in batches:
+        mass = batch.bodies.column("mass")[:, batch.bodies.receivers]
+        for term in law.terms:
+            lost = unknown_receivers(term, batch.bodies) | (term.needs_mass & np.isnan(mass))
+            if lost.any():
+                s, r = np.argwhere(lost)[0]
+                raise LawError(
+                    f"declared law {to_text(term.formula)} needs a property of "
+                    f"{batch.bodies.receiver_names[s][r]!r} that is unknown; give it in "
+                    "entities.csv, or leave the body out"
+                )
