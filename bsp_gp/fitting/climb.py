@@ -106,12 +106,12 @@ class Climb:
             rows *= GROWTH
         return [*out, None]
 
-    def at(self, rows, point):
+    def at(self, rows, point, is_checked=False):
         """The problem with pieces of so many rows, its steps chosen at a point."""
         shootings = self._shootings(rows)
         ridge = None if rows is None else self.ridge(point)
         problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates, ridge)
-        return problem.with_meshes(point)
+        return problem.with_meshes(point, is_checked)
 
     def ridge(self, point):
         """Inverse widths of linear unknowns while pieces of tracks may not determine them."""
@@ -215,7 +215,7 @@ class Climb:
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
         for _ in range(3):
-            finer = self.at(None, minimum.point)
+            finer = self.at(None, minimum.point, is_checked=True)
             if self.problem is not None and self.problem.is_as_fine_as(finer):
                 if minimum.linearised is not None:
                     break

@@ -11,16 +11,18 @@ import numpy as np
 
 from bsp_gp.fitting.motion import Points
 
-__all__ = ["through_events"]
+__all__ = ["passed_over", "through_events", "up_to_events"]
 
 MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
+WITHIN = tuple((k + 0.5) / 8 for k in range(8))
+"""Parts of a step at which conditions are looked at when its length is chosen."""
 BISECTIONS = 60
 CLOSE = 1e-14
 """Part of a step to which an instant is found."""
 
 
-def through_events(flow, scheme, points, end, h, modes, index, good=None, moved=None):
+def through_events(flow, scheme, points, end, h, modes, index, moved=None):
     """Mend the steps within which conditions change.
 
     Parameters
@@ -36,8 +38,6 @@ def through_events(flow, scheme, points, end, h, modes, index, good=None, moved=
         Modes of all intervals; those at `index` are changed in place.
     index : ndarray of int, shape (M,)
         Place of each step's interval in `modes`.
-    good : ndarray of bool, shape (M,), optional
-        Steps that count; the others stay as they are.
     moved : ndarray, shape (M, n, n + k), optional
         Derivatives of the steps, changed in place.
 
@@ -45,12 +45,7 @@ def through_events(flow, scheme, points, end, h, modes, index, good=None, moved=
     -------
     ndarray, shape (2, R, d, M)
     """
-    after = flow.points(end, points.times + h, points.chain)
-    changed = np.zeros(len(h), dtype=bool)
-    for before, now in zip(points.modes, after.modes, strict=True):
-        changed |= (before != now).any(axis=(0, 1, 2))
-    if good is not None:
-        changed &= good
+    changed = _changed(flow, points, end, h) | passed_over(flow, points, end, h)
     if not changed.any():
         return end
     end = end.copy()
@@ -62,6 +57,64 @@ def through_events(flow, scheme, points, end, h, modes, index, good=None, moved=
         for mode, held in zip(modes, new, strict=True):
             mode[..., index[m]] = held[..., 0]
     return end
+
+
+def passed_over(flow, points, end, h):
+    """Whether a condition changes within steps and is back at their ends, (M,).
+
+    Places between the ends are those of a cubic through both states.
+    """
+    passed = np.zeros(len(h), dtype=bool)
+    after = flow.points(end, points.times + h, points.chain)
+    (p0, v0), (p1, v1) = points.state, end
+    for u in WITHIN:
+        place = (
+            (1 + 2 * u) * (1 - u) ** 2 * p0 + u * u * (3 - 2 * u) * p1
+            + h * (u * (1 - u) ** 2 * v0 - u * u * (1 - u) * v1)
+        )  # fmt: skip
+        state = np.stack([place, (1 - u) * v0 + u * v1])
+        inside = flow.points(state, points.times + u * h, points.chain)
+        for before, now, then in zip(points.modes, inside.modes, after.modes, strict=True):
+            passed |= ((now != before) & (then == before)).any(axis=(0, 1, 2))
+    return passed
+
+
+def up_to_events(flow, scheme, points, end, h, modes, index, good):
+    """Cut the steps that count where the first condition changes, and change its mode.
+
+    Parameters
+    ----------
+    flow, scheme, points, end, h, modes, index, good
+        As of `through_events`.
+
+    Returns
+    -------
+    end : ndarray, shape (2, R, d, M)
+    h : ndarray, shape (M,)
+    """
+    changed = _changed(flow, points, end, h) & good
+    if not changed.any():
+        return end, h
+    end, h = end.copy(), h.copy()
+    for m in np.flatnonzero(changed):
+        start = points.pick([m])
+        part, change = _next_change(flow, scheme, start, h[m])
+        if change is None:
+            continue
+        state, _ = _part(flow, scheme, start, part, False)
+        end[..., m], h[m] = state[..., 0], part
+        program, mode, i, j = change
+        modes[program][mode, i, j, index[m]] = ~modes[program][mode, i, j, index[m]]
+    return end, h
+
+
+def _changed(flow, points, end, h):
+    """Steps at whose ends a condition is not what it was, (M,)."""
+    after = flow.points(end, points.times + h, points.chain)
+    changed = np.zeros(len(h), dtype=bool)
+    for before, now in zip(points.modes, after.modes, strict=True):
+        changed |= (before != now).any(axis=(0, 1, 2))
+    return changed
 
 
 def _through(flow, scheme, points, h, slopes):
@@ -117,26 +170,32 @@ def _next_change(flow, scheme, points, h):
         there = flow.points(end, points.times + length, points.chain, points.modes)
         return flow.motion.margins(there)
 
-    at_end = margins(h)
-    first, which = h, None
-    for program, (held, margin) in enumerate(zip(points.modes, at_end, strict=True)):
-        for mode, i, j in np.argwhere((margin[..., 0] > 0) != held[..., 0]).tolist():
-            instant = _instant(
-                lambda x, key=(program, mode, i, j): margins(x)[key[0]][key[1], key[2], key[3], 0],
-                h, held[mode, i, j, 0],
-            )  # fmt: skip
-            if which is None or instant < first:
-                first, which = instant, (program, mode, i, j)
-    return first, which
+    low = 0.0
+    for part in (*WITHIN, 1.0):
+        first, which = part * h, None
+        found = margins(first)
+        for program, (held, margin) in enumerate(zip(points.modes, found, strict=True)):
+            for mode, i, j in np.argwhere((margin[..., 0] > 0) != held[..., 0]).tolist():
+                key = (program, mode, i, j)
+                instant = _instant(
+                    lambda x, key=key: margins(x)[key[0]][key[1], key[2], key[3], 0],
+                    low, part * h, held[mode, i, j, 0],
+                )  # fmt: skip
+                if which is None or abs(instant) < abs(first):
+                    first, which = instant, key
+        if which is not None:
+            return first, which
+        low = first
+    return h, None
 
 
-def _instant(margin, h, held):
+def _instant(margin, low, high, held):
     """Where a margin leaves the sign of its mode, by bisection with secants (Illinois)."""
     sign = 1.0 if held else -1.0
-    low, high = 0.0, h
-    at_low, at_high = sign * margin(0.0), sign * margin(h)
+    at_low, at_high = sign * margin(low), sign * margin(high)
     if at_low <= 0:  # on the edge already
-        return 0.0
+        return low
+    width = abs(high - low)
     side = 0
     for _ in range(BISECTIONS):
         middle = low + (high - low) * at_low / (at_low - at_high)
@@ -147,7 +206,7 @@ def _instant(margin, h, held):
         else:
             high, at_high = middle, value
             at_low, side = (at_low / 2 if side == -1 else at_low), -1
-        if high - low <= CLOSE * h or value == 0:
+        if abs(high - low) <= CLOSE * width or value == 0:
             break
     return high
 

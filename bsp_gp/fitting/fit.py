@@ -28,6 +28,7 @@ from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.geometry import POINT
 
 __all__ = ["FAILED", "STATUSES", "Fit", "FitTolerances", "fit"]
 
@@ -250,11 +251,18 @@ class _Run:
                 )
 
     def step_kinds(self):
-        """Whether the paper's steps, continuous motion, or both are tried."""
+        """Whether the paper's steps, continuous motion, or both are tried, and in which order.
+
+        On even rows both may reproduce exact data, with other constants: motion is continuous
+        then, unless bodies have a size, as in the paper's scenes.
+        """
         said = self.hypothesis.paper_steps
         if said is not None:
             return (said,)
-        return (True, False) if self.is_exact else (False,)
+        if not self.is_exact:
+            return (False,)
+        has_sizes = any(np.any(chains.code != POINT) for chains in self.groups)
+        return (True, False) if has_sizes else (False, True)
 
     def is_reproduced(self, found):
         """Whether nothing is left of exact data but rounding, below which no fit can get."""

@@ -12,13 +12,13 @@ changes within a step, the step ends there, and the derivatives jump (saltation)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
 from bsp_gp.fitting.driven import Driven
-from bsp_gp.fitting.events import through_events
+from bsp_gp.fitting.events import passed_over, through_events, up_to_events
 from bsp_gp.fitting.motion import Points
 
 __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
@@ -26,6 +26,11 @@ __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 BLOCK = 2048
 """Intervals that are integrated together: bounds the memory."""
 MAX_STEPS = 400
+FINER, AMPLIFIED, MAX_CHECKS = 30.0, 3.0, 4
+"""Errors are asked to be so many times smaller in a check; ends may move by so many tolerances;
+checks after which steps are not complete."""
+BRIEF = 1e-4
+"""Part of an interval within which a contact may begin and end unseen."""
 FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""
 SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 6.0
@@ -185,12 +190,33 @@ class Flow:
     # --- steps -----------------------------------------------------------------------------------
 
     def mesh(self, nodes):
-        """Choose the steps of every interval by the error of the embedded pair.
+        """Steps with which every interval ends where it should, or which are not complete.
+
+        Errors that single steps make within their bound may grow behind them (a passage near a
+        centre): meshes for smaller errors are compared until the ends stay.
 
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
         """
+        mesh, factor = self.quick_mesh(nodes), 1.0
+        if self.paper_steps or not mesh.is_complete:
+            return mesh
+        ends, _ = self.run(nodes, mesh, slopes=False)
+        for _ in range(MAX_CHECKS):
+            factor /= FINER
+            finer = self._mesh(nodes, mesh.scheme, factor)
+            if not finer.is_complete:
+                break
+            better, _ = self.run(nodes, finer, slopes=False)
+            change = np.abs(better - ends)[0].max(axis=(0, 1))
+            if np.all(change <= AMPLIFIED * self.tolerance[self.chain]):
+                return mesh
+            mesh, ends = finer, better
+        return replace(mesh, is_complete=False)
+
+    def quick_mesh(self, nodes):
+        """Steps chosen by the error of the embedded pair alone: good enough on the way."""
         if self.paper_steps:
             order = np.arange(self.n_intervals)
             return Mesh("euler", order, (np.zeros(len(order)),), (self.length,))
@@ -204,14 +230,15 @@ class Flow:
             return high if cheaper else low
         return high if high.is_complete else low
 
-    def _mesh(self, nodes, name):
+    def _mesh(self, nodes, name, factor=1.0):
+        """Steps of a scheme by its error estimate, within a part of the tolerance."""
         scheme = SCHEMES[name]
         n = self.n_intervals
         state = nodes[..., self.row, self.chain]
         done, h = np.zeros(n), np.abs(self.length)
         steps = [[] for _ in range(n)]
         open_, complete = np.arange(n), True
-        scale = self._scales(nodes)
+        scale = factor * self._scales(nodes)
         modes = self.points(state, self.start, self.chain).modes
         for _ in range(self.max_steps):
             if not len(open_):
@@ -220,22 +247,24 @@ class Flow:
                 state[..., open_], self.start[open_] + done[open_], self.chain[open_],
                 [mode[..., open_] for mode in modes],
             )  # fmt: skip
-            left = self.length[open_] - done[open_]
+            left, whole = self.length[open_] - done[open_], np.abs(self.length[open_])
             size = left / np.ceil(np.abs(left) / np.maximum(h[open_], 1e-300) - 1e-9)
             with np.errstate(all="ignore"):
                 end, stages, rates = self.step(scheme, points, size)
                 error = self._error(scheme, end, points, rates, size, scale[:, self.chain[open_]])
                 good = error <= 1.0
-                factor = SAFETY * np.where(error > 0, error, 1e-12) ** -scheme.exponent
-            factor = np.where(np.isfinite(factor), factor, LEAST_FACTOR)
-            h[open_] = np.abs(size) * np.clip(factor, LEAST_FACTOR, LARGEST_FACTOR)
+                growth = SAFETY * np.where(error > 0, error, 1e-12) ** -scheme.exponent
+            growth = np.where(np.isfinite(growth), growth, LEAST_FACTOR)
             if self.motion.has_modes:
-                end = through_events(self, scheme, points, end, size, modes, open_, good)
+                passed = passed_over(self, points, end, size) & (np.abs(size) > BRIEF * whole)
+                good, growth = good & ~passed, np.where(passed, LEAST_FACTOR, growth)
+            h[open_] = np.abs(size) * np.clip(growth, LEAST_FACTOR, LARGEST_FACTOR)
+            if self.motion.has_modes:
+                end, size = up_to_events(self, scheme, points, end, size, modes, open_, good)
             for k, length in zip(open_[good], size[good], strict=True):
                 steps[k].append(length)
             state[..., open_[good]] = end[..., good]
             done[open_[good]] += size[good]
-            whole = np.abs(self.length[open_])
             lost = h[open_] < 1e-12 * whole
             complete &= not lost.any()
             open_ = open_[~lost & (np.abs(done[open_]) < whole * (1 - 1e-12))]
@@ -345,7 +374,7 @@ class Flow:
             moved = self.step_slopes(scheme, stages, h) if slopes else None
             if self.motion.has_modes:
                 end = through_events(
-                    self, scheme, points, end, h, modes, np.arange(n_open), None, moved
+                    self, scheme, points, end, h, modes, np.arange(n_open), moved
                 )
             state[..., open_] = end
             if slopes:

@@ -167,13 +167,14 @@ class TrackProblem:
             a.is_as_fine_as(b) for a, b in zip(self.meshes, other.meshes, strict=True)
         )
 
-    def with_meshes(self, point):
-        """The same problem with steps chosen anew at a point."""
+    def with_meshes(self, point, is_checked=False):
+        """The same problem with steps chosen anew at a point; see `Flow.mesh` for the check."""
         constants, _ = self.coordinates.constants(point.values)
         meshes = []
         for shooting, nodes in zip(self.shootings, point.nodes, strict=True):
             shooting.flow.motion.set_constants(constants)
-            meshes.append(shooting.flow.mesh(nodes))
+            flow = shooting.flow
+            meshes.append(flow.mesh(nodes) if is_checked else flow.quick_mesh(nodes))
         return TrackProblem(self.shootings, meshes, self.coordinates, self.ridge)
 
 

@@ -156,11 +156,8 @@ def flow_mesh_of_rows(mesh, counts, h):
     return type(mesh)("rk45", np.arange(len(counts)), tuple(starts), tuple(steps))
 
 
-LOST = "a condition that holds only between the two ends of a step is not seen"
-UNCONTROLLED = "what is left of a step behind an event is taken without control of its error"
 
 
-@pytest.mark.xfail(reason=LOST)
 @pytest.mark.parametrize(
     ("law", "crew", "p", "v"),
     [
@@ -178,7 +175,6 @@ def test_what_happens_between_two_rows_is_seen(law, crew, p, v):
     assert not mesh.is_complete or np.abs(ends - true[..., 1:])[0].max() < 1e-6
 
 
-@pytest.mark.xfail(reason=UNCONTROLLED)
 def test_a_stiff_contact_is_right_or_refused():
     """A wall that throws the ball back within a row."""
     law = law_of(WEIGHT, SPRING, c1=9.8, c2=1e4)

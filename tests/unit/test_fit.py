@@ -370,10 +370,6 @@ def test_exact_data_are_fitted_to_rounding():
     np.testing.assert_allclose(found.values, [4.0, 0.3], rtol=1e-8)
 
 
-@pytest.mark.xfail(
-    reason="on even rows the paper's steps make a damped spring as well, with other constants; "
-    "rounding decides between the two"
-)
 def test_exact_data_that_two_kinds_of_steps_explain_are_continuous_motion():
     found = fitted(swing(sigma=0.0, noise=0.0), SPRING, DAMPING)
     np.testing.assert_allclose(found.values, [4.0, 0.3], rtol=1e-8)

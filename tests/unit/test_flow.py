@@ -226,16 +226,9 @@ def kepler(eccentricity, tolerance):
 
 
 ENCOUNTERS = [(e, tol) for e in (0.0, 0.5, 0.9, 0.99, 0.999, 0.99999, 1.0) for tol in (1e-4, 1e-8)]
-AMPLIFIED = pytest.mark.xfail(
-    reason="steps are chosen by their own errors: a passage near the centre amplifies them, and an "
-    "interval that ends elsewhere is called complete"
-)
-LOST = {(0.9, 1e-4), (0.999, 1e-4), (0.999, 1e-8), (0.99999, 1e-4), (0.99999, 1e-8)}
-
-
 @pytest.mark.parametrize(
     ("eccentricity", "tolerance"),
-    [pytest.param(*c, marks=AMPLIFIED if c in LOST else ()) for c in ENCOUNTERS],
+    ENCOUNTERS,
 )
 def test_close_encounters_are_right_or_refused(eccentricity, tolerance):
     """An orbit comes back to where it was, to some two hundred steps' errors, or is refused."""
