@@ -16,7 +16,7 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
-from bsp_gp.errors import BspError, OutputError, SettingsError
+from bsp_gp.errors import BspError, SettingsError
 
 __all__ = ["main"]
 
@@ -50,7 +50,8 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        _COMMANDS[args.command](args)
+        with contextlib.ExitStack() as args.held:
+            _COMMANDS[args.command](args)
         sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
@@ -125,7 +126,7 @@ class _Progress:
 
 
 def _close(args):
-    out = _target(args, f"{_data_name(args.data)}-report")
+    out = _target(args, "report", f"{_data_name(args.data)}-report")
     with _Progress(args.quiet) as progress:
         report, settings = _run_loop(args, progress)
         from bsp_gp.report.folder import write_report
@@ -184,12 +185,12 @@ def _run_loop(args, progress):
 
 def _fit(args):
     if args.latent:
-        _with_latents(args, "run_learn", "LEARN_FILES", "Law and posterior")
+        _with_latents(args, "run_learn", "Law and posterior")
         return
     if not args.declare and not args.model:
         _close(args)
         return
-    out = _free_folder(args.out, args.overwrite, ("fit.json", "fit.txt")) if args.out else None
+    out = _target(args, "fit")
     laws = read_laws(args)
     dataset = read_dataset(args)
     import json
@@ -207,8 +208,7 @@ def _fit(args):
     text = fit.text()
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
-        _write_folder(out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
-        args.written.append(out)
+        _write_folder(args, "fit", out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
@@ -221,14 +221,13 @@ def _tell_constants(args, names):
 
 
 def _infer(args):
-    _with_latents(args, "run_infer", "INFER_FILES", "Posterior")
+    _with_latents(args, "run_infer", "Posterior")
 
 
-def _with_latents(args, command, names, what):
+def _with_latents(args, command, what):
     from bsp_gp import cli_latents
 
-    names = getattr(cli_latents, names)
-    out = _free_folder(args.out, args.overwrite, names) if args.out else None
+    out = _target(args, what.lower())
     laws = read_laws(args)
     dataset = read_dataset(args)
     import json
@@ -236,16 +235,15 @@ def _with_latents(args, command, names, what):
     with _Progress(args.quiet) as progress:
         text, data, files = getattr(cli_latents, command)(args, dataset, laws, progress)
     if out is not None:
-        _write_folder(out, files)
-        args.written.append(out)
+        _write_folder(args, what.lower(), out, files)
     print(json.dumps(data, indent=1, ensure_ascii=False) if args.json else text)
     if out is not None:
         print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
 
 
 def _simulate(args):
-    names = ("trajectories.csv", "entities.csv", "dataset.toml")
-    out = _free_folder(args.out, args.overwrite, names)
+    kind = "simulated data set"
+    out = _target(args, kind)
     laws = read_laws(args)
     values = read_constants(args.set)
     dataset = read_dataset(args)
@@ -261,30 +259,25 @@ def _simulate(args):
             noise=[sigma * unit_of_length(dataset) for sigma in args.noise],
             integrator=args.integrator, substeps=args.substeps,
         )  # fmt: skip
-        args.written.append(save_dataset(made, out, overwrite=args.overwrite))
+        args.written.append(save_dataset(made, out, overwrite=args.overwrite, kind=kind))
     print(f"Data set: {out}")
 
 
 def _make(args):
-    from bsp_gp.cli_make import FILES, SUFFIXES, make_data, read_settings
+    from bsp_gp.cli_make import claim_places, make_data, read_settings
 
-    out = _free_folder(args.out, args.overwrite, FILES[""])
-    for suffix in SUFFIXES:
-        beside = out.with_name(out.name + suffix)
-        if suffix in FILES:
-            _free_folder(beside, args.overwrite, FILES[suffix])
-        elif beside.is_dir() or (beside.exists() and not args.overwrite):
-            raise OutputError(f"{beside}: exists already; pass --overwrite or choose another --out")
+    group = args.held.enter_context(claim_places(args.out, args.overwrite))
+    args.held.callback(_tell_kept, group.main)
     settings = read_settings(args)
     with _Progress(args.quiet) as progress:
-        lines = make_data(args, settings, out, progress)
-    args.written.append(out)
+        lines = make_data(args, settings, group, progress)
+    args.written.append(group.path)
     print("\n".join(lines))
 
 
 def _compare(args):
     files = ("results.csv", "certificate.txt")
-    out = _free_folder(args.out, args.overwrite, files) if args.out else None
+    out = _target(args, "comparison")
     laws = read_laws(args)
     dataset = read_dataset(args)
     import numpy as np
@@ -312,8 +305,7 @@ def _compare(args):
     print(f"Exhaustive: {certificate.text()}")
     if out is not None:
         texts = (table.to_csv(index=False), f"{certificate.text()}\n")
-        _write_folder(out, dict(zip(files, texts, strict=True)))
-        args.written.append(out)
+        _write_folder(args, "comparison", out, dict(zip(files, texts, strict=True)))
         print(f"Table: {out / files[0]}")
 
 
@@ -373,7 +365,7 @@ def _track(args):
     from pathlib import Path
 
     from bsp_gp.vision.calibration import Calibration
-    from bsp_gp.vision.recording import parse_object, write_recording
+    from bsp_gp.vision.recording import RECORDING, parse_object, write_recording
 
     specs = [parse_object(name, text) for name, text in args.object]
     calibration = None
@@ -384,9 +376,10 @@ def _track(args):
         calibration = Calibration.from_points(pixels, world, args.unit)
     first, last = _frame_range(args.frames)
     out = args.out or f"{Path(args.video).stem}-track"
+    _target(args, RECORDING, out)
     with _Progress(args.quiet) as progress:
         out, track = write_recording(
-            args.video, specs, out, fps=args.fps, calibration=calibration,
+            args.video, specs, out, overwrite=args.overwrite, fps=args.fps, calibration=calibration,
             mat_colours=dict(args.mat), first=first, last=last, smooth=args.smooth,
             film=not args.no_film, progress=progress,
         )  # fmt: skip
@@ -419,7 +412,7 @@ def _frame_range(text):
 def _demo(args):
     if args.out is None:
         args.overwrite = True  # only ever a report of ours is replaced
-    out = _target(args, "demo-report")
+    out = _target(args, "report", "demo-report")
     from bsp_gp.demo import run_demo
 
     with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
@@ -498,39 +491,37 @@ def _data_name(data):
     return path.stem if path.is_file() else path.resolve().name or "data"
 
 
-def _target(args, default):
-    """The folder of the report, checked before any work."""
-    from bsp_gp.report.folder import check_target
+def _target(args, kind, default=None):
+    """The folder of the result, checked before any work and ours until its end; None without."""
+    out = args.out or default
+    if out is None:
+        return None
+    from bsp_gp.output.place import claim
 
-    return check_target(args.out or default, args.overwrite)
-
-
-def _free_folder(folder, overwrite, names):
-    """The folder of a result of these files, checked before any work."""
-    from pathlib import Path
-
-    folder = Path(folder).expanduser().resolve()
-    if not folder.parent.is_dir():
-        raise OutputError(f"{folder}: there is no folder {folder.parent}")
-    if not os.access(folder.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{folder}: {folder.parent} is not writable; choose another --out")
-    if not folder.exists():
-        return folder
-    if not folder.is_dir() or Path.cwd().is_relative_to(folder):
-        raise OutputError(f"{folder}: is no folder of its own; choose another --out")
-    present = {path.name for path in folder.iterdir()}
-    if not present <= set(names):
-        raise OutputError(f"{folder}: holds other files, never overwritten; choose another --out")
-    if not overwrite:
-        raise OutputError(f"{folder}: exists already; pass --overwrite or choose another --out")
-    return folder
+    inputs = [getattr(args, name, None) for name in ("data", "model", "video")]
+    if str(getattr(args, "grammar", None)).endswith(".toml"):
+        inputs.append(args.grammar)
+    place = args.held.enter_context(
+        claim(out, kind, inputs=[path for path in inputs if path], overwrite=args.overwrite)
+    )
+    args.held.callback(_tell_kept, place)
+    return place.path
 
 
-def _write_folder(folder, files):
+def _tell_kept(place):
+    if place.kept:
+        _say(f"{place.path}: kept what is not of bsp-gp or was altered: {', '.join(place.kept)}")
+
+
+def _write_folder(args, kind, folder, files):
     """Write texts or bytes as the files of a folder, whole or not at all."""
-    from bsp_gp.data.folder import whole_folder
+    from bsp_gp.output.place import claim
 
-    with whole_folder(folder) as fresh:
+    with (
+        claim(folder, kind, overwrite=args.overwrite) as place,
+        place.fill(kind, args.overwrite) as fresh,
+    ):
         for name, content in files.items():
             content = content.encode("utf-8") if isinstance(content, str) else content
             (fresh / name).write_bytes(content)
+    args.written.append(folder)

@@ -400,7 +400,7 @@ def _add_track(commands):
     parser.add_argument("--smooth", action="store_true", help="Kalman/RTS-smoothed positions")
     parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
     parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
-    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    _common(parser)
 
 
 def _add_demo(commands):

@@ -17,6 +17,7 @@ ROOMS = (
     "grammars",
     "errors",
     "units",
+    "output",
     "data",
     "language",
     "physics",

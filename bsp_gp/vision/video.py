@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 
 from bsp_gp.errors import DataError, OutputError
+from bsp_gp.output.place import whole_file
 
 __all__ = ["Video", "VideoWriter", "open_video"]
 
@@ -155,29 +155,43 @@ class VideoWriter:
     CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
 
     def __init__(self, path, fps, size):
-        self.path = Path(path)
-        if self.path.suffix not in self.CODECS:
+        self.path, self.fps, self.size = Path(path), float(fps), tuple(size)
+        if self.path.suffix.lower() not in self.CODECS:
             raise OutputError(
-                f"a film must end in {', '.join(self.CODECS)}, got {self.path.name!r}"
+                f"a film must end in one of {', '.join(self.CODECS)}, got {self.path.name!r}"
             )
-        self.part = self.path.with_name(f".{self.path.stem}.part{self.path.suffix}")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        code = cv2.VideoWriter_fourcc(*self.CODECS[self.path.suffix])
-        self._writer = cv2.VideoWriter(str(self.part), code, fps, tuple(size))
-        if not self._writer.isOpened():
-            raise OutputError(f"cannot write a film to {self.path}")
+        self.n_written = 0
 
     def write(self, image):
         """Append one BGR image, uint8, shape (height, width, 3)."""
         self._writer.write(np.ascontiguousarray(image, dtype=np.uint8))
+        self.n_written += 1
 
     def __enter__(self):
+        code = cv2.VideoWriter_fourcc(*self.CODECS[self.path.suffix.lower()])
+        with contextlib.ExitStack() as stack:
+            self._part = stack.enter_context(whole_file(self.path))
+            self._writer = cv2.VideoWriter(str(self._part), code, self.fps, self.size)
+            stack.callback(self._writer.release)
+            if not self._writer.isOpened():
+                raise OutputError(f"cannot write a film to {self.path}")
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, kind, error, trace):
-        self._writer.release()
-        if kind is None:
-            os.replace(self.part, self.path)
-        else:
-            with contextlib.suppress(FileNotFoundError):
-                self.part.unlink()
+        with self._open:
+            if kind is not None:
+                raise error
+            self._writer.release()
+            self._require_whole()
+
+    def _require_whole(self):
+        """OpenCV does not tell when the disk is full; the film itself does."""
+        film = cv2.VideoCapture(str(self._part))
+        n_there = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+        film.release()
+        if n_there < self.n_written:
+            raise OutputError(
+                f"{self.path}: only {n_there} of {self.n_written} frames could be written; is "
+                "the disk full?"
+            )

@@ -220,7 +220,7 @@ def test_fit_prints_and_writes(data, tmp_path, capsys):
     assert tree(tmp_path) == []
     assert main([*words, "--out", str(out)]) == 0
     assert capsys.readouterr().out == f"{printed}Fit: {out}\n"
-    assert tree(out) == ["fit.json", "fit.txt"]
+    assert tree(out) == [".bsp_gp", "fit.json", "fit.txt"]
     assert (out / "fit.txt").read_text("utf-8") == printed
     assert main([*words, "--out", str(out)]) == 2
     assert main([*words, "--out", str(out), "--overwrite", "--json"]) == 0
