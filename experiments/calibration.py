@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from common import options, write_table
+from common import options, save_figure, write_table, write_text
 from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unknowns
 
 from bsp_gp.inference.e_step import EStep, infer
@@ -141,7 +141,7 @@ def write_summary(table, folder):
             f"{int((~part.converged.astype(bool)).sum())} | "
             f"{part.seconds.median():.2f} |"
         )
-    (folder / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text("\n".join(lines) + "\n", folder / "summary.md")
     print("\n".join(lines))
 
 
@@ -176,8 +176,7 @@ def draw_figure(table, path):
     for ax in axes[:, 0]:
         ax.set_ylabel("empirical - uniform")
     axes[0, 0].legend(fontsize=8, loc="upper right")
-    fig.savefig(path, dpi=150)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pandas as pd
-from common import options, write_table
+from common import options, save_figure, write_table, write_text
 from synth import (
     SCENARIOS,
     TEST,
@@ -195,7 +195,7 @@ def write_summary(table, folder):
                   "Laws within 3 nats of the best, by how many runs list them:", ""]  # fmt: skip
         names = mats["class"].str.split(" | ", regex=False).explode()
         lines += [f"- {count}: `{law}`" for law, count in names.value_counts().head(20).items()]
-    (folder / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text("\n".join(lines) + "\n", folder / "summary.md")
     print("\n".join(lines))
 
 
@@ -240,8 +240,7 @@ def draw_figure(table, path):
     fig.legend(
         named.values(), named.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
-    fig.savefig(path, dpi=150)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 if __name__ == "__main__":

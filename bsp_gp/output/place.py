@@ -11,7 +11,7 @@ from pathlib import Path
 from bsp_gp.errors import OutputError
 from bsp_gp.output.journal import finish
 from bsp_gp.output.lock import take_lock
-from bsp_gp.output.mark import mark_folder, read_mark
+from bsp_gp.output.mark import MARK, mark_folder, read_mark
 from bsp_gp.output.replacing import discard, new_folder, put_in_place, recover, sibling
 
 __all__ = ["Place", "claim", "require_free", "told", "whole_file"]
@@ -261,7 +261,7 @@ def require_free(target, kind, overwrite=False):
         return
     if not target.is_dir():
         raise OutputError(f"{target}: is a file, not a folder; choose another --out")
-    names = sorted(os.listdir(target))
+    names = sorted(n for n in os.listdir(target) if n != f"{MARK}-part")
     if not names:
         return
     mark = read_mark(target)
