@@ -47,8 +47,12 @@ def new_folder(target, what="new"):
     """Make the empty folder that is to take the place of `target`."""
     raw = sibling(target, f"{what}-p{os.getpid()}")
     raw.mkdir()
-    named = sibling(target, f"{what}-{raw.stat().st_ino}")
-    raw.rename(named)
+    try:
+        named = sibling(target, f"{what}-{raw.stat().st_ino}")
+        raw.rename(named)
+    except BaseException:
+        raw.rmdir()
+        raise
     return named
 
 
