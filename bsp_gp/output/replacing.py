@@ -21,6 +21,7 @@ from bsp_gp.output.mark import MARK, read_mark, strangers, write_mark
 __all__ = [
     "clear",
     "discard",
+    "exchange",
     "is_new",
     "left_over",
     "new_folder",
@@ -113,7 +114,7 @@ def prepare(fresh, target):
 
 def _swap(fresh, target):
     """Let two folders change places; where the older one is then."""
-    if _exchange(fresh, target):
+    if exchange(fresh, target):
         return fresh
     old = sibling(target, f"old-{target.stat().st_ino}")
     os.rename(target, old)
@@ -125,7 +126,7 @@ def _swap(fresh, target):
     return old
 
 
-def _exchange(one, other):
+def exchange(one, other):
     """Swap two names in one step; False where the system cannot."""
     if not sys.platform.startswith("linux"):
         return False

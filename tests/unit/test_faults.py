@@ -32,6 +32,13 @@ def test_a_kill_at_any_write_leaves_the_old_result_or_the_new(command):
     assert result["old"] > 5 and result["new"] > 0
 
 
+@pytest.mark.parametrize("command", slow(("simulate", "make")))
+def test_so_it_is_after_the_next_run_where_names_cannot_be_exchanged(command):
+    result = faults(command, "plain")
+    assert result["bad"] == []
+    assert result["old"] > 5 and result["new"] > 0
+
+
 @pytest.mark.parametrize("command", ["simulate", *slow(SLOW)])
 def test_a_full_disk_at_any_write_is_one_line_and_leaves_the_old_result(command):
     result = faults(command, "full")

@@ -12,8 +12,8 @@ import pytest
 from bsp_gp.cli import main
 from bsp_gp.data.tables import load_dataset, save_dataset
 from bsp_gp.errors import OutputError
+from bsp_gp.output import journal, replacing
 from bsp_gp.output import lock as lock_module
-from bsp_gp.output import replacing
 from bsp_gp.output.group import claim_group
 from bsp_gp.output.mark import MARK, read_mark
 from bsp_gp.output.place import claim, whole_file
@@ -51,7 +51,7 @@ def one_line(capsys):
 def way(request, monkeypatch):
     """With the system's exchange of names, and without it."""
     if request.param == "two renames":
-        monkeypatch.setattr(replacing, "_exchange", lambda one, other: False)
+        monkeypatch.setattr(replacing, "exchange", lambda one, other: False)
     return request.param
 
 
@@ -336,7 +336,7 @@ def test_the_older_one_returns_if_the_new_one_cannot_take_its_place(tmp_path, mo
             raise PermissionError(errno.EACCES, "Permission denied")
         return rename(source, to)
 
-    monkeypatch.setattr(replacing, "_exchange", lambda one, other: False)
+    monkeypatch.setattr(replacing, "exchange", lambda one, other: False)
     monkeypatch.setattr(os, "rename", refuse)
     with pytest.raises(OutputError, match="Permission denied"):
         write(target, a_txt="new")
@@ -385,6 +385,29 @@ def test_a_group_is_written_and_replaced_together(tmp_path):
     with pytest.raises(OutputError, match=r"g-m\.toml: exists already"):
         write_group(tmp_path / "g", "4")
     assert {v for k, v in tree(tmp_path).items() if k != "g-m.toml"} == {"3"}
+    assert sorted(os.listdir(tmp_path)) == ["g", "g-m.toml", "g-p.png", "g-truth"]
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+def test_a_group_stays_as_it_was_if_the_system_refuses_a_step(tmp_path, way, monkeypatch, number):
+    write_group(tmp_path / "g", "old")
+    (tmp_path / "g-truth" / "notes.md").write_text("mine")
+    before, real, calls = tree(tmp_path), journal._change, []
+
+    def refuse(*args):
+        calls.append(args)
+        if len(calls) == number:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(*args)
+
+    monkeypatch.setattr(journal, "_change", refuse)
+    if number < 5:
+        with pytest.raises(OutputError, match="No space left"):
+            write_group(tmp_path / "g", "new")
+    else:
+        write_group(tmp_path / "g", "new")
+        before = {k: v if v == "mine" else "new" for k, v in before.items()}
+    assert tree(tmp_path) == before
     assert sorted(os.listdir(tmp_path)) == ["g", "g-m.toml", "g-p.png", "g-truth"]
 
 
