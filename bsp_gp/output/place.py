@@ -151,9 +151,7 @@ def told(path):
         yield
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(
-            f"{path}: cannot be written ({reason}); free the place or choose another --out"
-        ) from error
+        raise OutputError(f"{path}: cannot be written ({reason}); choose another --out") from error
 
 
 def _absolute(folder):
