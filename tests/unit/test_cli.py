@@ -226,7 +226,7 @@ def test_fit_prints_and_writes(data, tmp_path, capsys):
     assert main([*words, "--out", str(out), "--overwrite", "--json"]) == 0
     captured = capsys.readouterr()
     assert captured.out == (out / "fit.json").read_text("utf-8")
-    assert tree(tmp_path) == ["fit", "fit/fit.json", "fit/fit.txt"]
+    assert tree(tmp_path) == ["fit", "fit/.bsp_gp", "fit/fit.json", "fit/fit.txt"]
 
 
 def test_fit_without_a_law_searches_from_no_force(data, tmp_path, capsys):
