@@ -1,6 +1,7 @@
 """What the experiment scripts share: options, data, tidy results, written whole."""
 
 import argparse
+import atexit
 import contextlib
 import os
 import sys
@@ -15,6 +16,7 @@ from bsp_gp.output.place import claim, whole_file
 ROOT = Path(__file__).resolve().parents[1]
 _HELD = contextlib.ExitStack()
 """Holds the folder of the study until the process ends, or takes up another one."""
+atexit.register(_HELD.close)
 
 
 def options(description, argv=None, declare=None):
@@ -37,7 +39,9 @@ def _hold(out):
     _HELD.close()
     try:
         _adopt(out)
-        _HELD.enter_context(claim(out, "study", inputs=(data_root(),), overwrite=True))
+        place = _HELD.enter_context(claim(out, "study", inputs=(data_root(),), overwrite=True))
+        for path in (*place.path.rglob(".*.bsp-gp-lock"), *place.path.rglob(".*.bsp-gp-part*")):
+            path.unlink()  # of a killed run: nobody else writes here now
     except OutputError as error:
         print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
         sys.exit(2)

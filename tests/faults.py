@@ -141,12 +141,14 @@ class Bench:
         return main([*words[:at], *scale, "--overwrite", "--quiet"])
 
     def _study(self, words):
+        import common
         import null_data
 
         jobs = null_data.jobs_of
         null_data.jobs_of = lambda *args: jobs(*args)[:2]
         sys.argv = ["null_data.py", *words[:-1], "1"]
         null_data.main()
+        common._HELD.close()  # as at the end of the process
         null_data.jobs_of = jobs
         return 0
 
