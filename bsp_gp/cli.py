@@ -17,6 +17,7 @@ from bsp_gp.cli_inputs import (
 )
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.errors import BspError, OutputError, SettingsError
+from bsp_gp.workers import worker_pool
 
 __all__ = ["main"]
 
@@ -164,7 +165,7 @@ def _run_loop(args, progress):
     law = declared if dataset.latents else declared_law(dataset, declared)
     if not dataset.latents and law.names:  # a slip shows before the work
         progress(f"constants to fit: {', '.join(law.names)}")
-    with _pool(args.workers) as pool:
+    with worker_pool(args.workers) as pool:
         report = close_loop(
             dataset,
             law,
@@ -294,7 +295,7 @@ def _compare(args):
     from bsp_gp.loop.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         progress("comparing searches")
         rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
@@ -422,7 +423,7 @@ def _demo(args):
     out = _target(args, "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv]}
         report, folder = run_demo(
             out,
@@ -465,30 +466,6 @@ _COMMANDS = {
 
 
 # --- work and output ------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def _pool(n_workers):
-    """An executor of so many processes, or None for one; stopped at once when interrupted."""
-    if n_workers == 1:
-        yield None
-        return
-    import multiprocessing
-    import signal
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )  # fmt: skip
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    pool.shutdown()
 
 
 def _data_name(data):

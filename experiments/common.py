@@ -5,6 +5,8 @@ import os
 import sys
 from pathlib import Path
 
+from bsp_gp.workers import worker_pool
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -132,14 +134,9 @@ def _done(todo, work, workers):
         for name, job in todo:
             yield name, work(*job)
         return
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+    from concurrent.futures import as_completed
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         futures = {pool.submit(work, *job): name for name, job in todo}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(futures):
+            yield futures[future], future.result()
