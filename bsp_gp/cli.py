@@ -37,7 +37,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0 done, 2 bad input or usage, 130 interrupted.
+        0 done, 2 bad input or usage, 130 interrupted (Ctrl-C, or the signal SIGTERM).
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
@@ -51,8 +51,9 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        _COMMANDS[args.command](args)
-        sys.stdout.flush()
+        with _ended_like_ctrl_c():
+            _COMMANDS[args.command](args)
+            sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
     except KeyboardInterrupt:
@@ -77,6 +78,25 @@ def main(argv=None):
         _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
         return 2
     return 0
+
+
+@contextlib.contextmanager
+def _ended_like_ctrl_c():
+    """Meanwhile SIGTERM, as from `kill`, a batch system or a shutdown, is an interrupt."""
+    import signal
+    import threading
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only that one may
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _say(text):
