@@ -432,8 +432,8 @@ def _frame_range(text):
     if text is None:
         return 0, None
     first, dots, last = text.partition("..")
-    if not (dots and first.isdecimal() and last.isdecimal()):
-        raise SettingsError(f"--frames must be A..B, got {text!r}")
+    if not (dots and first.isdecimal() and last.isdecimal() and len(text) < 40):
+        raise SettingsError(f"--frames must be A..B, got {text[:60]!r}")
     return int(first), int(last)
 
 
@@ -492,7 +492,8 @@ def _data_name(data):
     from pathlib import Path
 
     path = Path(data)
-    return path.stem if path.is_file() else path.resolve().name or "data"
+    real = Path(os.path.realpath(path))  # of a loop of links too
+    return path.stem if path.is_file() else real.name or "data"
 
 
 def _target(args, default):
