@@ -51,7 +51,7 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        with _ended_like_ctrl_c():
+        with _ended_like_ctrl_c(), _unwarned(getattr(args, "quiet", False)):
             _COMMANDS[args.command](args)
             sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
@@ -77,7 +77,40 @@ def main(argv=None):
     except MemoryError:
         _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
         return 2
+    except ValueError as error:
+        if not _is_of_a_matrix(error):
+            raise
+        _say(
+            f"error: the equations of this problem have no solution in these numbers ({error}); "
+            "look for values far off all others in the data, or choose another unit"
+        )
+        return 2
     return 0
+
+
+def _is_of_a_matrix(error):
+    """Whether numpy or scipy gave up on a matrix, such as a decomposition without convergence."""
+    numpy = sys.modules.get("numpy")
+    return numpy is not None and isinstance(error, numpy.linalg.LinAlgError)
+
+
+@contextlib.contextmanager
+def _unwarned(quiet):
+    """Meanwhile no warning is shown, here and in workers; where warnings are errors, they stay."""
+    if not quiet:
+        yield
+        return
+    import warnings
+
+    shown, own = warnings.showwarning, os.environ.get("PYTHONWARNINGS")
+    warnings.showwarning = lambda *args, **kwargs: None
+    os.environ.setdefault("PYTHONWARNINGS", "ignore")
+    try:
+        yield
+    finally:
+        warnings.showwarning = shown
+        if own is None:
+            os.environ.pop("PYTHONWARNINGS", None)
 
 
 @contextlib.contextmanager

@@ -206,8 +206,10 @@ def fit_law(dataset, laws, *, rng, noise=None):
 
 def _correlation(covariance):
     sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    sizes = np.where(sizes > 0, sizes, np.inf)
-    correlation = covariance / np.outer(sizes, sizes)
+    # What is undetermined, or exact, has no correlation with anything.
+    known = np.isfinite(sizes) & (sizes > 0)
+    sizes = np.where(known, sizes, 1.0)
+    correlation = np.where(np.outer(known, known), covariance, 0.0) / sizes / sizes[:, None]
     np.fill_diagonal(correlation, 1.0)
     return correlation
 

@@ -8,6 +8,7 @@ from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import TIE_BIC
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.measurement import same_numbers
 from bsp_gp.loop.models import Attempt
@@ -182,7 +183,10 @@ def _freed_fits(observation, base, contained):
         scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
         terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
         law = ForceLaw(terms, {**base.constants, name: 1.0})
-        fit = observation.fit_beyond(law, contained, sign_bounds(observation, law))
+        bounds = sign_bounds(observation, law)
+        fit, reason = or_fault(observation.fit_beyond, law, contained, bounds)
+        if reason:
+            continue
         yield term, scaled, name, fit
 
 
@@ -243,6 +247,7 @@ def freed_numbers(observation, model, chosen=None, wins=False, against=None):
         alike = alike_numbers(observation, contained)
         for term, scaled, name, fit in _freed_fits(observation, base, contained):
             factor, half = _scale_of(fit, name)
+            same = alike.get(to_text(term.formula), ()) if factor > 0 else ()
             delta = fit.bic(best.n_effective) - best.bic()
             out.append(
                 Rival(
@@ -254,9 +259,7 @@ def freed_numbers(observation, model, chosen=None, wins=False, against=None):
                     float(1 - (fit.chisqr / model.fit.chisqr)),
                     _ratio_of(observation, fit.law, model.errors),
                     0.0,
-                    _freed_reason(
-                        factor, half, delta, alike[to_text(term.formula)] if factor > 0 else ()
-                    ),
+                    _freed_reason(factor, half, delta, same),
                 )
             )
     return out

@@ -147,6 +147,8 @@ def missing_sentence(round_, alpha):
         numbers = f"{format_number(missing.statistic)} where noise alone gives 1, {numbers}"
     if missing.is_missing:
         text = f"More is left than noise explains (whitened χ² per degree of freedom {numbers})."
+    elif not is_number(missing.p_value):
+        return "The model could not be fitted, so that what it leaves could not be tested."
     else:
         text = f"Nothing is left above the noise (whitened χ² per degree of freedom {numbers})."
     if not is_number(missing.statistic):
