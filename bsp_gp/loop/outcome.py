@@ -84,6 +84,9 @@ class ConstantEstimate:
     value, low, high : float
     unit : str
         "" if it cannot be said.
+    state : str
+        "undetermined" where the data allow any value, "at_bound" where it lies at the end of what
+        it may be; else "".
     """
 
     name: str
@@ -92,6 +95,7 @@ class ConstantEstimate:
     high: float
     unit: str = ""
     entity: str = ""
+    state: str = ""
 
 
 @dataclass(frozen=True)

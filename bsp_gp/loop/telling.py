@@ -39,17 +39,24 @@ def constant_estimates(observation, fit):
     for term in fit.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = observation.dataset.units.text(unit)
-    out = []
+    out, bounds = [], sign_bounds(observation, fit.law)
     for (name, entity), value, half in zip(fit.parameters, fit.values, fit.intervals, strict=True):
         unit = units.get(name, "")
         if entity and _mass_unknown(observation, entity) and unit:
             unit = f"{unit} per unit mass"
         out.append(
             ConstantEstimate(
-                name, float(value), float(value - half), float(value + half), unit, entity
+                name, float(value), float(value - half), float(value + half), unit, entity,
+                _state(value, half, bounds.get(name)),
             )
         )
     return tuple(out)
+
+
+def _state(value, half, bounds):
+    if not np.isfinite([value, half]).all():
+        return "undetermined"
+    return "at_bound" if bounds is not None and value in bounds else ""
 
 
 def _mass_unknown(observation, entity):

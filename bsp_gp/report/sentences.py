@@ -322,8 +322,11 @@ def constant_groups(constants):
 
 def group_range(name, unit, group):
     """One line for a constant of which every entity has its own."""
-    values = [c.value for c in group if is_number(c.value)]
+    values = [c.value for c in group if is_number(c.value) and c.state != "undetermined"]
     label = f"{name}: {len(group)} {'entities' if len(group) > 1 else 'entity'}"
+    n_open = sum(c.state == "undetermined" for c in group)
+    if n_open:
+        label += f", {n_open} of them undetermined"
     if not values:
         return f"{label}, no value known"
     spread = max(values) - min(values)
