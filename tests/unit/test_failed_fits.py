@@ -157,6 +157,18 @@ def test_a_rival_that_fails_ends_no_run_and_stands_in_the_notes(monkeypatch):
     assert not any(NOT_FITTED in note for note in plain.notes)
 
 
+@pytest.mark.parametrize("slant", [-5.0, 0.1, 5.0])
+def test_a_slanted_camera_leaves_errors_a_size(slant, noisy):
+    observation, _ = noisy
+    scene = observation.train[0]
+    scene = replace(scene, sigma=np.full(scene.positions.shape, 0.01))
+    slants = [c for c in corrections_of(observation) if c.numbers[0].name == "slant"]
+    assert slants
+    for correction in slants:
+        sigma = correction.undo(scene, np.array([slant])).sigma
+        assert (sigma >= 0).all() and not np.array_equal(sigma, scene.sigma)
+
+
 def test_a_law_that_fails_is_dropped(noisy, monkeypatch):
     observation, model = noisy
     formula = parse_formula("c1 * v_i", dataset_types(observation.dataset))
