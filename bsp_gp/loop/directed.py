@@ -156,7 +156,7 @@ def _ranked(effects, sets, scores, overlaps, p_of_size):
     out, n = [], len(found)
     for square, members in found:
         names, texts, bases, _ = zip(*(effects[k] for k in members), strict=True)
-        p_value = min(1.0, n * p_of_size(square, len(members)))
+        p_value = float(np.minimum(1.0, n * p_of_size(square, len(members))))
         laws = tuple(text for text in texts if text)
         out.append(Direction(" and ".join(names), laws, p_value, n, bases[0]))
     return tuple(out)

@@ -295,7 +295,8 @@ def judge(observation, model, best, found, p_value, alpha, rng):
     floor_rng, ratio_rng = rng.spawn(2)
     floor, copies = seen.floor(after.law, floor_rng)
     errors = compared(seen, model, after, copies, ratio_rng)
-    p_value = max(p_value, best.details.get("p_value", p_value))
+    own = best.details.get("p_value", p_value)
+    p_value = max(p_value, own) if np.isfinite(own) else 1.0  # what failed shows nothing
     alike = [e for e in in_class(best.fit, found, best.n_free) if e is not best]
     names = list(dict.fromkeys((*best.equivalents, *(e.name for e in alike))))
     freed = freed_attempt(observation, model)

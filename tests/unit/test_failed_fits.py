@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import bsp_gp.loop.bootstrap as bootstrap
 import bsp_gp.loop.measurement as measurement
 import bsp_gp.loop.rivals as rivals
 from bsp_gp.cli import main
@@ -24,10 +25,12 @@ from bsp_gp.loop.dropping import NOT_FITTED, dropped_rivals, or_fault
 from bsp_gp.loop.effects import Proposal
 from bsp_gp.loop.fitting import _correlation as correlation_of
 from bsp_gp.loop.fitting import fit_law
+from bsp_gp.loop.hidden_place import Grid
 from bsp_gp.loop.observation import Observation
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import explanations
+from bsp_gp.loop.significance import p_value
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.likelihood import build_regression
@@ -103,6 +106,22 @@ def test_a_declared_model_that_cannot_be_fitted_is_no_finding(monkeypatch, tmp_p
     assert report.to_dict()["rounds"][0]["missing"]["p_value"] is None
     assert "cannot tell" in summary_text(report)
     write_report(report, tmp_path / "report")
+
+
+def test_what_is_not_a_number_is_never_significant():
+    null = np.linspace(0.0, 1.0, 99)
+    assert p_value([2.0], [null]) == 0.01
+    assert p_value([math.nan], [null]) == p_value([2.0, math.nan], [null, null]) == 1
+    assert p_value([2.0], [np.full(99, math.nan)]) == 1
+    assert Grid([], 2.0, null).p_value() == 0.01
+    assert Grid([], math.nan, null).p_value(2.0) == Grid([], 2.0, null).p_value(math.nan) == 1
+
+
+@pytest.mark.parametrize("observed, strength", [(math.nan, 1.0), (2.0, math.nan), (2.0, None)])
+def test_a_bootstrap_of_failures_is_never_significant(observed, strength, monkeypatch):
+    monkeypatch.setattr(bootstrap, "_Source", lambda *_: lambda rng: strength)
+    found = bootstrap.bootstrap(None, None, observed, rng(), alpha=0.01, n_max=99)
+    assert found.p_value == 1
 
 
 # --- a rival that fails ---------------------------------------------------------------------------
