@@ -17,6 +17,7 @@ from bsp_gp.cli_inputs import (
 )
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.errors import BspError, SettingsError
+from bsp_gp.workers import worker_pool
 
 __all__ = ["main"]
 
@@ -36,7 +37,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0 done, 2 bad input or usage, 130 interrupted.
+        0 done, 2 bad input or usage, 130 interrupted (Ctrl-C, or the signal SIGTERM).
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
@@ -50,9 +51,10 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        with contextlib.ExitStack() as args.held:
-            _COMMANDS[args.command](args)
-        sys.stdout.flush()
+        with _ended_like_ctrl_c(), _unwarned(getattr(args, "quiet", False)):
+            with contextlib.ExitStack() as args.held:
+                _COMMANDS[args.command](args)
+            sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
     except KeyboardInterrupt:
@@ -76,7 +78,59 @@ def main(argv=None):
     except MemoryError:
         _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
         return 2
+    except ValueError as error:
+        if not _is_of_a_matrix(error):
+            raise
+        _say(
+            f"error: the equations of this problem have no solution in these numbers ({error}); "
+            "look for values far off all others in the data, or choose another unit"
+        )
+        return 2
     return 0
+
+
+def _is_of_a_matrix(error):
+    """Whether numpy or scipy gave up on a matrix, such as a decomposition without convergence."""
+    numpy = sys.modules.get("numpy")
+    return numpy is not None and isinstance(error, numpy.linalg.LinAlgError)
+
+
+@contextlib.contextmanager
+def _unwarned(quiet):
+    """Meanwhile no warning is shown, here and in workers; where warnings are errors, they stay."""
+    if not quiet:
+        yield
+        return
+    import warnings
+
+    shown, own = warnings.showwarning, os.environ.get("PYTHONWARNINGS")
+    warnings.showwarning = lambda *args, **kwargs: None
+    os.environ.setdefault("PYTHONWARNINGS", "ignore")
+    try:
+        yield
+    finally:
+        warnings.showwarning = shown
+        if own is None:
+            os.environ.pop("PYTHONWARNINGS", None)
+
+
+@contextlib.contextmanager
+def _ended_like_ctrl_c():
+    """Meanwhile SIGTERM, as from `kill`, a batch system or a shutdown, is an interrupt."""
+    import signal
+    import threading
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only that one may
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _say(text):
@@ -165,7 +219,7 @@ def _run_loop(args, progress):
     law = declared if dataset.latents else declared_law(dataset, declared)
     if not dataset.latents and law.names:  # a slip shows before the work
         progress(f"constants to fit: {', '.join(law.names)}")
-    with _pool(args.workers) as pool:
+    with worker_pool(args.workers) as pool:
         report = close_loop(
             dataset,
             law,
@@ -287,7 +341,7 @@ def _compare(args):
     from bsp_gp.loop.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         progress("comparing searches")
         rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
@@ -404,8 +458,8 @@ def _frame_range(text):
     if text is None:
         return 0, None
     first, dots, last = text.partition("..")
-    if not (dots and first.isdecimal() and last.isdecimal()):
-        raise SettingsError(f"--frames must be A..B, got {text!r}")
+    if not (dots and first.isdecimal() and last.isdecimal() and len(text) < 40):
+        raise SettingsError(f"--frames must be A..B, got {text[:60]!r}")
     return int(first), int(last)
 
 
@@ -415,7 +469,7 @@ def _demo(args):
     out = _target(args, "report", "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv]}
         report, folder = run_demo(
             out,
@@ -460,35 +514,12 @@ _COMMANDS = {
 # --- work and output ------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def _pool(n_workers):
-    """An executor of so many processes, or None for one; stopped at once when interrupted."""
-    if n_workers == 1:
-        yield None
-        return
-    import multiprocessing
-    import signal
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )  # fmt: skip
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    pool.shutdown()
-
-
 def _data_name(data):
     from pathlib import Path
 
     path = Path(data)
-    return path.stem if path.is_file() else path.resolve().name or "data"
+    real = Path(os.path.realpath(path))  # of a loop of links too
+    return path.stem if path.is_file() else real.name or "data"
 
 
 def _target(args, kind, default=None):

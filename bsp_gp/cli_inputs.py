@@ -76,12 +76,12 @@ def read_laws(args):
     """Texts of --declare, or those of the model file."""
     if not args.model:
         return tuple(args.declare or ())
-    import tomllib
+    from bsp_gp.data.toml import TomlError, parse_toml
 
     try:
         with open(args.model, "rb") as file:
-            content = tomllib.load(file)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            content = parse_toml(file.read())
+    except (TomlError, UnicodeDecodeError) as error:
         raise LawError(f"{args.model}: this is not valid TOML: {error}") from None
     unknown = sorted(set(content) - {"declare"})
     if unknown:

@@ -114,7 +114,8 @@ def build_parser():
     parser = _Parser(
         prog="bsp-gp",
         description="Measured motion in; a force law in symbols, with units and error bars, out.",
-        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted.",
+        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted "
+        "(Ctrl-C or SIGTERM).",
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

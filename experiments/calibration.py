@@ -12,7 +12,6 @@ at noisy states).
 """
 
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unk
 from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
 from bsp_gp.physics.bodies import stack
+from bsp_gp.workers import worker_pool
 
 LEVELS = (0.5, 0.9)
 CHUNK = 25
@@ -104,10 +104,10 @@ def main():
         for index in range(20 if args.quick else n)
         if (name, kind, method, index, args.seed) not in done
     ]
-    with ProcessPoolExecutor(args.workers) as pool:
+    with worker_pool(args.workers) as pool:
         for start in range(0, len(todo), CHUNK):
             part = todo[start : start + CHUNK]
-            results = map(run, part) if args.workers == 1 else pool.map(run, part)
+            results = map(run, part) if pool is None else pool.map(run, part)
             rows += [row for result in results for row in result]
             write_table(rows, path)
             print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:4]}", flush=True)

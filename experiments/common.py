@@ -12,6 +12,7 @@ from bsp_gp.errors import OutputError
 from bsp_gp.output.lock import take_lock
 from bsp_gp.output.mark import MARK, Mark, read_mark, write_mark
 from bsp_gp.output.place import claim, whole_file
+from bsp_gp.workers import worker_pool
 
 ROOT = Path(__file__).resolve().parents[1]
 _HELD = contextlib.ExitStack()
@@ -217,14 +218,9 @@ def _done(todo, work, workers):
         for name, job in todo:
             yield name, work(*job)
         return
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+    from concurrent.futures import as_completed
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         futures = {pool.submit(work, *job): name for name, job in todo}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(futures):
+            yield futures[future], future.result()

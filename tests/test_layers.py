@@ -17,6 +17,7 @@ ROOMS = (
     "grammars",
     "errors",
     "units",
+    "workers",
     "output",
     "data",
     "language",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -69,7 +70,7 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
                 remedy=f"name the table of positions {TRAJECTORIES}, or give the file itself",
             )  # fmt: skip
         toml = path / TOML
-        declaration = read_declaration(toml) if toml.is_file() else Declaration()
+        declaration = read_declaration(toml) if os.path.lexists(toml) else Declaration()
         entities = path / ENTITIES
     elif path.suffix.lower() == ".trk" and path.is_file():
         return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
@@ -88,7 +89,7 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     )
     table = read_table(trajectories, rename=declaration.columns)
     roster = None
-    if entities is not None and entities.is_file():
+    if entities is not None and os.path.lexists(entities):
         roster = read_table(entities, rename=declaration.columns, as_text=True)
     name = path.resolve().name if path.is_dir() else path.stem
     return _assemble(table, roster, declaration, name)

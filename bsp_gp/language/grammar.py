@@ -13,12 +13,12 @@ import ast
 import functools
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
+from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import GrammarError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import property_of
@@ -253,8 +253,8 @@ def load_grammar(name):
             f"unknown grammar {str(name)!r}; known are {', '.join(known)}, or give a .toml file"
         )
     try:
-        source = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        source = parse_toml(path.read_bytes())
+    except (TomlError, UnicodeDecodeError) as error:
         raise GrammarError(f"{path.name}: not readable as TOML: {error}") from None
     try:
         return read_grammar(source)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bsp_gp.errors import DataError, EvaluationError
+from bsp_gp.errors import ResourceError
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.dropping import FAULTS
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
 from bsp_gp.loop.memory import estimate_memory, p_value_of, widened, with_memory
@@ -30,6 +31,10 @@ __all__ = [
 STRONG = 5.0
 """Multiple of the greatest evidence in simulated residuals beyond which no data sets are simulated
 and searched: nothing that this leaves out of account is as large."""
+FAILED = (
+    "the model could not be fitted: it has no finite value along these tracks, so that what it "
+    "leaves could not be tested"
+)
 
 
 class Streams(NamedTuple):
@@ -157,6 +162,11 @@ def ends_quiet(turn):
         "the residual is as large and as uncorrelated as the noise: nothing is missing that these "
         "data could show"
     )  # fmt: skip
+    if turn.missing.is_failed:
+        return turn.unchanged(turn.round(
+            effect=None, rivals=(), adopted=False, floor=turn.floor(), held_out=(),
+            verdict="cannot tell", certificate="", reason=FAILED,
+        ))  # fmt: skip
     there = _held_out(turn)
     if there is not None and there.is_missing:
         verdict, reason = "cannot tell", (
@@ -179,7 +189,9 @@ def _held_out(turn):
     try:
         there = with_scenes(observation, observation.test, observation.train)
         fit = there.fit(law, sign_bounds(there, law), start=law)
-    except (DataError, EvaluationError):  # too few rows, or the law has no value there
+    except ResourceError:
+        raise
+    except FAULTS:  # too few rows, or the law has no value there
         return None
     return examine_residual(there, fit, turn.alpha)
 

@@ -135,8 +135,15 @@ def _variables(constants):
     width = max((len(_label(c)) for c in constants), default=0) + 1
     for c in constants:
         half = (c.high - c.low) / 2
-        value, error = _rounded(c.value, half)
         unit = f" {c.unit}" if c.unit else ""
+        if c.state == "undetermined":
+            at = f" (left at {c.value:.3g}{unit})" if math.isfinite(c.value) else ""
+            yield f"    {_label(c) + ':':<{width}} undetermined by these data{at}"
+            continue
+        if c.state == "at_bound":
+            yield f"    {_label(c) + ':':<{width}} at its bound, {c.value:.8g}{unit}"
+            continue
+        value, error = _rounded(c.value, half)
         share = f" ({100 * half / abs(c.value):.2g} %)" if c.value and math.isfinite(half) else ""
         yield f"    {_label(c) + ':':<{width}} {value} ± {error}{unit}{share}"
 
@@ -206,8 +213,10 @@ def fit_law(dataset, laws, *, rng, noise=None):
 
 def _correlation(covariance):
     sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    sizes = np.where(sizes > 0, sizes, np.inf)
-    correlation = covariance / np.outer(sizes, sizes)
+    # What is undetermined, or exact, has no correlation with anything.
+    known = np.isfinite(sizes) & (sizes > 0)
+    sizes = np.where(known, sizes, 1.0)
+    correlation = np.where(np.outer(known, known), covariance, 0.0) / sizes / sizes[:, None]
     np.fill_diagonal(correlation, 1.0)
     return correlation
 

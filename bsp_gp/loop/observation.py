@@ -194,20 +194,22 @@ class Observation:
         for batch in regression.batches:
             part = residual[start : start + batch.target.size].reshape(batch.target.shape)
             start += batch.target.size
-            tops += float((part[1:] * part[:-1]).sum())
-            bottoms += float((part * part).sum())
+            with np.errstate(over="ignore", invalid="ignore"):
+                tops += float((part[1:] * part[:-1]).sum())
+                bottoms += float((part * part).sum())
             n_tracks += int(batch.valid.any(axis=0).sum())
-        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+        rho = _correlation(tops, bottoms)
         return max(regression.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
 
     def _effective_positions(self, fit):
         tops = bottoms = 0.0
         n_tracks = 0
         for error in fit.whitened:
-            tops += float((error[1:] * error[:-1]).sum())
-            bottoms += float((error * error).sum())
-            n_tracks += int((np.abs(error).sum(axis=0) > 0).sum())
-        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+            with np.errstate(over="ignore", invalid="ignore"):
+                tops += float((error[1:] * error[:-1]).sum())
+                bottoms += float((error * error).sum())
+            n_tracks += int((error != 0).any(axis=0).sum())
+        rho = _correlation(tops, bottoms)
         return max(fit.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
 
     # --- errors on held-out data -----------------------------------------------------------------
@@ -350,7 +352,8 @@ class Observation:
         observed = scene.positions[:, scene.dynamic]
         error = np.where(np.isfinite(self.sigma), observed - predicted, 0.0)
         error[: self.n_initial(scene)] = np.nan
-        squares = np.square(error).sum(axis=-1)
+        with np.errstate(over="ignore"):  # of a rollout that runs away
+            squares = np.square(error).sum(axis=-1)
         row = self.dataset.evaluation.endpoint_row
         index = (row - 1) if row is not None else len(scene.times) - 1
         # Where a track ends before the end-point row there is no end-point to score.
@@ -545,3 +548,10 @@ class Observation:
             integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
             memory=self.memory,
         )  # fmt: skip
+
+
+def _correlation(tops, bottoms):
+    """Of neighbouring rows, from sums of products; 0 where a failed fit leaves none."""
+    if not (np.isfinite([tops, bottoms]).all() and bottoms > 0):
+        return 0.0
+    return min(max(tops / bottoms, 0.0), 0.999)

@@ -84,6 +84,9 @@ class ConstantEstimate:
     value, low, high : float
     unit : str
         "" if it cannot be said.
+    state : str
+        "undetermined" where the data allow any value, "at_bound" where it lies at the end of what
+        it may be; else "".
     """
 
     name: str
@@ -92,6 +95,7 @@ class ConstantEstimate:
     high: float
     unit: str = ""
     entity: str = ""
+    state: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,8 @@ class Missing:
     statistic : float
         Whitened residual sum of squares per degree of freedom (1 = noise alone).
     p_value : float
-        Chance of as much, or as strongly autocorrelated a residual, from noise alone.
+        Chance of as much, or as strongly autocorrelated a residual, from noise alone; nan where
+        the fit failed.
     detectable_force, detectable_share : float
         Smallest constant force, one for all bodies, that would have been seen with 95 % power,
         `detectable_force_unit`, and in parts of the root mean square of the declared force; nan
@@ -137,6 +142,16 @@ class Missing:
     detectable_force: float = math.nan
     detectable_force_unit: str = ""
     detectable_share: float = math.nan
+
+    @property
+    def is_failed(self):
+        """Whether there was nothing to be tested: the fit has no finite value."""
+        return not math.isfinite(self.p_value)
+
+    @property
+    def is_noise(self):
+        """Whether what is left was tested, and is no more than noise."""
+        return not self.is_missing and not self.is_failed
 
 
 @dataclass(frozen=True)

@@ -312,7 +312,8 @@ def _segment_rows(observation, law):
             substeps=observation.substeps,
             integrator=observation.integrator,
         )
-        growth = np.linalg.norm(moved - base, axis=-1) / step
+        with np.errstate(over="ignore", invalid="ignore"):  # what runs away has grown
+            growth = np.linalg.norm(moved - base, axis=-1) / step
         running = np.isfinite(batch.times)[..., None]
         grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))
         if len(grown):

@@ -12,6 +12,7 @@ from scipy import special
 
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.before_after import compared
+from bsp_gp.loop.dropping import dropped_rivals
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.measurement import parted_by
 from bsp_gp.loop.memory import widened
@@ -106,6 +107,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
             observation.split_note,
             *_too_much_noise(observation, model.fit),
             *_caveats(observation, search),
+            *dropped_rivals(rounds),
         ),
     )
 

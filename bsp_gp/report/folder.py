@@ -9,7 +9,7 @@ import json
 from bsp_gp.output.place import claim
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.html import render_html
-from bsp_gp.report.numbers import format_value, is_number
+from bsp_gp.report.numbers import format_constant, is_number
 from bsp_gp.report.typeset import law_document
 
 __all__ = ["KIND", "write_report"]
@@ -96,7 +96,7 @@ def _law_text(report):
     lines += [f"# with {c['name']}: {' '.join(c['text'].split())}" for c in report.corrections]
     for c in report.constants:
         name = f"{c.name} of {c.entity}" if c.entity else c.name
-        lines.append(f"# {' '.join(name.split())} = {format_value(c.value, c.low, c.high, c.unit)}")
+        lines.append(f"# {' '.join(name.split())} = {format_constant(c)}")
     return "\n".join(lines) + "\n"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from bsp_gp.report.numbers import format_number, format_p, format_value, with_unit
+from bsp_gp.report.numbers import format_constant, format_number, format_p, format_value, with_unit
 from bsp_gp.report.sentences import (
     caveats,
     constant_groups,
@@ -62,7 +62,7 @@ def _wrapped(text, max_lines, indent=""):
 
 def _constants(report):
     shared, own = constant_groups(report.constants)
-    rows = [f"{c.name} = {format_value(c.value, c.low, c.high, c.unit)}" for c in shared]
+    rows = [f"{c.name} = {format_constant(c)}" for c in shared]
     rows += [group_range(*group) for group in own]
     if not rows:
         return []
