@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.data.noise import declare_noise
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.close import _check_masses, declared_law
 from bsp_gp.loop.outcome import ConstantEstimate, Errors, _plain
@@ -173,7 +174,7 @@ def fit_law(dataset, laws, *, rng, noise=None):
     """
     law = laws if isinstance(laws, ForceLaw) else declared_law(dataset, laws)
     if noise is not None:
-        dataset = replace(dataset, noise=checked_noise(noise, dataset.n_dims))
+        dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     pairs = any(term.kind == "pair" for term in law.terms)
     sources = pairs and max(len(scene.entities) for scene in dataset.scenes) > 1
     observation = observe(dataset, law, rng, sources=sources)
