@@ -310,6 +310,7 @@ def _compare(args):
         )
     print(f"Accelerations: {how}")
     print(f"Exhaustive: {certificate.text()}")
+    print("".join(f"Note: {note}\n" for note in dataset.notes), end="")
     if out is not None:
         texts = (table.to_csv(index=False), f"{certificate.text()}\n")
         _write_folder(out, dict(zip(files, texts, strict=True)))

@@ -167,7 +167,7 @@ def run_infer(args, dataset, laws, progress):
         )  # fmt: skip
     if not is_discrete:
         known = identifiability(profile, problem.latents, posterior)
-    notes = [*problem.notes, *extra, *posterior.notes]
+    notes = [*dataset.notes, *problem.notes, *extra, *posterior.notes]
     data = {
         "schema": "bsp_gp/infer/1", "dataset": dataset.name, "law": law.text(), "seed": args.seed,
         "likelihood": problem.likelihood.kind, "posterior": posterior.to_dict(),
@@ -233,7 +233,7 @@ def run_learn(args, dataset, laws, progress):
             errors = posterior_nrmse(law, problem.test, problem.test_latents, draws, up=dataset.up)
             scores[label] = float(errors.mean())
     members = em.equivalents()
-    notes = [*problem.notes, *em.notes]
+    notes = [*dataset.notes, *problem.notes, *em.notes]
     data = {
         "schema": "bsp_gp/learn/1", "dataset": dataset.name, "grammar": grammar.name,
         "seed": args.seed, "law": em.law.text(), "latex": em.law.latex(), "loss": em.best.loss,
@@ -251,7 +251,7 @@ def run_learn(args, dataset, laws, progress):
     }  # fmt: skip
     lines = [em.text(), *(f"Identifiability: {line}" for line in known.splitlines())]
     lines += [f"one-step nRMSE on held-out scenes, {k}: {v:.4g}" for k, v in scores.items()]
-    text = "\n".join(lines + [f"Note: {note}" for note in problem.notes])
+    text = "\n".join(lines + [f"Note: {note}" for note in (*dataset.notes, *problem.notes)])
     files = {}
     if args.out:
         progress("figures")

@@ -11,10 +11,11 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import Unit
 
-__all__ = ["NoiseEstimate", "declare_noise", "estimate_noise"]
+__all__ = ["FLOOR", "NoiseEstimate", "declare_noise", "estimate_noise", "is_declared_noisy"]
 
 ORDERS = range(2, 9)
 FLOOR = 1e-12
+"""Part of the range of the positions below which no noise is taken to lie."""
 _MAD_TO_SIGMA = 1.482602218505602
 _CLIP = 3.0
 _CLIPPED_RMS = 0.98658  # rms of a standard normal within ±3
@@ -82,6 +83,13 @@ def declare_noise(dataset, sigma):
             "quoted errors out of the data"
         )
     return replace(dataset, noise=tuple(sigma))
+
+
+def is_declared_noisy(dataset):
+    """Whether an error above zero is declared or quoted: such a noise is never replaced."""
+    if any(_quoted(dataset.scenes, axis) for axis in range(dataset.n_dims)):
+        return True
+    return any(sigma > 0 for sigma in dataset.noise or ())
 
 
 def estimate_noise(data):

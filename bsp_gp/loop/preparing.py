@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import estimate_noise, is_declared_noisy
 from bsp_gp.data.point_errors import with_point_errors
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
@@ -83,6 +83,9 @@ def observe(dataset, law, rng, *, sources=True, noise=None, method=None):
     )
     extent = _extent(dataset)
     is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    if is_exact and not measured and estimate.source != "estimated" and is_declared_noisy(dataset):
+        # Noise that is declared is never replaced by a resolution, however small it is.
+        is_exact = _made_in_steps(dataset.scenes, law, dataset.up, sources)
     if not is_exact:
         dataset, more = with_point_errors(dataset, estimate)
         estimate = replace(estimate, notes=(*estimate.notes, *more))
