@@ -14,6 +14,7 @@ from bsp_gp.loop.outcome import ConstantEstimate, Errors, _plain
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.simulation import checked_noise, simulate_law
 from bsp_gp.loop.telling import constant_estimates
+from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.search.constants import START_SCALES, fit_constants, linear_columns
@@ -201,7 +202,11 @@ def fit_law(dataset, laws, *, rng, noise=None):
         converged=converged,
         message=message,
         split=observation.split_note,
-        notes=(*observation.dataset.notes, *observation.noise.notes),
+        notes=(
+            *observation.dataset.notes,
+            *observation.noise.notes,
+            *aliasing_notes(model.law, observation.train, dataset.units),
+        ),
     )
 
 
