@@ -284,16 +284,23 @@ def _json(data):
 def _csv(rows):
     import pandas as pd
 
-    return pd.DataFrame(rows).to_csv(index=False)
+    from bsp_gp.data.cells import safe_table
+
+    return safe_table(pd.DataFrame(rows)).to_csv(index=False)
 
 
 def _posterior_files(posterior):
     import pandas as pd
 
+    from bsp_gp.data.cells import safe_table
+
     draws = pd.DataFrame(posterior.draws, columns=list(posterior.names))
     draws["weight"] = posterior.weights
     draws["log_prob"] = posterior.log_prob
-    return {"posterior.csv": posterior.summary().to_csv(), "draws.csv": draws.to_csv(index=False)}
+    return {
+        "posterior.csv": safe_table(posterior.summary()).to_csv(),
+        "draws.csv": safe_table(draws).to_csv(index=False),
+    }
 
 
 def _figures(law, problem, posterior, rng, args):

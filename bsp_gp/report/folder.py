@@ -9,6 +9,7 @@ import os
 import shutil
 from pathlib import Path
 
+from bsp_gp.data.cells import safe_cell
 from bsp_gp.errors import OutputError
 from bsp_gp.loop.outcome import SCHEMA
 from bsp_gp.report.figures import build_figures
@@ -206,5 +207,5 @@ def _residuals(table):
 
 def _csv_cell(value):
     if isinstance(value, str):
-        return value
+        return safe_cell(value)
     return repr(float(value)) if is_number(value) else ""

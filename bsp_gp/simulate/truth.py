@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data.cells import safe_table
 from bsp_gp.data.folder import whole_folder
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import OutputError
@@ -177,9 +178,9 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
             {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
         )
         (partial / TRUTH).write_text(f"{text}\n", encoding="utf-8")
-        _states_table(truth).to_csv(partial / STATES, index=False, lineterminator="\n")
+        safe_table(_states_table(truth)).to_csv(partial / STATES, index=False, lineterminator="\n")
         if pixels is not None:
-            pixels.to_csv(partial / PIXELS, index=False, lineterminator="\n")
+            safe_table(pixels).to_csv(partial / PIXELS, index=False, lineterminator="\n")
     return folder
 
 
