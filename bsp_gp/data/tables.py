@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.assembly import build_rows, build_scenes
-from bsp_gp.data.clock import check_declared_rate
+from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
@@ -206,6 +206,7 @@ def _assemble(table, roster, declaration, default_name):
     scenes, idle = build_scenes(rows, roster)
     has_times = "t" in table.frame.columns
     clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
+    clock += clock_jumps(rows, scenes, conversion.time())
     scenes = _with_noise_of_bodies(scenes, declaration, conversion, rows.entity_names)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
