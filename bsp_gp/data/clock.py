@@ -10,7 +10,7 @@ SAME_RATE = 0.01
 """Part by which a declared step and the steps of the times may differ."""
 MOST_FRAMES = 25
 """Frames between two rows, at most: any step is nearly a whole number of much finer ones."""
-SIDE = 6
+SIDE = 5
 """Rows before and after a step of time from which it is judged."""
 ODD = 0.5
 """Part of the usual step by which a step is odd."""
@@ -138,7 +138,7 @@ def _track_jumps(times, positions):
     seen = np.isfinite(positions).all(axis=1)
     t, x = times[seen], positions[seen]
     gaps = np.diff(t)
-    if len(gaps) < 4 * SIDE:
+    if len(gaps) < 4 * SIDE - 2:
         return
     usual = np.median(gaps)
     odd = np.abs(gaps / usual - 1) > ODD
@@ -149,7 +149,7 @@ def _track_jumps(times, positions):
     others = windows.sum(axis=1) - windows[:, SIDE - 1]
     shifts, misfits, speeds = _across(x)
     plain = (others == 0) & ~windows[:, SIDE - 1]
-    if plain.sum() < 2 * SIDE:
+    if plain.sum() < SIDE:
         return
     floor = 1e-9 * np.abs(x).max()
     shift, misfit = (max(np.quantile(v[plain], 0.9), floor) for v in (shifts, misfits))
