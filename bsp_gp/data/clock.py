@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from bsp_gp.data.scene import CHECK
+
 __all__ = ["check_declared_rate", "clock_jumps"]
 
 SAME_RATE = 0.01
@@ -76,8 +78,8 @@ def check_declared_rate(rows, declaration, second):
     if most < 2:
         return ()
     return (
-        f"rows are up to {most} frames of {value} apart: the times are those of column t; if the "
-        f"recording has every frame, {name} contradicts them",
+        f"{CHECK}rows are up to {most} frames of {value} apart: the times are those of column t; "
+        f"if the recording has every frame, {name} contradicts them",
     )
 
 
@@ -121,10 +123,10 @@ def clock_jumps(rows, scenes, second):
                 continue
             line = int(rows.lines[(rows.scene == code) & (rows.times == after)][0])
             notes.append(
-                f"the clock of scene {scene.name!r} seems to jump by {extra / second:.4g}: from "
-                f"t = {before / second:.9g} to {after / second:.9g} (line {line}) the positions go "
-                "on as if one step had passed; a law that is fitted across the jump is wrong, so "
-                "mend the times or make two scenes of it"
+                f"{CHECK}the clock of scene {scene.name!r} seems to jump by {extra / second:.4g}: "
+                f"from t = {before / second:.9g} to {after / second:.9g} (line {line}) the "
+                "positions go on as if one step had passed; a law that is fitted across the jump "
+                "is wrong, so mend the times or make two scenes of it"
             )
     return tuple(notes)
 

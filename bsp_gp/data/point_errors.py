@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import CHECK
 
 __all__ = ["gross_errors", "with_point_errors"]
 
@@ -89,7 +90,7 @@ def with_point_errors(dataset, noise, *, is_exact=False):
     if found:
         listed = ", ".join(f"{name} of {scene} at t = {t:.4g}" for scene, name, t in found[:5])
         more = f" and {len(found) - 5} more" if len(found) > 5 else ""
-        notes.append(f"far off their neighbours, and given little weight: {listed}{more}")
+        notes.append(f"{CHECK}far off their neighbours, and given little weight: {listed}{more}")
     if not notes:
         return dataset, ()
     return replace(dataset, scenes=tuple(scenes)), tuple(notes)

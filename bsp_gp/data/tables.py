@@ -23,7 +23,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, read_table
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
-from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sniffing import TEXT_COLUMNS, normalise_columns, number_columns
 from bsp_gp.data.trk import read_trk
 from bsp_gp.errors import DataError
@@ -350,8 +350,8 @@ def _noise_notes(declaration, rows):
     if isinstance(declaration.noise, Mapping):
         return ()  # fills what is not quoted
     return (
-        "noise is declared and points quote errors of their own (columns sx, sy, sz): the quoted "
-        "ones count, on every axis that has any",
+        f"{CHECK}noise is declared and points quote errors of their own (columns sx, sy, sz): the "
+        "quoted ones count, on every axis that has any",
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bsp_gp.data.scene import CHECK
 from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.units import Unit
@@ -50,9 +51,9 @@ def aliasing_notes(law, scenes, units):
             else "does not turn at all"
         )
         yield (
-            f"{wave}{label} turns once in {math.tau / speed:.4g} {second}, which is less than two "
-            f"rows take ({2 * finest:.4g} {second}): these rows cannot tell it from a wave that "
-            f"{alias}"
+            f"{CHECK}{wave}{label} turns once in {math.tau / speed:.4g} {second}, which is less "
+            f"than two rows take ({2 * finest:.4g} {second}): these rows cannot tell it from a "
+            f"wave that {alias}"
         )
 
 

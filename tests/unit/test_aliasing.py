@@ -61,7 +61,7 @@ def test_of_bodies_with_frequencies_of_their_own_the_one_is_named():
     law = declared_law(data, ["c * m_i * sin(w * t) * e_x"])
     law = ForceLaw(law.terms, {"c": 1.0, "w": {"ball": 3.0, "feather": 100.0}})
     (note,) = aliasing_notes(law, data.scenes, SI)
-    assert note.startswith("sin(w * t) of feather")
+    assert note.startswith("check: sin(w * t) of feather")
 
 
 def test_fit_and_close_tell_it():

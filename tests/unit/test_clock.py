@@ -130,7 +130,7 @@ def test_a_jump_stands_among_the_notes_of_a_fit(tmp_path):
     units = {"length": "m", "time": "ms"}
     data = load_dataset(tmp_path / "ball.csv", units=units)
     text = fit_law(data, ["-g * m_i * e_y"], rng=np.random.default_rng(0)).text()
-    assert "Note: the clock of scene 'ball' seems to jump by 1e+04: from t = 280 to" in text
+    assert "Note: check: the clock of scene 'ball' seems to jump by 1e+04: from t = 280 to" in text
 
 
 @pytest.mark.parametrize("motion", [falling, orbiting, bouncing, resting])
