@@ -337,6 +337,7 @@ def _compare(args):
     import numpy as np
     import pandas as pd
 
+    from bsp_gp.data.cells import safe_table
     from bsp_gp.language.grammar import load_grammar
     from bsp_gp.loop.comparison import compare_searches
 
@@ -357,8 +358,9 @@ def _compare(args):
         )
     print(f"Accelerations: {how}")
     print(f"Exhaustive: {certificate.text()}")
+    print("".join(f"Note: {note}\n" for note in dataset.notes), end="")
     if out is not None:
-        texts = (table.to_csv(index=False), f"{certificate.text()}\n")
+        texts = (safe_table(table).to_csv(index=False), f"{certificate.text()}\n")
         _write_folder(args, "comparison", out, dict(zip(files, texts, strict=True)))
         print(f"Table: {out / files[0]}")
 

@@ -20,6 +20,7 @@ def read_dataset(args):
     """The data set with the options that stand in for dataset.toml."""
     from dataclasses import replace
 
+    from bsp_gp.data.noise import declare_noise
     from bsp_gp.data.tables import load_dataset
 
     dataset = load_dataset(
@@ -37,7 +38,8 @@ def read_dataset(args):
                 f"--noise must be one number or one per axis ({dataset.n_dims}), "
                 f"got {len(args.noise)}"
             )
-        dataset = replace(dataset, noise=tuple(s * unit_of_length(dataset) for s in args.noise))
+        length = unit_of_length(dataset)
+        dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset
 
 

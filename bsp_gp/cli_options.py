@@ -186,8 +186,10 @@ def _add_compare(commands):
         help="what may be said: a name or a .toml file (default physics)",
     )  # fmt: skip
     group.add_argument(
-        "--kind", choices=("pair", "field"), help="forces of bodies on each other, or on each alone"
-    )
+        "--kind", choices=("pair", "field"),
+        help="forces of bodies on each other, or on each alone (default: the grammar's first that "
+        "the data allow)",
+    )  # fmt: skip
     group.add_argument(
         "--searches", nargs="+", metavar="NAME",
         help="cross_entropy, genetic, random (default all); the exhaustive one always runs",

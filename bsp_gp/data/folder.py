@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.cells import safe_cell
 from bsp_gp.data.declaration import toml_text
 from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
@@ -97,9 +98,10 @@ def _present(scene):
 
 
 def _text(name):
+    """The name as a cell."""
     if not name or name != name.strip() or any(mark in name for mark in "\r\n\0"):
         raise OutputError(f"the name {name!r} cannot be saved: it is blank or has blanks around it")
-    return name
+    return safe_cell(name)
 
 
 def _entities(dataset):
@@ -111,7 +113,7 @@ def _entities(dataset):
         for entity in scene.entities:
             row = {"entity": _text(entity.name)}
             if not is_shared:
-                row["scene"] = scene.name
+                row["scene"] = _text(scene.name)
             row |= {"shape": entity.shape, "radius": entity.radius, "width": entity.width}
             row |= {"height": entity.height, "dynamic": int(not entity.is_static)}
             rows.append(row | _property_cells(entity))

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from bsp_gp.data.cells import plain_cell
 from bsp_gp.data.sniffing import (
     DELIMITER_NAMES,
     TEXT_COLUMNS,
@@ -98,6 +99,8 @@ def read_table(path, *, rename=None, as_text=False):
             "the file has a header but no rows", file=path, row=layout.header_line + 1,
             remedy="one row per time and entity is needed",
         )  # fmt: skip
+    for column in (c for c in TEXT_COLUMNS if c in frame.columns):
+        frame[column] = frame[column].map(plain_cell)
     if groups:
         frame = _stack_masses(frame, groups, path)
     cells = [cell for cell in layout.title_cells if cell]

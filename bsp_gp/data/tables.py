@@ -17,13 +17,14 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.assembly import build_rows, build_scenes
+from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, read_table
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
-from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sniffing import TEXT_COLUMNS, normalise_columns, number_columns
 from bsp_gp.data.trk import read_trk
 from bsp_gp.errors import DataError
@@ -204,6 +205,9 @@ def _assemble(table, roster, declaration, default_name):
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
     scenes, idle = build_scenes(rows, roster)
+    has_times = "t" in table.frame.columns
+    clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
+    clock += clock_jumps(rows, scenes, conversion.time())
     scenes = _with_noise_of_bodies(scenes, declaration, conversion, rows.entity_names)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
@@ -213,6 +217,8 @@ def _assemble(table, roster, declaration, default_name):
         *rows.notes,
         *(roster.notes if roster else ()),
         *idle,
+        *clock,
+        *_noise_notes(declaration, rows),
         *split_note,
     ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
@@ -336,6 +342,18 @@ def _noise(declaration, conversion, n_dims):
     if declaration.noise is None or isinstance(declaration.noise, Mapping):
         return None
     return _levels(declaration.noise, "noise", declaration, conversion, n_dims)
+
+
+def _noise_notes(declaration, rows):
+    """That declared noise of all bodies has no say where points quote errors of their own."""
+    if declaration.noise is None or rows.sigma is None or not np.isfinite(rows.sigma).any():
+        return ()
+    if isinstance(declaration.noise, Mapping):
+        return ()  # fills what is not quoted
+    return (
+        f"{CHECK}noise is declared and points quote errors of their own (columns sx, sy, sz): the "
+        "quoted ones count, on every axis that has any",
+    )
 
 
 def _levels(values, what, declaration, conversion, n_dims):

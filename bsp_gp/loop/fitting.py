@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.data.noise import declare_noise
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.close import _check_masses, declared_law
 from bsp_gp.loop.outcome import ConstantEstimate, Errors, _plain
 from bsp_gp.loop.preparing import observe
 from bsp_gp.loop.simulation import checked_noise, simulate_law
 from bsp_gp.loop.telling import constant_estimates
+from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.search.constants import START_SCALES, fit_constants, linear_columns
@@ -180,7 +182,7 @@ def fit_law(dataset, laws, *, rng, noise=None):
     """
     law = laws if isinstance(laws, ForceLaw) else declared_law(dataset, laws)
     if noise is not None:
-        dataset = replace(dataset, noise=checked_noise(noise, dataset.n_dims))
+        dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     pairs = any(term.kind == "pair" for term in law.terms)
     sources = pairs and max(len(scene.entities) for scene in dataset.scenes) > 1
     observation = observe(dataset, law, rng, sources=sources)
@@ -207,7 +209,11 @@ def fit_law(dataset, laws, *, rng, noise=None):
         converged=converged,
         message=message,
         split=observation.split_note,
-        notes=(*observation.dataset.notes, *observation.noise.notes),
+        notes=(
+            *observation.dataset.notes,
+            *observation.noise.notes,
+            *aliasing_notes(model.law, observation.train, dataset.units),
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from bsp_gp.loop.memory import widened
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.pruning import unsupported
 from bsp_gp.loop.telling import alike_numbers, constant_estimates
+from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.units import Unit
 
 __all__ = ["corrections", "write_up"]
@@ -106,6 +107,7 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
             *dataset.notes,
             observation.split_note,
             *_too_much_noise(observation, model.fit),
+            *aliasing_notes(model.law, observation.train, dataset.units),
             *_caveats(observation, search),
             *dropped_rivals(rounds),
         ),

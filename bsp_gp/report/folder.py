@@ -6,6 +6,7 @@ import csv
 import io
 import json
 
+from bsp_gp.data.cells import safe_cell
 from bsp_gp.output.place import claim
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.html import render_html
@@ -113,5 +114,5 @@ def _residuals(table):
 
 def _csv_cell(value):
     if isinstance(value, str):
-        return value
+        return safe_cell(value)
     return repr(float(value)) if is_number(value) else ""

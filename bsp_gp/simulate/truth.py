@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data.cells import safe_table
 from bsp_gp.data.scene import Scene
 from bsp_gp.output.place import claim
 from bsp_gp.simulate.engine import acceleration
@@ -178,9 +179,9 @@ def fill_truth(truth, folder, pixels=None, seed=None):
         {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
     )
     (folder / TRUTH).write_text(f"{text}\n", encoding="utf-8")
-    _states_table(truth).to_csv(folder / STATES, index=False, lineterminator="\n")
+    safe_table(_states_table(truth)).to_csv(folder / STATES, index=False, lineterminator="\n")
     if pixels is not None:
-        pixels.to_csv(folder / PIXELS, index=False, lineterminator="\n")
+        safe_table(pixels).to_csv(folder / PIXELS, index=False, lineterminator="\n")
 
 
 def _states_table(truth):

@@ -286,11 +286,18 @@ def test_summary_has_the_facts():
         assert fact in text
 
 
+def test_summary_shows_every_doubt_about_the_data():
+    notes = ("a first note", "check: the clock of scene 'a' seems to jump by 10", "check: far off")
+    text = summary_text(replace(sample.adopted(), notes=notes))
+    assert "Check: the clock of scene 'a' seems to jump by 10\nCheck: far off\n" in text
+    assert text.count("first note") <= 1 and "check:" not in text
+
+
 def test_summary_stays_short_however_much_there_is():
     full = sample.adopted()
     long = "word " * 400
     report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
-                     notes=(long,) * 9, law_text=long, stop_reason=long)
+                     notes=(long, f"check: {long}") * 9, law_text=long, stop_reason=long)
     lines = summary_text(report).split("\n")
     assert len(lines) <= 25 and max(map(len, lines)) <= 100
 
