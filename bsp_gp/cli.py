@@ -50,6 +50,8 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
+        if getattr(args, "quiet", False):
+            _silence_notes()
         _COMMANDS[args.command](args)
         sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
@@ -76,6 +78,15 @@ def main(argv=None):
         _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
         return 2
     return 0
+
+
+def _silence_notes():
+    """Keep notes of the library off stderr; those that matter are in the results as well."""
+    import logging
+
+    logger = logging.getLogger("bsp_gp")
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())
 
 
 def _say(text):

@@ -79,6 +79,7 @@ def make_data(args, settings, out, progress):
     rng = np.random.default_rng(args.seed)
     progress(f"making {settings.n_scenes} scene(s) of {settings.name}")
     dataset, truth = make(settings, rng)
+    view = _view(args, truth) if args.film else None  # complains before anything is written
     progress("writing")
     pixels = None
     film = _beside(out, "-film")
@@ -87,7 +88,7 @@ def make_data(args, settings, out, progress):
     lines = [f"Data set: {save_dataset(dataset, out, overwrite=args.overwrite)}"]
     if args.film:
         (film_rng,) = rng.spawn(1)
-        pixels = _films(args, truth, film, film_rng, progress)
+        pixels = _films(args, truth, view, film, film_rng, progress)
         lines.append(f"Film: {film}")
     folder = save_truth(
         truth, _beside(out, "-truth"), overwrite=args.overwrite, pixels=pixels, seed=args.seed
@@ -128,16 +129,23 @@ def _write(path, data):
         Path(part).unlink(missing_ok=True)
 
 
-def _films(args, truth, folder, rng, progress):
+def _view(args, truth):
+    """The scenes that are filmed, the camera that sees them, and what it does to them."""
+    from bsp_gp.vision.film import Camera, Look
+
+    scenes = [truth.scene(k) for k in range(args.film)]
+    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    return scenes, Camera.fitting(scenes, *args.size), look
+
+
+def _films(args, truth, view, folder, rng, progress):
     """Films of the first scenes in a folder, and where everything is in them."""
     import pandas as pd
 
     from bsp_gp.data.folder import whole_folder
-    from bsp_gp.vision.film import Camera, Look, film_scene, write_film, write_frames
+    from bsp_gp.vision.film import film_scene, write_film, write_frames
 
-    scenes = [truth.scene(k) for k in range(args.film)]
-    camera = Camera.fitting(scenes, *args.size)
-    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    scenes, camera, look = view
     fps = 1 / truth.settings.dt
     tables = []
     with whole_folder(folder) as partial:

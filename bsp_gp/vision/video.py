@@ -8,10 +8,14 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
+# FFmpeg writes what it thinks of a damaged film to stderr, past Python; what could be decoded is
+# counted here and told. It reads this variable when the first video is opened.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-from bsp_gp.errors import DataError, OutputError
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+
+from bsp_gp.errors import DataError, OutputError  # noqa: E402
 
 __all__ = ["Video", "VideoWriter", "open_video"]
 
