@@ -22,6 +22,8 @@ __all__ = ["main"]
 
 QUIET_S = 1.0
 """Work that is done within this time shows no progress."""
+LONGEST = 1000
+"""Characters of a complaint; its beginning and its end, the remedy, are kept."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -91,6 +93,8 @@ def _silence_notes():
 
 def _say(text):
     """One line on stderr, whatever is in the text."""
+    if len(text) > LONGEST:  # it quotes a cell or a rule that is no sentence
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
     text = "".join(c if c.isprintable() else " " for c in text)
     with contextlib.suppress(BrokenPipeError):
         print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)

@@ -8,8 +8,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-# FFmpeg writes what it thinks of a damaged film to stderr, past Python; what could be decoded is
-# counted here and told. It reads this variable when the first video is opened.
+# FFmpeg and OpenCV write what they think of a damaged film to stderr, past Python; what could be
+# decoded is counted here and told. FFmpeg reads this variable when the first video is opened.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2  # noqa: E402
@@ -18,6 +18,8 @@ import numpy as np  # noqa: E402
 from bsp_gp.errors import DataError, OutputError  # noqa: E402
 
 __all__ = ["Video", "VideoWriter", "open_video"]
+
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 MAX_FPS = 100_000.0
 LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")

@@ -5,7 +5,7 @@ import re
 from hypothesis import strategies as st
 
 from tests.fuzz.case import Case
-from tests.fuzz.pieces import PLANTED, mostly, numbers, units
+from tests.fuzz.pieces import PLANTED, mostly, numbers, units, weighted
 from tests.fuzz.recordings import PLAIN, plain_recording
 
 GOOD = (
@@ -61,7 +61,7 @@ _product = st.lists(
     st.builds(
         "{}{}{}".format,
         st.sampled_from("*/"),
-        mostly(st.sampled_from(_kinematics), st.sampled_from(_SCALARS), 8),
+        mostly(st.sampled_from(_kinematics), st.sampled_from(_SCALARS), 16),
         st.sampled_from(("", "", "^2", "^-1", "^0.5", "^n", "^-3", "^99")),
     ),
     max_size=3,
@@ -69,7 +69,7 @@ _product = st.lists(
 _own = ("v_i", "e_x", "e_y", "up", "down", "normalize(v_i)", "perp(v_i)", "along(v_i, e_x)")
 _sound = st.builds(
     "{}c1{} * {}".format, st.sampled_from(("", "-", "1e3 * ", "exp(2) * ")), _product,
-    mostly(st.sampled_from(_own), st.sampled_from(_VECTORS), 6),
+    mostly(st.sampled_from(_own), st.sampled_from(_VECTORS), 12),
 )  # fmt: skip
 _typed = st.one_of(
     st.builds("{} * {}".format, _scalars, _vectors),
@@ -134,16 +134,16 @@ _texts = st.text(st.characters(max_codepoint=0x2FF), max_size=30)
 _nonsense = st.one_of(
     st.sampled_from(PLANTED), _texts, st.builds("{} * v_i".format, st.sampled_from(PLANTED)), _soup
 )
-laws = st.one_of(
-    *(st.sampled_from(GOOD),) * 3, *(_sound,) * 9, _typed, _typed, *(_edited(),) * 3, _extreme,
-    _nonsense,
-)
+laws = weighted(
+    (4, st.sampled_from(GOOD)), (14, _sound), (2, _typed), (4, _edited()), (1, _extreme),
+    (2, _nonsense),
+)  # fmt: skip
 
 
 @st.composite
 def cases(draw):
     """A typed law on a plain recording: rolled out, or fitted."""
-    recording = plain_recording(draw(st.sampled_from(PLAIN)))
+    recording = plain_recording(draw(st.sampled_from(("pair", *PLAIN))))
     texts = draw(st.lists(laws, min_size=1, max_size=draw(st.sampled_from((1, 1, 1, 2)))))
     files = dict(recording)
     said = [f"--law={text}" for text in texts]

@@ -50,6 +50,12 @@ def mostly(usual, odd, share=5):
     return st.integers(0, share - 1).flatmap(lambda k: odd if k == share - 1 else usual)
 
 
+def weighted(*pairs):
+    """One of the strategies, each so many times; `one_of` would flatten and merge them."""
+    table = [strategy for times, strategy in pairs for _ in range(times)]
+    return st.integers(0, len(table) - 1).flatmap(lambda k: table[k])
+
+
 odd_numbers = st.one_of(
     st.sampled_from(ODD_NUMBERS),
     st.floats(allow_nan=True, allow_infinity=True).map(repr),

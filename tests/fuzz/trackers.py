@@ -49,7 +49,7 @@ def _mass(draw, name):
 @st.composite
 def texts(draw):
     """The text of a .trk file."""
-    names = draw(st.sampled_from((*(("ball",), ("a", "b")) * 4, ("a", "a"), ())))
+    names = draw(st.sampled_from((*(("ball",), ("a", "b")) * 8, ("a", "a"), ())))
     if draw(st.integers(0, 7)) == 0:
         names = (*names, draw(odd_names).replace("<", "&lt;"))
     clip = "".join(_tag(n, draw(_slot(v)), "int")
