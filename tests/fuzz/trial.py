@@ -4,7 +4,9 @@ A fault is a pair (kind, detail). Allowed are status 0, and 2 with one line on s
 that is as it was; everything else is a fault.
 """
 
+import contextlib
 import faulthandler
+import gc
 import hashlib
 import io
 import json
@@ -60,7 +62,7 @@ class Running:
 
 
 def warm():
-    """Import everything before the first fork, so that a child starts at once."""
+    """Import everything and fill caches before the first fork, so that a child starts at once."""
     import cv2
     import matplotlib
     import sympy  # noqa: F401
@@ -81,9 +83,19 @@ def warm():
     import bsp_gp.report.scenes  # noqa: F401
     import bsp_gp.simulate.truth  # noqa: F401
     import bsp_gp.vision.recording  # noqa: F401
-    from bsp_gp.units import parse_unit
+    from bsp_gp.cli import main
 
-    parse_unit("kg m/s^2")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.redirect_stdout(io.StringIO()),
+        contextlib.redirect_stderr(io.StringIO()),
+    ):
+        table = Path(folder) / "falls.csv"
+        rows = (f"{k / 20},{k},{k * k % 7}\n" for k in range(9))
+        table.write_text("t,x,y\n" + "".join(rows), encoding="utf-8")
+        main(["grammar", "show", "newtonian", "--data", str(table)])
+        main(["fit", str(table), "--law=c * e_x", "--units", "length=m,time=s"])
+    gc.freeze()  # a collection in a child would copy the pages of all that is here
 
 
 def run(case, limit_s=LIMIT_S):
