@@ -66,7 +66,7 @@ class Video:
         The file is always decoded from its first frame: seeking in compressed video is not
         exact in OpenCV.
         """
-        capture = cv2.VideoCapture(str(self.path))
+        capture = _capture(self.path)
         try:
             index = 0
             while stop is None or index < stop:
@@ -112,7 +112,7 @@ def open_video(path, fps=None):
     path = Path(path)
     if not path.is_file():
         raise DataError("no such video file", file=path)
-    capture = cv2.VideoCapture(str(path))
+    capture = _capture(path)
     try:
         if not capture.isOpened():
             raise DataError(
@@ -139,6 +139,12 @@ def open_video(path, fps=None):
             remedy="give the true one: --fps",
         )
     return Video(path, rate, size[0], size[1], count, promised, codec)
+
+
+def _capture(path):
+    """A reader of a film: FFmpeg where OpenCV has it, whose complaints can be turned off."""
+    has_ffmpeg = cv2.CAP_FFMPEG in cv2.videoio_registry.getStreamBackends()
+    return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
 
 
 class VideoWriter:
