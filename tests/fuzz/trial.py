@@ -91,7 +91,8 @@ def warm():
         contextlib.redirect_stderr(io.StringIO()),
     ):
         table = Path(folder) / "falls.csv"
-        rows = (f"{k / 20},{k},{k * k % 7}\n" for k in range(9))
+        noise = (0.001 * (k * k * k % 7) for k in range(12))
+        rows = (f"{k / 20},{k * k / 90 + e},{e}\n" for k, e in enumerate(noise))
         table.write_text("t,x,y\n" + "".join(rows), encoding="utf-8")
         main(["grammar", "show", "newtonian", "--data", str(table)])
         main(["fit", str(table), "--law=c * e_x", "--units", "length=m,time=s"])
