@@ -23,6 +23,8 @@ __all__ = ["main"]
 
 QUIET_S = 1.0
 """Work that is done within this time shows no progress."""
+LONGEST = 1000
+"""Characters of a complaint; its beginning and its end, the remedy, are kept."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -51,7 +53,8 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        with _ended_like_ctrl_c(), _unwarned(getattr(args, "quiet", False)):
+        is_quiet = getattr(args, "quiet", False)
+        with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):
             with contextlib.ExitStack() as args.held:
                 _COMMANDS[args.command](args)
             sys.stdout.flush()
@@ -115,6 +118,22 @@ def _unwarned(quiet):
 
 
 @contextlib.contextmanager
+def _without_notes(quiet):
+    """Meanwhile no note of the library is shown; those that matter are in the results as well."""
+    if not quiet:
+        yield
+        return
+    import logging
+
+    logger, silence = logging.getLogger("bsp_gp"), logging.NullHandler()
+    logger.addHandler(silence)  # without any handler, logging writes to stderr
+    try:
+        yield
+    finally:
+        logger.removeHandler(silence)
+
+
+@contextlib.contextmanager
 def _ended_like_ctrl_c():
     """Meanwhile SIGTERM, as from `kill`, a batch system or a shutdown, is an interrupt."""
     import signal
@@ -135,6 +154,8 @@ def _ended_like_ctrl_c():
 
 def _say(text):
     """One line on stderr, whatever is in the text."""
+    if len(text) > LONGEST:  # it quotes a cell or a rule that is no sentence
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
     text = "".join(c if c.isprintable() else " " for c in text)
     with contextlib.suppress(BrokenPipeError):
         print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)

@@ -80,13 +80,14 @@ def make_data(args, settings, group, progress):
     rng = np.random.default_rng(args.seed)
     progress(f"making {settings.n_scenes} scene(s) of {settings.name}")
     dataset, truth = make(settings, rng)
+    view = _view(args, truth) if args.film else None  # complains before anything is written
     progress("writing")
     with group.fill() as paths:
         fill_dataset(dataset, paths[""])
         pixels = None
         if args.film:
             (film_rng,) = rng.spawn(1)
-            pixels = _films(args, truth, paths[_FILM], film_rng, progress)
+            pixels = _films(args, truth, view, paths[_FILM], film_rng, progress)
         fill_truth(truth, paths[_TRUTH], pixels, args.seed)
         if settings.declared:
             model = toml_text({"declare": list(settings.declared)})
@@ -103,15 +104,22 @@ def make_data(args, settings, group, progress):
     ]
 
 
-def _films(args, truth, folder, rng, progress):
+def _view(args, truth):
+    """The scenes that are filmed, the camera that sees them, and what it does to them."""
+    from bsp_gp.vision.film import Camera, Look
+
+    scenes = [truth.scene(k) for k in range(args.film)]
+    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    return scenes, Camera.fitting(scenes, *args.size), look
+
+
+def _films(args, truth, view, folder, rng, progress):
     """Films of the first scenes in a folder, and where everything is in them."""
     import pandas as pd
 
-    from bsp_gp.vision.film import Camera, Look, film_scene, write_film, write_frames
+    from bsp_gp.vision.film import film_scene, write_film, write_frames
 
-    scenes = [truth.scene(k) for k in range(args.film)]
-    camera = Camera.fitting(scenes, *args.size)
-    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    scenes, camera, look = view
     fps = 1 / truth.settings.dt
     tables = []
     for scene, scene_rng in zip(scenes, rng.spawn(len(scenes)), strict=True):

@@ -89,8 +89,14 @@ def read_table(path, *, rename=None, as_text=False):
     with path.open(encoding="utf-8-sig", newline=None) as stream:
         head = [line.rstrip("\n") for _, line in zip(range(_HEAD_LINES), stream, strict=False)]
     marks = ("entity",) if as_text else ("t", "frame")
-    layout = sniff(head, dict(rename or {}), marks, path)
-    _require_even_rows(path, layout, head, counts)
+    try:
+        layout = sniff(head, dict(rename or {}), marks, path)
+        _require_even_rows(path, layout, head, counts)
+    except csv.Error as error:  # such as a cell of more than 131,072 characters
+        raise DataError(
+            f"the rows cannot be told apart: {error}",
+            file=path, remedy="is it a table, with one row per time and entity?",
+        ) from None  # fmt: skip
     groups = () if as_text else _mass_groups(layout, path)
     frame, notes = _read_frame(path, layout, groups, as_text)
     frame, notes = _drop_unnamed(frame, notes)
@@ -247,6 +253,7 @@ def _read_frame(path, layout, groups, as_text):
         "na_values": {key: [""] if key in text else _NAN for key in keys},
         "decimal": layout.decimal,
         "encoding": "utf-8-sig",
+        "compression": None,  # it was read as text so far, whatever its name ends in
         "low_memory": False,
     }
     if _pandas_version() < (3, 1):

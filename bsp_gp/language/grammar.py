@@ -314,7 +314,11 @@ class _Reader:
         symbols, kinds = head.get("start"), head.get("kind", "pair")
         symbols = [symbols] if isinstance(symbols, str) else symbols
         kinds = [kinds] if isinstance(kinds, str) else kinds
-        if not symbols or len(symbols) != len(kinds):
+        are_texts = all(
+            isinstance(each, list) and all(isinstance(item, str) for item in each)
+            for each in (symbols, kinds)
+        )
+        if not are_texts or not symbols or len(symbols) != len(kinds):
             raise GrammarError("[grammar] needs one kind (pair or field) for each start symbol")
         for kind in kinds:
             if kind not in KINDS:
@@ -360,7 +364,7 @@ class _Reader:
         return tuple(rules)
 
     def body(self, nonterminal, text):
-        where = f"rule {nonterminal} -> {text}"
+        where = f"rule {nonterminal} -> {text if len(text) <= 120 else text[:117] + '...'}"
         try:
             tree = ast.parse(text, mode="eval").body
         except SyntaxError:

@@ -234,7 +234,8 @@ class Exhaustive:
     def _run(self, progress):
         for done, (plans, directed) in enumerate(self._directed_plans(), 1):
             for block in self._blocks(plans):
-                self._score(block, directed)
+                if block.allowed.size:  # a bank may be empty within the bound
+                    self._score(block, directed)
             if progress is not None:
                 progress(done, len(self._directed_plans()))
         if self.null_total.size:

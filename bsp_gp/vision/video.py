@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
+# FFmpeg and OpenCV write what they think of a damaged film to stderr, past Python; what could be
+# decoded is counted here and told. FFmpeg reads this variable when the first video is opened.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-from bsp_gp.errors import DataError, OutputError
-from bsp_gp.output.place import whole_file
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+
+from bsp_gp.errors import DataError, OutputError  # noqa: E402
+from bsp_gp.output.place import whole_file  # noqa: E402
 
 __all__ = ["Video", "VideoWriter", "open_video"]
+
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 MAX_FPS = 100_000.0
 LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")
@@ -60,7 +67,7 @@ class Video:
         The file is always decoded from its first frame: seeking in compressed video is not
         exact in OpenCV.
         """
-        capture = cv2.VideoCapture(str(self.path))
+        capture = _capture(self.path)
         try:
             index = 0
             while stop is None or index < stop:
@@ -106,7 +113,7 @@ def open_video(path, fps=None):
     path = Path(path)
     if not path.is_file():
         raise DataError("no such video file", file=path)
-    capture = cv2.VideoCapture(str(path))
+    capture = _capture(path)
     try:
         if not capture.isOpened():
             raise DataError(
@@ -133,6 +140,12 @@ def open_video(path, fps=None):
             remedy="give the true one: --fps",
         )
     return Video(path, rate, size[0], size[1], count, promised, codec)
+
+
+def _capture(path):
+    """A reader of a film: FFmpeg where OpenCV has it, whose complaints can be turned off."""
+    has_ffmpeg = cv2.CAP_FFMPEG in cv2.videoio_registry.getStreamBackends()
+    return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
 
 
 class VideoWriter:
