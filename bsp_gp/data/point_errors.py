@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import FLOOR, estimate_noise
 from bsp_gp.data.scene import CHECK
 
 __all__ = ["gross_errors", "with_point_errors"]
@@ -68,13 +68,14 @@ def with_point_errors(dataset, noise, *, is_exact=False):
     sigma = np.array(noise.sigma, dtype=float)
     is_own = noise.source == "estimated" and not is_exact
     own = _own_noise(dataset, noise) if is_own else {}
+    floor = FLOOR * _spans(dataset)  # as for the noise of all: numbers say no more than that
     scenes, found = [], []
     for scene in dataset.scenes:
         size = np.broadcast_to(sigma, scene.positions.shape)
         if scene.sigma is not None:
             size = np.where(scene.sigma > 0, scene.sigma, size)
-        size = np.array(size)
-        changed = False
+        size = np.maximum(size, floor)
+        changed = scene.sigma is not None and bool(np.any(scene.sigma < floor))
         for k in scene.dynamic:
             factor = own.get(scene.names[k], 1.0)
             size[:, k] *= factor
@@ -91,9 +92,16 @@ def with_point_errors(dataset, noise, *, is_exact=False):
         listed = ", ".join(f"{name} of {scene} at t = {t:.4g}" for scene, name, t in found[:5])
         more = f" and {len(found) - 5} more" if len(found) > 5 else ""
         notes.append(f"{CHECK}far off their neighbours, and given little weight: {listed}{more}")
-    if not notes:
-        return dataset, ()
+    if all(new is old for new, old in zip(scenes, dataset.scenes, strict=True)):
+        return dataset, tuple(notes)
     return replace(dataset, scenes=tuple(scenes)), tuple(notes)
+
+
+def _spans(dataset):
+    """Range of the positions of all that moves, per axis."""
+    tracks = [scene.positions[:, scene.dynamic] for scene in dataset.scenes]
+    rows = np.concatenate([track.reshape(-1, dataset.n_dims) for track in tracks])
+    return np.nan_to_num(np.fmax.reduce(rows) - np.fmin.reduce(rows))
 
 
 def _own_noise(dataset, noise):

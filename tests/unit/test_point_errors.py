@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import FLOOR, estimate_noise
 from bsp_gp.data.point_errors import gross_errors, with_point_errors
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.loop.fitting import fit_law
@@ -182,3 +182,16 @@ def test_a_fit_tells_a_gross_error_of_sixteen_rows_and_stands_it(row, sigma):
     fit = fit_law(data, ["-g * m_i * e_y"], rng=np.random.default_rng(0))
     assert f"object of a at t = {FALL[row]:.4g}" in fit.text()
     assert fit.constants[0].value == pytest.approx(9.81, rel=0.01)
+
+
+def test_quoted_errors_that_no_number_resolves_are_floored_without_a_word():
+    track = 1e100 * swinging(np.random.default_rng(7))
+    errors = np.stack([np.full(60, 1e-3), np.full(60, np.nan)], axis=1)
+    scene = Scene("a", TIMES, track[:, None], [Entity("ball")], sigma=errors[:, None])
+    dataset = Dataset((scene,))
+    floored, notes = with_point_errors(dataset, estimate_noise(dataset))
+    assert notes == ()
+    np.testing.assert_allclose(floored.scenes[0].sigma[..., 0], FLOOR * np.ptp(track[:, 0]))
+    fine = replace(scene, sigma=np.full_like(scene.sigma, 1e95))
+    same, notes = with_point_errors(Dataset((fine,)), estimate_noise(Dataset((fine,))))
+    assert same.scenes[0] is fine
