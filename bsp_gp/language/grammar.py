@@ -293,7 +293,7 @@ class _Reader:
         self.constants = tuple(self.source.get("constants", {}))
         self.operators = dict(self.source.get("operators", {}))
         for name, meaning in self.operators.items():
-            if meaning not in OPERATORS:
+            if not isinstance(meaning, str) or meaning not in OPERATORS:
                 raise GrammarError(f"[operators] {name} = {meaning!r}: no such operator")
         rules = self.rules()
         grammar = Grammar(

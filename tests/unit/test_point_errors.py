@@ -188,10 +188,10 @@ def test_quoted_errors_that_no_number_resolves_are_floored_without_a_word():
     track = 1e100 * swinging(np.random.default_rng(7))
     errors = np.stack([np.full(60, 1e-3), np.full(60, np.nan)], axis=1)
     scene = Scene("a", TIMES, track[:, None], [Entity("ball")], sigma=errors[:, None])
-    dataset = Dataset((scene,))
+    dataset = Dataset("d", (scene,))
     floored, notes = with_point_errors(dataset, estimate_noise(dataset))
     assert notes == ()
     np.testing.assert_allclose(floored.scenes[0].sigma[..., 0], FLOOR * np.ptp(track[:, 0]))
     fine = replace(scene, sigma=np.full_like(scene.sigma, 1e95))
-    same, notes = with_point_errors(Dataset((fine,)), estimate_noise(Dataset((fine,))))
+    same, notes = with_point_errors(Dataset("d", (fine,)), estimate_noise(Dataset("d", (fine,))))
     assert same.scenes[0] is fine
