@@ -86,7 +86,24 @@ def test_a_hang_a_crash_and_too_much_memory_are_faults(monkeypatch):
     import os
     import time
 
+    from bsp_gp import cli
+
+    def compute(case):
+        while True:
+            pass
+
+    def advance(case):
+        with cli._Progress(quiet=True) as progress:
+            for _ in range(5):
+                began = time.process_time()
+                while time.process_time() - began < 0.5:
+                    pass
+                progress("one more stage")
+        return 0
+
     assert tried(lambda case: time.sleep(30), monkeypatch, limit_s=1).kinds == {"hang"}
+    assert tried(compute, monkeypatch, limit_s=1).kinds == {"hang"}
+    assert tried(advance, monkeypatch, limit_s=2).kinds == set()
     assert tried(lambda case: os.kill(os.getpid(), 9), monkeypatch).kinds == {"died"}
     assert tried(lambda case: bytearray(8 << 30) and 0, monkeypatch).kinds == {"traceback"}
 

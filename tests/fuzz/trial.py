@@ -25,6 +25,9 @@ from pathlib import Path
 from bsp_gp.output.mark import MARK
 
 LIMIT_S = 60
+"""Of computing without a stage of progress: a hang. The machine may be busy with other work, so
+that computing is what counts; of waiting, `PATIENCE` times as much."""
+PATIENCE = 3
 MEMORY = 3 << 30
 CANARY = "evaluated"
 """A file of this name is made by texts that are evaluated."""
@@ -240,8 +243,7 @@ def _work(case, place, limit_s):
     os.environ["HOME"] = str(place)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    faulthandler.dump_traceback_later(limit_s, exit=True, file=open(place / "stuck", "w"))
-    signal.alarm(limit_s + 10)
+    _expect_progress(limit_s, open(place / "stuck", "w"))
     told = {"rc": None, "traceback": "", "warnings": []}
 
     def note(message, category, filename, lineno, file=None, line=None):
@@ -261,6 +263,28 @@ def _work(case, place, limit_s):
     sys.stdout.flush()
     sys.stderr.flush()
     return told
+
+
+def _expect_progress(limit_s, stuck):
+    """End this process, and tell where it was, once it computes for so long on one stage."""
+    from bsp_gp import cli
+
+    report = cli._Progress.__call__
+    faulthandler.register(signal.SIGXCPU, file=stuck, chain=True)
+
+    def alive():
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        seconds = int(used.ru_utime + used.ru_stime) + limit_s
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
+        faulthandler.dump_traceback_later(PATIENCE * limit_s, exit=True, file=stuck)
+        signal.alarm(PATIENCE * limit_s + 10)
+
+    def reported(self, text):
+        alive()
+        report(self, text)
+
+    cli._Progress.__call__ = reported
+    alive()
 
 
 def _call(case):
