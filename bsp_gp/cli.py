@@ -552,9 +552,8 @@ def _target(args, kind, default=None):
         return None
     from bsp_gp.output.place import claim
 
-    inputs = [getattr(args, name, None) for name in ("data", "model", "video")]
-    if str(getattr(args, "grammar", None)).endswith(".toml"):
-        inputs.append(args.grammar)
+    files = [getattr(args, name, None) for name in ("model", "video", "grammar")]
+    inputs = [getattr(args, "data", None), *(f for f in files if f and os.path.isfile(f))]
     place = args.held.enter_context(
         claim(out, kind, inputs=[path for path in inputs if path], overwrite=args.overwrite)
     )
