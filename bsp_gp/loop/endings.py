@@ -18,7 +18,14 @@ from bsp_gp.loop.guide import ordered
 from bsp_gp.loop.memory import estimate_memory, p_value_of, widened, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
 from bsp_gp.loop.residual import examine_residual
-from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
+from bsp_gp.loop.rivals import (
+    UNOPPOSED,
+    as_attempt,
+    is_unopposed,
+    judge,
+    rival_rows,
+    told_beside,
+)
 from bsp_gp.loop.seeing import with_scenes
 from bsp_gp.loop.telling import effect_of, freed_effect, freed_numbers, held_out_rows, rivals_of
 from bsp_gp.loop.verdict import FREED, TURNED, put_in_place, verdict_of, weigh
@@ -246,6 +253,8 @@ def ends_in_rival(turn, winner, others):
     if "p_value" not in winner.details:  # else the chance of it is known from its own likelihood
         p_value, how = turn.significance((model.fit.bic(n_eff) - counted.fit.bic(n_eff)) / 2)
     judged = judge(observation, model, winner, others, p_value, turn.alpha, turn.rngs.ratio)
+    if judged.adopted and is_unopposed(observation, others):
+        judged = replace(judged, adopted=False, verdict="seen, not adopted", reason=UNOPPOSED)
     ranked, ruled_out = rival_rows(model, counted.fit, others, but=winner)
     rivals = [
         *rivals_of(observation, model, counted, turn.attempts), *ranked,
@@ -317,6 +326,8 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             after, errors = refuted.after, refuted.errors
         told = replace(chosen, fit=widened(turn.search, chosen.fit))
         effect = effect_of(observation, told, turn.attempts, p_value, near)
+    if adopted and is_unopposed(observation, others):
+        adopted, verdict, reason = False, "seen, not adopted", UNOPPOSED
     rivals = rivals_of(observation, model, shown, turn.attempts)
     effect, rivals = ordered(effect, rivals, turn.guidance)
     effect, undecided = told_beside(observation, effect, shown, others)

@@ -175,6 +175,8 @@ def same_numbers(observation, fit):
     """
     if all(term.formula.constants for term in fit.law.terms if term.is_declared):
         return {}
+    if not np.isfinite(fit.chisqr):  # the law runs away: there is nothing to be told apart
+        return {}
     linear = Linearised(observation, fit)
     single = [c for c in corrections_of(observation) if len(c) == 1 and not c.needs_track]
     found = [s for s in (or_fault(_screen, linear, c)[0] for c in single) if s is not None]

@@ -6,6 +6,7 @@ predictions and errors always use the same model, the same rows and the same noi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
 from bsp_gp.loop.before_after import error_of
 from bsp_gp.loop.denoise import tracks_of
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.outcome import METRICS, Errors
 from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
@@ -417,7 +419,10 @@ class Observation:
         for k, child in enumerate(rng.spawn(n_copies)):
             copy = self._noisy(states, self.test, child)
             copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
-        rows = self.score_copies(law, copies)
+        rows, _ = or_fault(self.score_copies, law, copies)
+        if rows is None:  # under a law that runs away no copy can be scored, and no floor is known
+            nothing = dict.fromkeys(METRICS, math.nan)
+            return replace(self._numerical_floor(), **nothing), (), []
         return self._errors_of([row for copy in rows for row in copy]), copies, rows
 
     def _numerical_floor(self):

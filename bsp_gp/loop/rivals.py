@@ -14,7 +14,8 @@ import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
 from bsp_gp.loop.before_after import compared
-from bsp_gp.loop.dropping import or_fault
+from bsp_gp.loop.corrections import corrections_of
+from bsp_gp.loop.dropping import NOT_FITTED, or_fault
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.explanation import HIDDEN_BODY, not_fitted
 from bsp_gp.loop.hidden import hidden_body
@@ -27,9 +28,11 @@ from bsp_gp.loop.telling import freed_attempt
 from bsp_gp.loop.verdict import MIN_BIC_GAIN, MIN_SHARE, explained_share
 
 __all__ = [
-    "Judged", "as_attempt", "explanations", "in_class", "judge", "rival_rows", "told_beside",
-    "winner_of", "without_memory",
+    "UNOPPOSED", "Judged", "as_attempt", "explanations", "in_class", "is_unopposed", "judge",
+    "rival_rows", "told_beside", "winner_of", "without_memory",
 ]  # fmt: skip
+
+UNOPPOSED = "no error of the measurement could be fitted, so that it was weighed with none"
 
 
 def explanations(observation, model, rng, workers=None, to_beat=None):
@@ -91,6 +94,16 @@ def winner_of(model, laws, found):
     if any(law.bic(n_eff) - best.bic(n_eff) < CLASS_BIC for law in laws):
         return None
     return best
+
+
+def is_unopposed(observation, found):
+    """Whether every error of the measurement came to grief, so that none could be weighed.
+
+    Defects of single frames and tracks do not count: they leave nothing that a force leaves.
+    """
+    names = {correction.name for correction in corrections_of(observation)}
+    weighed = [e for e in found if e.name in names]
+    return bool(weighed) and all(e.reason.startswith(NOT_FITTED) for e in weighed)
 
 
 def without_memory(search, model, shown, rng, alpha, workers=None):

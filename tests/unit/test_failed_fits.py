@@ -32,9 +32,7 @@ from bsp_gp.loop.residual import examine_residual
 from bsp_gp.loop.rivals import explanations
 from bsp_gp.loop.significance import p_value
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.summary import summary_text
 from tests.throws import DRAG, GRAVITY, throws, throws_folder
@@ -176,6 +174,18 @@ def test_a_rival_that_fails_ends_no_run_and_stands_in_the_notes(monkeypatch):
     assert not any(NOT_FITTED in note for note in plain.notes)
 
 
+def test_nothing_is_adopted_where_every_error_of_the_measurement_fails(monkeypatch):
+    def fails(*args):
+        raise DataError("quoted errors must not be negative")
+
+    assert close_loop(throws(sigma=0.01), [GRAVITY], rng=rng(), **SHORT).rounds[0].adopted
+    monkeypatch.setattr(measurement, "_screen", fails)
+    report = close_loop(throws(sigma=0.01), [GRAVITY], rng=rng(), **SHORT)
+    assert report.verdict == "seen, not adopted" and not report.rounds[0].adopted
+    assert report.rounds[0].reason == rivals.UNOPPOSED
+    assert report.rounds[0].effect is not None
+
+
 @pytest.mark.parametrize("slant", [-5.0, 0.1, 5.0])
 def test_a_slanted_camera_leaves_errors_a_size(slant, noisy):
     observation, _ = noisy
@@ -294,15 +304,21 @@ def test_a_patch_that_is_never_seen():
     assert np.isnan(track.positions).all() and np.isnan(track.rms).all()
 
 
-def test_a_law_that_runs_away_warns_nobody():
-    data = throws(sigma=0.01, n_times=30)
-    law = declared_law(data, ["k * norm(v_i)^8 * v_i"])
-    law = ForceLaw(law.terms, {"k": 1.0})
-    try:
-        fit = fit_rollout(list(data.scenes), law, np.full(2, 0.01))
-    except EvaluationError:
-        return
-    assert not np.isfinite(fit.chisqr) or fit.chisqr > 0
+@pytest.mark.parametrize("law", [
+    "3 [kg s^3/m^4] * norm(v_i)^4 * v_i", "3 [kg s^5/m^6] * norm(v_i)^6 * v_i",
+    "1e140 [kg/s] * v_i",
+])  # fmt: skip
+def test_a_declared_law_that_runs_away_is_no_finding(law):
+    report = close_loop(throws(sigma=0.01), [law], rng=rng(), **SHORT)
+    assert report.verdict == "cannot tell" and "could not be fitted" in report.rounds[0].reason
+    assert not report.rounds[0].adopted and not math.isfinite(report.rounds[0].floor.rollout_rmse)
+    assert "nan" not in summary_text(report)
+
+
+@pytest.mark.parametrize("law", ["1e200 [N] * e_x", "1e300 [kg/s] * v_i"])
+def test_forces_beyond_all_numbers_are_told(law):
+    with pytest.raises(EvaluationError, match="range of numbers"):
+        close_loop(throws(sigma=0.01), [law], rng=rng(), **SHORT)
 
 
 @pytest.mark.parametrize("quiet", [True, False])
