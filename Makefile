@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test slow quick lint bench neural clean
+.PHONY: help setup demo test fuzz slow quick lint bench neural clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -31,6 +31,12 @@ demo: $(VENV)/.ok  ## run the main job; its last line says where the report is
 
 test: $(VENV)/.ok  ## run the default tests
 	@$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+MINUTES ?= 5
+SEED ?= $(shell date +%j%H%M)
+
+fuzz: $(VENV)/.ok  ## try made-up hostile inputs for MINUTES=5; what it finds is kept in runs/fuzz
+	@$(BIN)/python tests/fuzz/run.py --minutes $(MINUTES) --seed $(SEED) --workers $(WORKERS) $(ARGS)
 
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)

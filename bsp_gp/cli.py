@@ -18,12 +18,15 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
-from bsp_gp.errors import BspError, OutputError, SettingsError
+from bsp_gp.errors import BspError, SettingsError
+from bsp_gp.workers import worker_pool
 
 __all__ = ["main"]
 
 QUIET_S = 1.0
 """Work that is done within this time shows no progress."""
+LONGEST = 1000
+"""Characters of a complaint; its beginning and its end, the remedy, are kept."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -38,7 +41,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0 done, 2 bad input or usage, 130 interrupted.
+        0 done, 2 bad input or usage, 130 interrupted (Ctrl-C, or the signal SIGTERM).
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
@@ -52,8 +55,11 @@ def main(argv=None):
             raise SettingsError("an argument holds a NUL character; leave it out")
         args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
-        _COMMANDS[args.command](args)
-        sys.stdout.flush()
+        is_quiet = getattr(args, "quiet", False)
+        with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):
+            with contextlib.ExitStack() as args.held:
+                _COMMANDS[args.command](args)
+            sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
     except KeyboardInterrupt:
@@ -77,11 +83,81 @@ def main(argv=None):
     except MemoryError:
         _say("error: not enough memory for this; try fewer scenes or a smaller --max-levels")
         return 2
+    except ValueError as error:
+        if not _is_of_a_matrix(error):
+            raise
+        _say(
+            f"error: the equations of this problem have no solution in these numbers ({error}); "
+            "look for values far off all others in the data, or choose another unit"
+        )
+        return 2
     return 0
+
+
+def _is_of_a_matrix(error):
+    """Whether numpy or scipy gave up on a matrix, such as a decomposition without convergence."""
+    numpy = sys.modules.get("numpy")
+    return numpy is not None and isinstance(error, numpy.linalg.LinAlgError)
+
+
+@contextlib.contextmanager
+def _unwarned(quiet):
+    """Meanwhile no warning is shown, here and in workers; where warnings are errors, they stay."""
+    if not quiet:
+        yield
+        return
+    import warnings
+
+    shown, own = warnings.showwarning, os.environ.get("PYTHONWARNINGS")
+    warnings.showwarning = lambda *args, **kwargs: None
+    os.environ.setdefault("PYTHONWARNINGS", "ignore")
+    try:
+        yield
+    finally:
+        warnings.showwarning = shown
+        if own is None:
+            os.environ.pop("PYTHONWARNINGS", None)
+
+
+@contextlib.contextmanager
+def _without_notes(quiet):
+    """Meanwhile no note of the library is shown; those that matter are in the results as well."""
+    if not quiet:
+        yield
+        return
+    import logging
+
+    logger, silence = logging.getLogger("bsp_gp"), logging.NullHandler()
+    logger.addHandler(silence)  # without any handler, logging writes to stderr
+    try:
+        yield
+    finally:
+        logger.removeHandler(silence)
+
+
+@contextlib.contextmanager
+def _ended_like_ctrl_c():
+    """Meanwhile SIGTERM, as from `kill`, a batch system or a shutdown, is an interrupt."""
+    import signal
+    import threading
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only that one may
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _say(text):
     """One line on stderr, whatever is in the text."""
+    if len(text) > LONGEST:  # it quotes a cell or a rule that is no sentence
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
     text = "".join(c if c.isprintable() else " " for c in text)
     with contextlib.suppress(BrokenPipeError):
         print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)
@@ -127,7 +203,7 @@ class _Progress:
 
 
 def _close(args):
-    out = _target(args, f"{_data_name(args.data)}-report")
+    out = _target(args, "report", f"{_data_name(args.data)}-report")
     with _Progress(args.quiet) as progress:
         report, settings = _run_loop(args, progress)
         from bsp_gp.report.folder import write_report
@@ -166,7 +242,7 @@ def _run_loop(args, progress):
     law = declared if dataset.latents else declared_law(dataset, declared)
     if not dataset.latents and law.names:  # a slip shows before the work
         progress(f"constants to fit: {', '.join(law.names)}")
-    with _pool(args.workers) as pool:
+    with worker_pool(args.workers) as pool:
         report = close_loop(
             dataset,
             law,
@@ -189,12 +265,12 @@ def _fit(args):
     if not is_plain:
         refuse_fit_settings(args)
     if args.latent:
-        _with_latents(args, "run_learn", "LEARN_FILES", "Law and posterior")
+        _with_latents(args, "run_learn", "Law and posterior")
         return
     if not is_plain:
         _close(args)
         return
-    out = _free_folder(args.out, args.overwrite, ("fit.json", "fit.txt")) if args.out else None
+    out = _target(args, "fit")
     laws = read_laws(args)
     dataset = read_dataset(args)
     import json
@@ -211,8 +287,7 @@ def _fit(args):
     text = fit.text()
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
-        _write_folder(out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
-        args.written.append(out)
+        _write_folder(args, "fit", out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
     print(data if args.json else text)
     if out is not None:
         print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
@@ -225,14 +300,13 @@ def _tell_constants(args, names):
 
 
 def _infer(args):
-    _with_latents(args, "run_infer", "INFER_FILES", "Posterior")
+    _with_latents(args, "run_infer", "Posterior")
 
 
-def _with_latents(args, command, names, what):
+def _with_latents(args, command, what):
     from bsp_gp import cli_latents
 
-    names = getattr(cli_latents, names)
-    out = _free_folder(args.out, args.overwrite, names) if args.out else None
+    out = _target(args, what.lower())
     laws = read_laws(args)
     dataset = read_dataset(args)
     import json
@@ -240,16 +314,15 @@ def _with_latents(args, command, names, what):
     with _Progress(args.quiet) as progress:
         text, data, files = getattr(cli_latents, command)(args, dataset, laws, progress)
     if out is not None:
-        _write_folder(out, files)
-        args.written.append(out)
+        _write_folder(args, what.lower(), out, files)
     print(json.dumps(data, indent=1, ensure_ascii=False) if args.json else text)
     if out is not None:
         print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
 
 
 def _simulate(args):
-    names = ("trajectories.csv", "entities.csv", "dataset.toml")
-    out = _free_folder(args.out, args.overwrite, names)
+    kind = "simulated data set"
+    out = _target(args, kind)
     laws = read_laws(args)
     values = read_constants(args.set)
     dataset = read_dataset(args)
@@ -265,40 +338,36 @@ def _simulate(args):
             noise=[sigma * unit_of_length(dataset) for sigma in args.noise],
             integrator=args.integrator, substeps=args.substeps,
         )  # fmt: skip
-        args.written.append(save_dataset(made, out, overwrite=args.overwrite))
+        args.written.append(save_dataset(made, out, overwrite=args.overwrite, kind=kind))
     print(f"Data set: {out}")
 
 
 def _make(args):
-    from bsp_gp.cli_make import FILES, SUFFIXES, make_data, read_settings
+    from bsp_gp.cli_make import claim_places, make_data, read_settings
 
-    out = _free_folder(args.out, args.overwrite, FILES[""])
-    for suffix in SUFFIXES:
-        beside = out.with_name(out.name + suffix)
-        if suffix in FILES:
-            _free_folder(beside, args.overwrite, FILES[suffix])
-        elif beside.is_dir() or (beside.exists() and not args.overwrite):
-            raise OutputError(f"{beside}: exists already; pass --overwrite or choose another --out")
+    group = args.held.enter_context(claim_places(args.out, args.overwrite))
+    args.held.callback(_tell_kept, group.main)
     settings = read_settings(args)
     with _Progress(args.quiet) as progress:
-        lines = make_data(args, settings, out, progress)
-    args.written.append(out)
+        lines = make_data(args, settings, group, progress)
+    args.written.append(group.path)
     print("\n".join(lines))
 
 
 def _compare(args):
     files = ("results.csv", "certificate.txt")
-    out = _free_folder(args.out, args.overwrite, files) if args.out else None
+    out = _target(args, "comparison")
     laws = read_laws(args)
     dataset = read_dataset(args)
     import numpy as np
     import pandas as pd
 
+    from bsp_gp.data.cells import safe_table
     from bsp_gp.language.grammar import load_grammar
     from bsp_gp.loop.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         progress("comparing searches")
         rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
@@ -314,10 +383,10 @@ def _compare(args):
         )
     print(f"Accelerations: {how}")
     print(f"Exhaustive: {certificate.text()}")
+    print("".join(f"Note: {note}\n" for note in dataset.notes), end="")
     if out is not None:
-        texts = (table.to_csv(index=False), f"{certificate.text()}\n")
-        _write_folder(out, dict(zip(files, texts, strict=True)))
-        args.written.append(out)
+        texts = (safe_table(table).to_csv(index=False), f"{certificate.text()}\n")
+        _write_folder(args, "comparison", out, dict(zip(files, texts, strict=True)))
         print(f"Table: {out / files[0]}")
 
 
@@ -377,7 +446,7 @@ def _track(args):
     from pathlib import Path
 
     from bsp_gp.vision.calibration import Calibration
-    from bsp_gp.vision.recording import parse_object, write_recording
+    from bsp_gp.vision.recording import RECORDING, parse_object, write_recording
 
     specs = [parse_object(name, text) for name, text in args.object]
     calibration = None
@@ -388,9 +457,10 @@ def _track(args):
         calibration = Calibration.from_points(pixels, world, args.unit)
     first, last = _frame_range(args.frames)
     out = args.out or f"{Path(args.video).stem}-track"
+    _target(args, RECORDING, out)
     with _Progress(args.quiet) as progress:
         out, track = write_recording(
-            args.video, specs, out, fps=args.fps, calibration=calibration,
+            args.video, specs, out, overwrite=args.overwrite, fps=args.fps, calibration=calibration,
             mat_colours=dict(args.mat), first=first, last=last, smooth=args.smooth,
             film=not args.no_film, progress=progress,
         )  # fmt: skip
@@ -415,18 +485,18 @@ def _frame_range(text):
     if text is None:
         return 0, None
     first, dots, last = text.partition("..")
-    if not (dots and first.isdecimal() and last.isdecimal()):
-        raise SettingsError(f"--frames must be A..B, got {text!r}")
+    if not (dots and first.isdecimal() and last.isdecimal() and len(text) < 40):
+        raise SettingsError(f"--frames must be A..B, got {text[:60]!r}")
     return int(first), int(last)
 
 
 def _demo(args):
     if args.out is None:
         args.overwrite = True  # only ever a report of ours is replaced
-    out = _target(args, "demo-report")
+    out = _target(args, "report", "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress, _pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv]}
         report, folder = run_demo(
             out,
@@ -471,70 +541,44 @@ _COMMANDS = {
 # --- work and output ------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def _pool(n_workers):
-    """An executor of so many processes, or None for one; stopped at once when interrupted."""
-    if n_workers == 1:
-        yield None
-        return
-    import multiprocessing
-    import signal
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )  # fmt: skip
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    pool.shutdown()
-
-
 def _data_name(data):
     from pathlib import Path
 
     path = Path(data)
-    return path.stem if path.is_file() else path.resolve().name or "data"
+    real = Path(os.path.realpath(path))  # of a loop of links too
+    return path.stem if path.is_file() else real.name or "data"
 
 
-def _target(args, default):
-    """The folder of the report, checked before any work."""
-    from bsp_gp.report.folder import check_target
+def _target(args, kind, default=None):
+    """The folder of the result, checked before any work and ours until its end; None without."""
+    out = args.out or default
+    if out is None:
+        return None
+    from bsp_gp.output.place import claim
 
-    return check_target(args.out or default, args.overwrite)
-
-
-def _free_folder(folder, overwrite, names):
-    """The folder of a result of these files, checked before any work."""
-    from pathlib import Path
-
-    folder = Path(folder).expanduser().resolve()
-    if not folder.parent.is_dir():
-        raise OutputError(f"{folder}: there is no folder {folder.parent}")
-    if not os.access(folder.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{folder}: {folder.parent} is not writable; choose another --out")
-    if not folder.exists():
-        return folder
-    if not folder.is_dir() or Path.cwd().is_relative_to(folder):
-        raise OutputError(f"{folder}: is no folder of its own; choose another --out")
-    present = {path.name for path in folder.iterdir()}
-    if not present <= set(names):
-        raise OutputError(f"{folder}: holds other files, never overwritten; choose another --out")
-    if not overwrite:
-        raise OutputError(f"{folder}: exists already; pass --overwrite or choose another --out")
-    return folder
+    files = [getattr(args, name, None) for name in ("model", "video", "grammar")]
+    inputs = [getattr(args, "data", None), *(f for f in files if f and os.path.isfile(f))]
+    place = args.held.enter_context(
+        claim(out, kind, inputs=[path for path in inputs if path], overwrite=args.overwrite)
+    )
+    args.held.callback(_tell_kept, place)
+    return place.path
 
 
-def _write_folder(folder, files):
+def _tell_kept(place):
+    if place.kept:
+        _say(f"{place.path}: kept what is not of bsp-gp or was altered: {', '.join(place.kept)}")
+
+
+def _write_folder(args, kind, folder, files):
     """Write texts or bytes as the files of a folder, whole or not at all."""
-    from bsp_gp.data.folder import whole_folder
+    from bsp_gp.output.place import claim
 
-    with whole_folder(folder) as fresh:
+    with (
+        claim(folder, kind, overwrite=args.overwrite) as place,
+        place.fill(kind, args.overwrite) as fresh,
+    ):
         for name, content in files.items():
             content = content.encode("utf-8") if isinstance(content, str) else content
             (fresh / name).write_bytes(content)
+    args.written.append(folder)

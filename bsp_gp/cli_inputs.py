@@ -23,6 +23,7 @@ def read_dataset(args):
     """The data set with the options that stand in for dataset.toml."""
     from dataclasses import replace
 
+    from bsp_gp.data.noise import declare_noise
     from bsp_gp.data.tables import load_dataset
 
     dataset = load_dataset(
@@ -40,7 +41,8 @@ def read_dataset(args):
                 f"--noise must be one number or one per axis ({dataset.n_dims}), "
                 f"got {len(args.noise)}"
             )
-        dataset = replace(dataset, noise=tuple(s * unit_of_length(dataset) for s in args.noise))
+        length = unit_of_length(dataset)
+        dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset
 
 
@@ -79,12 +81,12 @@ def read_laws(args):
     """Texts of --declare, or those of the model file."""
     if not args.model:
         return tuple(args.declare or ())
-    import tomllib
+    from bsp_gp.data.toml import TomlError, parse_toml
 
     try:
         with open(args.model, "rb") as file:
-            content = tomllib.load(file)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            content = parse_toml(file.read())
+    except (TomlError, UnicodeDecodeError) as error:
         raise LawError(f"{args.model}: this is not valid TOML: {error}") from None
     unknown = sorted(set(content) - {"declare"})
     if unknown:

@@ -167,7 +167,7 @@ def run_infer(args, dataset, laws, progress):
         )  # fmt: skip
     if not is_discrete:
         known = identifiability(profile, problem.latents, posterior)
-    notes = [*problem.notes, *extra, *posterior.notes]
+    notes = [*dataset.notes, *problem.notes, *extra, *posterior.notes]
     data = {
         "schema": "bsp_gp/infer/1", "dataset": dataset.name, "law": law.text(), "seed": args.seed,
         "likelihood": problem.likelihood.kind, "posterior": posterior.to_dict(),
@@ -233,7 +233,7 @@ def run_learn(args, dataset, laws, progress):
             errors = posterior_nrmse(law, problem.test, problem.test_latents, draws, up=dataset.up)
             scores[label] = float(errors.mean())
     members = em.equivalents()
-    notes = [*problem.notes, *em.notes]
+    notes = [*dataset.notes, *problem.notes, *em.notes]
     data = {
         "schema": "bsp_gp/learn/1", "dataset": dataset.name, "grammar": grammar.name,
         "seed": args.seed, "law": em.law.text(), "latex": em.law.latex(), "loss": em.best.loss,
@@ -251,7 +251,7 @@ def run_learn(args, dataset, laws, progress):
     }  # fmt: skip
     lines = [em.text(), *(f"Identifiability: {line}" for line in known.splitlines())]
     lines += [f"one-step nRMSE on held-out scenes, {k}: {v:.4g}" for k, v in scores.items()]
-    text = "\n".join(lines + [f"Note: {note}" for note in problem.notes])
+    text = "\n".join(lines + [f"Note: {note}" for note in (*dataset.notes, *problem.notes)])
     files = {}
     if args.out:
         progress("figures")
@@ -284,16 +284,23 @@ def _json(data):
 def _csv(rows):
     import pandas as pd
 
-    return pd.DataFrame(rows).to_csv(index=False)
+    from bsp_gp.data.cells import safe_table
+
+    return safe_table(pd.DataFrame(rows)).to_csv(index=False)
 
 
 def _posterior_files(posterior):
     import pandas as pd
 
+    from bsp_gp.data.cells import safe_table
+
     draws = pd.DataFrame(posterior.draws, columns=list(posterior.names))
     draws["weight"] = posterior.weights
     draws["log_prob"] = posterior.log_prob
-    return {"posterior.csv": posterior.summary().to_csv(), "draws.csv": draws.to_csv(index=False)}
+    return {
+        "posterior.csv": safe_table(posterior.summary()).to_csv(),
+        "draws.csv": safe_table(draws).to_csv(index=False),
+    }
 
 
 def _figures(law, problem, posterior, rng, args):

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
-from pathlib import Path
+from bsp_gp.errors import SettingsError
 
-from bsp_gp.errors import OutputError, SettingsError
+__all__ = ["claim_places", "make_data", "read_settings"]
 
-__all__ = ["FILES", "SUFFIXES", "make_data", "read_settings"]
-
-FILES = {
-    "": ("trajectories.csv", "entities.csv", "dataset.toml"),
-    "-truth": ("truth.json", "states.csv", "pixels.csv"),
-}
-"""What the folders hold, by the ending of their names; only such folders are overwritten."""
-SUFFIXES = ("-truth", "-model.toml", "-scenes.png")
+_TRUTH, _FILM, _MODEL, _PICTURE = "-truth", "-film", "-model.toml", "-scenes.png"
 _CAMERA = "camera.toml"
 _N_DRAWN = 3
 
@@ -61,7 +51,16 @@ def read_settings(args):
     return settings
 
 
-def make_data(args, settings, out, progress):
+def claim_places(out, overwrite):
+    """Hold the places of the data and of what goes with them, beside; see `claim_group`."""
+    from bsp_gp.output.group import claim_group
+    from bsp_gp.simulate.truth import KIND
+
+    kinds = {"": "made-up data set", _TRUTH: KIND, _FILM: "folder of films"}
+    return claim_group(out, kinds, (_MODEL, _PICTURE), overwrite=overwrite)
+
+
+def make_data(args, settings, group, progress):
     """Make the data and write all that was asked for.
 
     Returns
@@ -71,91 +70,73 @@ def make_data(args, settings, out, progress):
     """
     import numpy as np
 
-    from bsp_gp.data.folder import save_dataset
+    from bsp_gp.data.declaration import toml_text
+    from bsp_gp.data.folder import fill_dataset
+    from bsp_gp.report.drawing import png_bytes
+    from bsp_gp.report.scenes import draw_scenes
     from bsp_gp.simulate.synth import make
-    from bsp_gp.simulate.truth import save_truth
+    from bsp_gp.simulate.truth import fill_truth
 
-    _require_films_only(_beside(out, "-film"), args.overwrite)
     rng = np.random.default_rng(args.seed)
     progress(f"making {settings.n_scenes} scene(s) of {settings.name}")
     dataset, truth = make(settings, rng)
+    view = _view(args, truth) if args.film else None  # complains before anything is written
     progress("writing")
-    pixels = None
-    film = _beside(out, "-film")
-    if film.exists():  # of older data
-        shutil.rmtree(film)
-    lines = [f"Data set: {save_dataset(dataset, out, overwrite=args.overwrite)}"]
-    if args.film:
-        (film_rng,) = rng.spawn(1)
-        pixels = _films(args, truth, film, film_rng, progress)
-        lines.append(f"Film: {film}")
-    folder = save_truth(
-        truth, _beside(out, "-truth"), overwrite=args.overwrite, pixels=pixels, seed=args.seed
-    )
-    lines.append(f"Truth: {folder}")
-    model = _beside(out, "-model.toml")
-    if settings.declared:
-        from bsp_gp.data.declaration import toml_text
-
-        _write(model, toml_text({"declare": list(settings.declared)}).encode())
-        lines.append(f"Declared model: {model}")
-    else:
-        model.unlink(missing_ok=True)
-        lines.append("Declared model: none")
-    progress("drawing")
-    from bsp_gp.report.drawing import png_bytes
-    from bsp_gp.report.scenes import draw_scenes
-
-    picture = _beside(out, "-scenes.png")
-    _write(picture, png_bytes(draw_scenes(dataset.scenes, _N_DRAWN)))
-    lines.append(f"Picture: {picture}")
-    return lines
+    with group.fill() as paths:
+        fill_dataset(dataset, paths[""])
+        pixels = None
+        if args.film:
+            (film_rng,) = rng.spawn(1)
+            pixels = _films(args, truth, view, paths[_FILM], film_rng, progress)
+        fill_truth(truth, paths[_TRUTH], pixels, args.seed)
+        if settings.declared:
+            model = toml_text({"declare": list(settings.declared)})
+            paths[_MODEL].write_text(model, encoding="utf-8")
+        progress("drawing")
+        paths[_PICTURE].write_bytes(png_bytes(draw_scenes(dataset.scenes, _N_DRAWN)))
+    lines = [f"Data set: {group.path}"]
+    lines += [f"Film: {group.beside(_FILM)}"] if args.film else []
+    return [
+        *lines,
+        f"Truth: {group.beside(_TRUTH)}",
+        f"Declared model: {group.beside(_MODEL) if settings.declared else 'none'}",
+        f"Picture: {group.beside(_PICTURE)}",
+    ]
 
 
-def _beside(out, suffix):
-    return out.with_name(out.name + suffix)
+def _view(args, truth):
+    """The scenes that are filmed, the camera that sees them, and what it does to them."""
+    from bsp_gp.vision.film import Camera, Look
+
+    scenes = [truth.scene(k) for k in range(args.film)]
+    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    return scenes, Camera.fitting(scenes, *args.size), look
 
 
-def _write(path, data):
-    """Write a file, whole or not at all."""
-    handle, part = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(part, 0o644)
-        os.replace(part, path)
-    finally:
-        Path(part).unlink(missing_ok=True)
-
-
-def _films(args, truth, folder, rng, progress):
+def _films(args, truth, view, folder, rng, progress):
     """Films of the first scenes in a folder, and where everything is in them."""
     import pandas as pd
 
-    from bsp_gp.data.folder import whole_folder
-    from bsp_gp.vision.film import Camera, Look, film_scene, write_film, write_frames
+    from bsp_gp.vision.film import film_scene, write_film, write_frames
 
-    scenes = [truth.scene(k) for k in range(args.film)]
-    camera = Camera.fitting(scenes, *args.size)
-    look = Look(exposure=args.exposure, blur=args.blur, noise=args.grain, quality=args.quality)
+    scenes, camera, look = view
     fps = 1 / truth.settings.dt
     tables = []
-    with whole_folder(folder) as partial:
-        for scene, scene_rng in zip(scenes, rng.spawn(len(scenes)), strict=True):
-            progress(f"filming scene {scene.name}")
-            frames, places = film_scene(scene, camera, look, rng=scene_rng)
-            frames = list(frames)
-            write_film(frames, partial / f"scene-{scene.name}.mp4", fps)
-            if args.png:
-                write_frames(frames, partial / f"scene-{scene.name}")
-            tables += [
-                pd.DataFrame(
-                    {"scene": scene.name, "frame": range(len(places)), "t": scene.times,
-                     "entity": name, "x_px": places[:, k, 0], "y_px": places[:, k, 1]}
-                )
-                for k, name in enumerate(scene.names)
-            ]  # fmt: skip
-        _write(partial / _CAMERA, _camera_text(camera, fps).encode())
+    for scene, scene_rng in zip(scenes, rng.spawn(len(scenes)), strict=True):
+        progress(f"filming scene {scene.name}")
+        frames, places = film_scene(scene, camera, look, rng=scene_rng)
+        frames = list(frames)
+        write_film(frames, folder / f"scene-{scene.name}.mp4", fps)
+        if args.png:
+            write_frames(frames, folder / f"scene-{scene.name}")
+        tables += [
+            pd.DataFrame(
+                {"scene": scene.name, "frame": range(len(places)), "t": scene.times,
+                 "entity": name, "x_px": places[:, k, 0], "y_px": places[:, k, 1]}
+            )
+            for k, name in enumerate(scene.names)
+        ]  # fmt: skip
+    (folder / _CAMERA).write_text(_camera_text(camera, fps), encoding="utf-8")
     return pd.concat(tables, ignore_index=True)
 
 
@@ -168,21 +149,3 @@ def _camera_text(camera, fps):
             "pixels_per_metre": camera.scale, "centre_m": list(camera.centre), "fps": fps,
         }
     )  # fmt: skip
-
-
-def _require_films_only(folder, overwrite):
-    if not folder.exists():
-        return
-    strangers = (
-        [
-            path.name
-            for path in folder.iterdir()
-            if path.name != _CAMERA and not path.name.startswith("scene-")
-        ]
-        if folder.is_dir()
-        else [folder.name]
-    )
-    if strangers:
-        raise OutputError(f"{folder}: holds other files ({strangers[0]}), never overwritten")
-    if not overwrite:
-        raise OutputError(f"{folder}: exists already; pass --overwrite or choose another --out")

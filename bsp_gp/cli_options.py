@@ -116,7 +116,8 @@ def build_parser():
     parser = _Parser(
         prog="bsp-gp",
         description="Measured motion in; a force law in symbols, with units and error bars, out.",
-        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted.",
+        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted "
+        "(Ctrl-C or SIGTERM).",
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -188,8 +189,10 @@ def _add_compare(commands):
         help="what may be said: a name or a .toml file (default physics)",
     )  # fmt: skip
     group.add_argument(
-        "--kind", choices=("pair", "field"), help="forces of bodies on each other, or on each alone"
-    )
+        "--kind", choices=("pair", "field"),
+        help="forces of bodies on each other, or on each alone (default: the grammar's first that "
+        "the data allow)",
+    )  # fmt: skip
     group.add_argument(
         "--searches", nargs="+", metavar="NAME",
         help="cross_entropy, genetic, random (default all); the exhaustive one always runs",
@@ -403,7 +406,7 @@ def _add_track(commands):
     parser.add_argument("--smooth", action="store_true", help="Kalman/RTS-smoothed positions")
     parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
     parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
-    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    _common(parser)
 
 
 def _add_demo(commands):

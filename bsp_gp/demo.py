@@ -9,7 +9,6 @@ perihelion, the rivals) is computed from whatever law was found.
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -18,11 +17,12 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.planning import FREES
+from bsp_gp.output.place import claim
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import residual_acceleration
-from bsp_gp.report.folder import check_target, write_report
+from bsp_gp.report.folder import KIND, write_report
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.units import UnitSystem
 
@@ -123,7 +123,12 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
     folder : Path
     """
     progress = progress or (lambda text: None)
-    check_target(Path(out), overwrite)
+    with claim(out, KIND, overwrite=overwrite):
+        report = _demo_report(seed, progress, workers)
+        return report, write_report(report, out, overwrite=overwrite, run_info=run_info)
+
+
+def _demo_report(seed, progress, workers):
     progress("reading DE421")
     dataset = solar_system()
     report = close_loop(
@@ -140,8 +145,7 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
     extras.append(_freed_mass(report))
     progress("trying Venus and Mars")
     extras.append(_other_planets(report))
-    report = replace(report, extras=tuple(section for section in extras if section))
-    return report, write_report(report, out, overwrite=overwrite, run_info=run_info)
+    return replace(report, extras=tuple(section for section in extras if section))
 
 
 def _headline(report):

@@ -12,6 +12,7 @@ __all__ = [
     "LawError",
     "MissingDependencyError",
     "OutputError",
+    "ResourceError",
     "SettingsError",
     "UnitError",
 ]
@@ -67,6 +68,10 @@ class SettingsError(BspError):
 
 class OutputError(BspError):
     """A result cannot be written, or would overwrite an older one."""
+
+
+class ResourceError(BspError):
+    """There is not enough memory for what was asked, or a process was ended for want of it."""
 
 
 class MissingDependencyError(BspError):

@@ -11,9 +11,7 @@ them depart from it.
 """
 
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 
 import numpy as np
 from common import options, reference_data, write_table
@@ -25,6 +23,7 @@ from bsp_gp.loop.close import close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
 from bsp_gp.loop.memory import search_with_memory
 from bsp_gp.loop.preparing import observe
+from bsp_gp.workers import worker_pool
 
 DECLARED = "9.81 [m/s^2] * m_i * down"
 LEFT_OUT = "bowling_ball"
@@ -154,11 +153,8 @@ def told_of_pooled(fits):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    if args.workers == 1:
-        study(args, None)
-    else:
-        with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-            study(args, pool)
+    with worker_pool(args.workers) as pool:
+        study(args, pool)
 
 
 def study(args, pool):

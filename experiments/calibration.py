@@ -12,17 +12,17 @@ at noisy states).
 """
 
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from common import options, write_table
+from common import options, save_figure, write_table, write_text
 from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unknowns
 
 from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
 from bsp_gp.physics.bodies import stack
+from bsp_gp.workers import worker_pool
 
 LEVELS = (0.5, 0.9)
 CHUNK = 25
@@ -104,10 +104,10 @@ def main():
         for index in range(20 if args.quick else n)
         if (name, kind, method, index, args.seed) not in done
     ]
-    with ProcessPoolExecutor(args.workers) as pool:
+    with worker_pool(args.workers) as pool:
         for start in range(0, len(todo), CHUNK):
             part = todo[start : start + CHUNK]
-            results = map(run, part) if args.workers == 1 else pool.map(run, part)
+            results = map(run, part) if pool is None else pool.map(run, part)
             rows += [row for result in results for row in result]
             write_table(rows, path)
             print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:4]}", flush=True)
@@ -141,7 +141,7 @@ def write_summary(table, folder):
             f"{int((~part.converged.astype(bool)).sum())} | "
             f"{part.seconds.median():.2f} |"
         )
-    (folder / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text("\n".join(lines) + "\n", folder / "summary.md")
     print("\n".join(lines))
 
 
@@ -176,8 +176,7 @@ def draw_figure(table, path):
     for ax in axes[:, 0]:
         ax.set_ylabel("empirical - uniform")
     axes[0, 0].legend(fontsize=8, loc="upper right")
-    fig.savefig(path, dpi=150)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 if __name__ == "__main__":

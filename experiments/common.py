@@ -1,11 +1,23 @@
 """What the experiment scripts share: options, data, tidy results, written whole."""
 
 import argparse
+import atexit
+import contextlib
 import os
 import sys
+import time
 from pathlib import Path
 
+from bsp_gp.errors import OutputError
+from bsp_gp.output.lock import take_lock
+from bsp_gp.output.mark import MARK, Mark, read_mark, write_mark
+from bsp_gp.output.place import claim, whole_file
+from bsp_gp.workers import worker_pool
+
 ROOT = Path(__file__).resolve().parents[1]
+_HELD = contextlib.ExitStack()
+"""Holds the folder of the study until the process ends, or takes up another one."""
+atexit.register(_HELD.close)
 
 
 def options(description, argv=None, declare=None):
@@ -19,12 +31,92 @@ def options(description, argv=None, declare=None):
         declare(parser)
     args = parser.parse_args(argv)
     args.out = args.out or Path("runs") / Path(sys.argv[0]).stem
+    _hold(args.out)
     return args
 
 
+def _hold(out):
+    """Keep other processes out of the folder; refuse one that is not of a study, or the data's."""
+    _HELD.close()
+    try:
+        _adopt(out)
+        place = _HELD.enter_context(claim(out, "study", inputs=(data_root(),), overwrite=True))
+        for path in (*place.path.rglob(".*.bsp-gp-lock"), *place.path.rglob(".*.bsp-gp-part*")):
+            path.unlink()  # of a killed run: nobody else writes here now
+    except OutputError as error:
+        print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _adopt(out):
+    """Mark a folder of `run_jobs` from before there were marks: its table begins with the jobs."""
+    table = out / "results.csv"
+    if table.is_file() and not (out / MARK).exists():
+        with table.open("rb") as file:
+            if file.read(4) == b"job,":
+                ours = [p.name for p in out.iterdir() if p.suffix in (".csv", ".md", ".png")]
+                write_mark(out, Mark("study", dict.fromkeys(ours, "")))
+
+
+@contextlib.contextmanager
+def whole(path):
+    """Write a file of a study, whole or not at all; one that no study wrote is left alone."""
+    try:
+        _list(path.resolve())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as part:
+            yield part
+    except OutputError as error:
+        sys.exit(f"error: {error}")
+
+
+def _list(path):
+    """Put a file on the list of its study's mark, before it is there for the first time."""
+    folder = next((p for p in path.parents if (p / MARK).is_file() and _is_study(p)), None)
+    if folder is None:
+        folder = path.parent
+        with claim(folder, "study") as place, place.fill("study"):
+            pass  # empty but for its mark
+    name = path.relative_to(folder).as_posix()
+    if name in read_mark(folder).files:
+        return
+    with _turn(folder):  # workers have their own files to list
+        mark = read_mark(folder)
+        if name not in mark.files and path.exists():
+            raise OutputError(f"{path}: is not of this study; move it away or choose another --out")
+        write_mark(folder, Mark(mark.kind, {**mark.files, name: ""}, mark.beside))
+
+
+def _is_study(folder):
+    mark = read_mark(folder)
+    return mark is not None and mark.kind == "study"
+
+
+@contextlib.contextmanager
+def _turn(folder):
+    """Wait until no other process of the study changes its mark."""
+    for remaining in range(200, -1, -1):
+        try:
+            lock = take_lock(folder / f"{MARK}-lock", folder)
+            break
+        except OutputError:
+            if not remaining:
+                raise
+            time.sleep(0.05)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def data_root():
+    """The folder of all reference data: $BSP_GP_DATA, by default ../shared/data."""
+    return Path(os.environ.get("BSP_GP_DATA", ROOT.parent / "shared" / "data"))
+
+
 def reference_data(*parts):
-    """A folder of the reference data: $BSP_GP_DATA, by default ../shared/data."""
-    folder = Path(os.environ.get("BSP_GP_DATA", ROOT.parent / "shared" / "data")).joinpath(*parts)
+    """A folder of the reference data."""
+    folder = data_root().joinpath(*parts)
     if not folder.is_dir():
         sys.exit(
             f"no reference data in {folder}; set BSP_GP_DATA (README: where they are to be had)"
@@ -36,29 +128,23 @@ def write_table(rows, path):
     """Write rows as CSV, whole or not at all."""
     import pandas as pd
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    pd.DataFrame(rows).to_csv(part, index=False)
-    os.replace(part, path)
+    with whole(path) as part:
+        pd.DataFrame(rows).to_csv(part, index=False)
 
 
 def write_text(text, path):
     """Write a text, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    with whole(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure, path):
     """Write a figure as PNG, whole or not at all, and close it."""
     import matplotlib.pyplot as plt
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=150)
+    with whole(path) as part:
+        figure.savefig(part, format="png", dpi=150)
     plt.close(figure)
-    os.replace(part, path)
 
 
 def write_study(text, figure, out, name):
@@ -132,14 +218,9 @@ def _done(todo, work, workers):
         for name, job in todo:
             yield name, work(*job)
         return
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+    from concurrent.futures import as_completed
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         futures = {pool.submit(work, *job): name for name, job in todo}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(futures):
+            yield futures[future], future.result()

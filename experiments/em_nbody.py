@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pandas as pd
-from common import options, write_table
+from common import options, save_figure, write_table, write_text
 from synth import TOUCHING, TRAIN, grammar_of, is_true, likelihood_of, scenes_of, unknowns
 
 from bsp_gp.inference.e_step import EStep
@@ -74,7 +74,7 @@ def main():
         f"- 90 % intervals hold the true mass in {100 * table.covered_90.mean():.0f} % (data "
         "without noise, likelihood with sigma = 0.01)",
     ]  # fmt: skip
-    (args.out / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text("\n".join(lines) + "\n", args.out / "summary.md")
     print("\n".join(lines))
 
 
@@ -103,8 +103,7 @@ def draw_figure(em, path):
         ax.set_xlabel(f"{name}, kg")
     np.atleast_1d(axes)[0].set_ylabel("posterior density")
     np.atleast_1d(axes)[0].legend(fontsize=8, loc="lower left", framealpha=1)
-    fig.savefig(path, dpi=150)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,10 @@ by its literal five steps; errors are averaged over posterior draws.
 """
 
 import time
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pandas as pd
-from common import options, write_table
+from common import options, save_figure, write_table, write_text
 from synth import (
     SCENARIOS,
     TEST,
@@ -33,6 +32,7 @@ from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.inference.em import CLASS_NATS, EmSettings, fit_em
 from bsp_gp.inference.prediction import posterior_nrmse
 from bsp_gp.inference.profile import fit_profile
+from bsp_gp.workers import worker_pool
 
 NOISE = {"nbody": 0.01, "bounce": 0.01, "mat": 0.001}
 PAPER = {"nbody": (8.05e-1, 1.77), "bounce": (3.16e-2, 5.98e-2), "mat": (5.39e-4, 1.20e-3)}
@@ -140,8 +140,8 @@ def main():
     done = {tuple(row[k] for k in KEY) for row in rows}
     todo = [t for t in tasks(args.quick) if t not in done]
     todo = [(*t[:5], t[5] + args.seed) for t in todo]
-    with ProcessPoolExecutor(args.workers) as pool:
-        results = map(run, todo) if args.workers == 1 else pool.map(run, todo)
+    with worker_pool(args.workers) as pool:
+        results = map(run, todo) if pool is None else pool.map(run, todo)
         for row in results:
             rows.append(row)
             write_table(rows, path)
@@ -195,7 +195,7 @@ def write_summary(table, folder):
                   "Laws within 3 nats of the best, by how many runs list them:", ""]  # fmt: skip
         names = mats["class"].str.split(" | ", regex=False).explode()
         lines += [f"- {count}: `{law}`" for law, count in names.value_counts().head(20).items()]
-    (folder / "summary.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text("\n".join(lines) + "\n", folder / "summary.md")
     print("\n".join(lines))
 
 
@@ -240,8 +240,7 @@ def draw_figure(table, path):
     fig.legend(
         named.values(), named.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
-    fig.savefig(path, dpi=150)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import second_engine
-from common import options, reference_data, write_table
+from common import options, reference_data, whole, write_table, write_text
 
 from bsp_gp.cli_inputs import masked_grammar
 from bsp_gp.data.tables import load_dataset
@@ -305,7 +305,7 @@ def main():
     cradle = resumed(args, "cradle.csv", cradles, cradle_row)
     draw(args.out / "engines.png", zero, results, contacts)
     text = summary(zero, results, contacts, cradle)
-    (args.out / "summary.md").write_text(text, encoding="utf-8")
+    write_text(text, args.out / "summary.md")
     print(text)
     print(f"tables, figure and summary: {args.out}")
 
@@ -342,7 +342,7 @@ def resumed(args, name, cases, run):
         rows.append(row)
         done.append(key)
         write_table(rows, path)
-        log.write_text("\n".join(done))
+        write_text("\n".join(done), log)
         shown = {k: f"{v:.3g}" if isinstance(v, float) else v for k, v in row.items()}
         print(" ".join(str(v) for v in shown.values()), flush=True)
     return pd.read_csv(path)
@@ -402,7 +402,8 @@ def draw(path, zero, results, contacts):
         left.set_xticks(range(3), [name.upper() for name in SYNTH])
         middle.set_xticks([1, 4, 20], ["1", "4", "20"])
 
-    path.write_bytes(png_bytes(new_figure(panels, 3.0)))
+    with whole(path) as part:
+        part.write_bytes(png_bytes(new_figure(panels, 3.0)))
 
 
 def summary(zero, results, contacts, cradle):

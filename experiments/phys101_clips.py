@@ -1,11 +1,10 @@
 """The Physics 101 clips: tracked from the full videos, and brought to the paper's units."""
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from common import reference_data
+from common import reference_data, write_table
 from scipy.ndimage import gaussian_filter1d
 
 from bsp_gp.data.scene import Entity, Scene
@@ -91,10 +90,7 @@ def _track(name, scenario, path):
         {"frame": track.frames, "x": track.positions[:, 0, 0], "y": track.positions[:, 0, 1],
          "vxx": cov[:, 0, 0], "vyy": cov[:, 1, 1], "vxy": cov[:, 0, 1]}
     )  # fmt: skip
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    frame.to_csv(part, index=False)
-    os.replace(part, path)
+    write_table(frame, path)
 
 
 def paper_smoothing(x):

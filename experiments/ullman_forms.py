@@ -6,11 +6,11 @@ form are free in every movie and no label is used. For a movie of world w the fo
 the other nine worlds.
 """
 
-import os
 from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
+from common import write_table
 from ullman_model import (
     Form,
     contacts_of,
@@ -68,12 +68,10 @@ class FormTable:
                 self.rows[place] = form_evidence(movie, form)
                 new = True
         if new:
-            part = self.path.with_name(self.path.name + ".part")
-            part.parent.mkdir(parents=True, exist_ok=True)
-            pd.DataFrame(
-                [{"scene": s, "form": f, "evidence": v} for (s, f), v in self.rows.items()]
-            ).to_csv(part, index=False)
-            os.replace(part, self.path)
+            write_table(
+                [{"scene": s, "form": f, "evidence": v} for (s, f), v in self.rows.items()],
+                self.path,
+            )
         return np.array([self.rows[(m.name, self.key(form))] for m in self.movies])
 
 

@@ -1,11 +1,10 @@
 """The intuitive-physics movies, from mp4 to arrays: discs, mats, walls. No truth is read here."""
 
 import json
-import os
 from dataclasses import dataclass
 
 import numpy as np
-from common import reference_data
+from common import reference_data, whole
 
 COLOURS = ("red", "blue", "yellow")
 MATS = {"green": "#9acd32", "purple": "#8b008b", "brown": "#a52a2a"}
@@ -76,9 +75,7 @@ def load_movie(name, folder):
                 tuple(map(tuple, about["mats"])), tuple(about["arena"]), about["fps"],
             )  # fmt: skip
     movie = track_movie(name)
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / f".{name}.part.npz"
     about = {"colours": movie.colours, "mats": movie.mats, "arena": movie.arena, "fps": movie.fps}
-    np.savez(part, positions=movie.positions, radii=movie.radii, about=json.dumps(about))
-    os.replace(part, path)
+    with whole(path) as part:
+        np.savez(part, positions=movie.positions, radii=movie.radii, about=json.dumps(about))
     return movie

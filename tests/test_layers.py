@@ -17,6 +17,8 @@ ROOMS = (
     "grammars",
     "errors",
     "units",
+    "workers",
+    "output",
     "data",
     "language",
     "physics",

@@ -7,12 +7,12 @@ import fnmatch
 import json
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
+from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
 
 __all__ = ["Declaration", "read_declaration", "select_scenes", "toml_text"]
@@ -113,10 +113,10 @@ def read_declaration(path):
     """
     path = Path(path)
     try:
-        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        content = parse_toml(path.read_bytes())
     except UnicodeDecodeError as error:
         raise DataError("the file is not UTF-8", file=path, remedy="save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
+    except TomlError as error:
         line = re.search(r"line (\d+)", str(error))
         raise DataError(
             f"this is not valid TOML: {error}",
@@ -295,17 +295,19 @@ def select_scenes(patterns, names, *, what="split", file=None):
     """
     chosen = set()
     for pattern in patterns:
-        span = re.fullmatch(r"\s*(-?\d+)\s*\.\.\s*(-?\d+)\s*", pattern)
+        span = re.fullmatch(r"\s*(-?\d{1,300})\s*\.\.\s*(-?\d{1,300})\s*", pattern)
         if pattern in names:
             matches = {pattern}
         elif span:
             low, high = int(span.group(1)), int(span.group(2))
-            matches = {n for n in names if re.fullmatch(r"-?\d+", n) and low <= int(n) <= high}
+            numbers = [n for n in names if re.fullmatch(r"-?\d{1,300}", n)]
+            matches = {n for n in numbers if low <= int(n) <= high}
         else:
             matches = set(fnmatch.filter(names, pattern))
         if not matches:
             raise DataError(
-                f"{what} {pattern!r} matches nothing; present are {', '.join(list(names)[:20])}",
+                f"{what} {pattern!r:.60} matches nothing; present are "
+                f"{', '.join(list(names)[:20])}",
                 file=file,
                 remedy="give a name, a glob such as 'drop_*', a range such as '1..80', or a list",
             )

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
-import tempfile
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.cells import safe_cell
 from bsp_gp.data.declaration import toml_text
 from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
+from bsp_gp.output.place import claim
 
-__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "save_dataset", "whole_folder"]
+__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
 
 TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
 
 
-def save_dataset(dataset, folder, overwrite=False):
+def save_dataset(dataset, folder, overwrite=False, *, kind="data set"):
     """Write `dataset` as a folder that `load_dataset` reads back to the same numbers.
 
     Parameters
     ----------
     dataset : Dataset
     folder : path-like
-        Created; its parent must exist.
+        Created, with its parents.
     overwrite : bool
-        Replace an older data set there. A folder that holds anything else is never touched.
+        Replace an older data set that was written there by `save_dataset`. What else is in the
+        folder is kept.
+    kind : str
+        What is told of the data set; one of another kind is not replaced.
 
     Returns
     -------
@@ -43,65 +44,17 @@ def save_dataset(dataset, folder, overwrite=False):
     OutputError
         If the folder exists, cannot be written, or the data cannot be said in the format.
     """
-    folder = Path(folder)
-    _require_free(folder, overwrite)
-    with whole_folder(folder) as partial:
-        _trajectories(dataset).to_csv(partial / TRAJECTORIES, index=False, lineterminator="\n")
-        _entities(dataset).to_csv(partial / ENTITIES, index=False, lineterminator="\n")
-        (partial / TOML).write_text(toml_text(_declaration(dataset)), encoding="utf-8")
-    return folder
+    with claim(folder, kind, overwrite=overwrite) as place:
+        with place.fill(kind, overwrite) as fresh:
+            fill_dataset(dataset, fresh)
+    return Path(folder)
 
 
-@contextmanager
-def whole_folder(folder):
-    """Write a folder whole or not at all: a new one to fill, which takes its place at the end.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        What is there already is replaced; whether it may be is for the caller to check.
-
-    Yields
-    ------
-    pathlib.Path
-        An empty folder beside it.
-
-    Raises
-    ------
-    OutputError
-        If something cannot be written.
-    """
-    try:
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as error:
-        raise OutputError(f"cannot write in {folder.parent}: {error.strerror}") from error
-    try:
-        yield partial
-        partial.chmod(0o755)
-        if folder.exists():
-            old = partial.with_name(f"{partial.name}-old")
-            os.replace(folder, old)
-            os.replace(partial, folder)
-            shutil.rmtree(old)
-        else:
-            os.replace(partial, folder)
-    except OSError as error:
-        raise OutputError(f"cannot write {folder}: {error.strerror}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def _require_free(folder, overwrite):
-    if not folder.exists():
-        return
-    if not overwrite:
-        raise OutputError(f"{folder} exists already; choose another name or pass overwrite=True")
-    known = {TRAJECTORIES, ENTITIES, TOML}
-    strangers = [] if not folder.is_dir() else sorted(p.name for p in folder.iterdir())
-    strangers = [name for name in strangers if name not in known]
-    if not folder.is_dir() or strangers:
-        what = f"holds {', '.join(strangers[:5])}" if strangers else "is no folder"
-        raise OutputError(f"{folder} {what}, so it is not overwritten; choose another name")
+def fill_dataset(dataset, folder):
+    """Write the files of a data set into an empty folder."""
+    _trajectories(dataset).to_csv(folder / TRAJECTORIES, index=False, lineterminator="\n")
+    _entities(dataset).to_csv(folder / ENTITIES, index=False, lineterminator="\n")
+    (folder / TOML).write_text(toml_text(_declaration(dataset)), encoding="utf-8")
 
 
 def _trajectories(dataset):
@@ -145,9 +98,10 @@ def _present(scene):
 
 
 def _text(name):
+    """The name as a cell."""
     if not name or name != name.strip() or any(mark in name for mark in "\r\n\0"):
         raise OutputError(f"the name {name!r} cannot be saved: it is blank or has blanks around it")
-    return name
+    return safe_cell(name)
 
 
 def _entities(dataset):
@@ -159,7 +113,7 @@ def _entities(dataset):
         for entity in scene.entities:
             row = {"entity": _text(entity.name)}
             if not is_shared:
-                row["scene"] = scene.name
+                row["scene"] = _text(scene.name)
             row |= {"shape": entity.shape, "radius": entity.radius, "width": entity.width}
             row |= {"height": entity.height, "dynamic": int(not entity.is_static)}
             rows.append(row | _property_cells(entity))

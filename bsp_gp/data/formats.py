@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from bsp_gp.data.cells import plain_cell
 from bsp_gp.data.sniffing import (
     DELIMITER_NAMES,
     TEXT_COLUMNS,
@@ -88,8 +89,14 @@ def read_table(path, *, rename=None, as_text=False):
     with path.open(encoding="utf-8-sig", newline=None) as stream:
         head = [line.rstrip("\n") for _, line in zip(range(_HEAD_LINES), stream, strict=False)]
     marks = ("entity",) if as_text else ("t", "frame")
-    layout = sniff(head, dict(rename or {}), marks, path)
-    _require_even_rows(path, layout, head, counts)
+    try:
+        layout = sniff(head, dict(rename or {}), marks, path)
+        _require_even_rows(path, layout, head, counts)
+    except csv.Error as error:  # such as a cell of more than 131,072 characters
+        raise DataError(
+            f"the rows cannot be told apart: {error}",
+            file=path, remedy="is it a table, with one row per time and entity?",
+        ) from None  # fmt: skip
     groups = () if as_text else _mass_groups(layout, path)
     frame, notes = _read_frame(path, layout, groups, as_text)
     frame, notes = _drop_unnamed(frame, notes)
@@ -98,6 +105,8 @@ def read_table(path, *, rename=None, as_text=False):
             "the file has a header but no rows", file=path, row=layout.header_line + 1,
             remedy="one row per time and entity is needed",
         )  # fmt: skip
+    for column in (c for c in TEXT_COLUMNS if c in frame.columns):
+        frame[column] = frame[column].map(plain_cell)
     if groups:
         frame = _stack_masses(frame, groups, path)
     cells = [cell for cell in layout.title_cells if cell]
@@ -244,6 +253,7 @@ def _read_frame(path, layout, groups, as_text):
         "na_values": {key: [""] if key in text else _NAN for key in keys},
         "decimal": layout.decimal,
         "encoding": "utf-8-sig",
+        "compression": None,  # it was read as text so far, whatever its name ends in
         "low_memory": False,
     }
     if _pandas_version() < (3, 1):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import Unit
 
-__all__ = ["NoiseEstimate", "checked_noise", "estimate_noise", "finest_noise"]
+__all__ = [
+    "FLOOR", "NoiseEstimate", "checked_noise", "declare_noise", "estimate_noise", "finest_noise",
+    "is_declared_noisy",
+]  # fmt: skip
 
 ORDERS = range(2, 9)
 FLOOR = 1e-12
+"""Part of the range of the positions below which no noise is taken to lie."""
 _MAD_TO_SIGMA = 1.482602218505602
 _CLIP = 3.0
 _CLIPPED_RMS = 0.98658  # rms of a standard normal within ±3
@@ -67,6 +71,40 @@ def checked_noise(noise, n_dims):
     if not all(math.isfinite(v) and v >= 0 for v in values):
         raise SettingsError(f"noise must be finite and not negative, got {noise}")
     return values
+
+
+def declare_noise(dataset, sigma):
+    """The data set with another declared noise.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    sigma : tuple of float, metres
+        One for all axes, or one per axis.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    SettingsError
+        If points quote errors of their own, since these would count and not `sigma`.
+    """
+    if any(_quoted(dataset.scenes, axis) is not None for axis in range(dataset.n_dims)):
+        raise SettingsError(
+            "noise is given as an option, but the points quote errors of their own (columns sx, "
+            "sy, sz, or noise body by body), which come before it; leave the option out, or the "
+            "quoted errors out of the data"
+        )
+    return replace(dataset, noise=tuple(sigma))
+
+
+def is_declared_noisy(dataset):
+    """Whether an error above zero is declared or quoted: such a noise is never replaced."""
+    if any(_quoted(dataset.scenes, axis) for axis in range(dataset.n_dims)):
+        return True
+    return any(sigma > 0 for sigma in dataset.noise or ())
 
 
 def estimate_noise(data):

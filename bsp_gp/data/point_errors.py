@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import FLOOR, estimate_noise
+from bsp_gp.data.scene import CHECK
 
 __all__ = ["gross_errors", "with_point_errors"]
 
@@ -18,15 +19,35 @@ REACH = 5
 """Points before and after by which a point is predicted."""
 FAR = 5.0
 """Deviations, in standard deviations of what is predicted from neighbours, of a gross error."""
+FAR_ALONE = 7.0
+"""The same of one within reach of an end, or in a short track."""
+FAR_STEP = 3.0
+"""Steps as a body usually takes them, of one to an end that it did not take."""
 MOST_GROSS = 0.2
 """Part of a track; where more points are off, the motion itself is rough."""
+LEAST = 2 * REACH + 3
+"""Points of a track that is judged."""
+LONG = 30
+"""Points of a track in which one that is far off does not change what is usual."""
+TRIED = 3
+"""Points of a shorter one that are looked at."""
+ALONE = 2
+"""Points on either side that must not be far off as well."""
+BOTH = (-2, -1, 1, 2), 3
+BEFORE = tuple(range(-REACH, 0)), 2
+AFTER = tuple(range(1, REACH + 1)), 2
+"""Neighbours of a point, and the degree of the polynomial through them that predicts it."""
+ENDS = {
+    0: ((1,), 0), 1: ((-1,), 0), 2: ((-2, -1), 1), 3: ((-3, -2, -1), 2), 4: ((-4, -3, -2, -1), 2),
+}  # fmt: skip
+"""Those on the short side of the first points of a track."""
 UNLIKE = 1.4
 """Ratio of a body's noise to that of all at which it is given its own."""
 SURE = 4.0
 """And its distance from 1 in standard errors of the ratio."""
 
 
-def with_point_errors(dataset, noise):
+def with_point_errors(dataset, noise, *, is_exact=False):
     """The data set with errors of single points where these differ from the common one.
 
     Parameters
@@ -34,6 +55,8 @@ def with_point_errors(dataset, noise):
     dataset : Dataset
     noise : NoiseEstimate
         Of all bodies together.
+    is_exact : bool
+        Whether that is a resolution and no noise: then no body is seen worse, see `gross_errors`.
 
     Returns
     -------
@@ -43,18 +66,21 @@ def with_point_errors(dataset, noise):
         What was found, for the report.
     """
     sigma = np.array(noise.sigma, dtype=float)
-    own = _own_noise(dataset, noise) if noise.source == "estimated" else {}
+    is_own = noise.source == "estimated" and not is_exact
+    own = _own_noise(dataset, noise) if is_own else {}
+    floor = FLOOR * _spans(dataset)  # as for the noise of all: numbers say no more than that
     scenes, found = [], []
     for scene in dataset.scenes:
         size = np.broadcast_to(sigma, scene.positions.shape)
         if scene.sigma is not None:
             size = np.where(scene.sigma > 0, scene.sigma, size)
-        size = np.array(size)
-        changed = False
+        size = np.maximum(size, floor)
+        changed = scene.sigma is not None and bool(np.any(scene.sigma < floor))
         for k in scene.dynamic:
             factor = own.get(scene.names[k], 1.0)
             size[:, k] *= factor
-            off = gross_errors(scene.times, scene.positions[:, k], sigma * factor)
+            track = scene.times, scene.positions[:, k], sigma * factor
+            off = gross_errors(*track, is_exact=is_exact)
             far = off > 1
             # As far off as twice their own error: they hardly count.
             size[:, k] *= np.where(far, np.maximum(off / 2, 1.0), 1.0)[:, None]
@@ -65,10 +91,17 @@ def with_point_errors(dataset, noise):
     if found:
         listed = ", ".join(f"{name} of {scene} at t = {t:.4g}" for scene, name, t in found[:5])
         more = f" and {len(found) - 5} more" if len(found) > 5 else ""
-        notes.append(f"far off their neighbours, and given little weight: {listed}{more}")
-    if not notes:
-        return dataset, ()
+        notes.append(f"{CHECK}far off their neighbours, and given little weight: {listed}{more}")
+    if all(new is old for new, old in zip(scenes, dataset.scenes, strict=True)):
+        return dataset, tuple(notes)
     return replace(dataset, scenes=tuple(scenes)), tuple(notes)
+
+
+def _spans(dataset):
+    """Range of the positions of all that moves, per axis."""
+    tracks = [scene.positions[:, scene.dynamic] for scene in dataset.scenes]
+    rows = np.concatenate([track.reshape(-1, dataset.n_dims) for track in tracks])
+    return np.nan_to_num(np.fmax.reduce(rows) - np.fmin.reduce(rows))
 
 
 def _own_noise(dataset, noise):
@@ -100,13 +133,15 @@ def _only(scene, name):
     return replace(scene, entities=entities)
 
 
-def gross_errors(times, positions, sigma):
+def gross_errors(times, positions, sigma, *, is_exact=False):
     """Deviation of gross errors from their neighbours, in sigma; 1 elsewhere.
 
     A point counts as a gross error if the two points before and the two after it, the five
     before it and the five after it all predict another place. Where a body is hit, one of the
-    two sides still predicts it, and so a collision is no error. The first and the last five
-    points are not judged.
+    two sides still predicts it, and so a collision is no error. Within five points of an end there
+    are fewer on that side, and none beyond the last one: it must lie further from the next than
+    the body usually goes in a step. What is far off there, or in a short track, must be so alone:
+    with it left out, the points beside it must be where they are expected.
 
     Parameters
     ----------
@@ -114,6 +149,9 @@ def gross_errors(times, positions, sigma):
     positions : ndarray, shape (T, d)
         nan where not seen.
     sigma : ndarray, shape (d,)
+    is_exact : bool
+        Whether the positions have no noise that could hide a bend of the motion: then points must
+        be off alone everywhere.
 
     Returns
     -------
@@ -122,43 +160,92 @@ def gross_errors(times, positions, sigma):
     off = np.ones(len(times))
     axes = np.isfinite(sigma) & (sigma > 0)
     rows = np.flatnonzero(np.isfinite(positions[:, axes]).all(axis=1))
-    if not axes.any() or len(rows) < 2 * REACH + 3:
+    if not axes.any() or len(rows) < LEAST:
         return off
     most = max(int(MOST_GROSS * len(rows)), 1)
     for _ in range(most + 1):
-        size, far = _deviations(times[rows], positions[np.ix_(rows, axes)], sigma[axes])
-        worst = int(np.argmax(far))
-        if far[worst] <= FAR:
+        size, worst = _worst(times[rows], positions[np.ix_(rows, axes)], sigma[axes], is_exact)
+        if worst is None:
             return off
-        off[rows[worst]] = max(size[worst], 1.0)
+        off[rows[worst]] = max(size, 1.0)
         rows = np.delete(rows, worst)
-        if len(rows) < 2 * REACH + 3:
-            break
+        if len(rows) < LEAST:
+            return off
     return np.ones(len(times))  # so many are off that the motion itself is rough
 
 
-def _deviations(times, x, sigma):
-    """Deviation from the neighbours, in sigma, and how many standard errors it is."""
+def _worst(times, x, sigma, is_exact):
+    """The point that is furthest off, and its size in sigma; None where none is too far."""
     n = len(times)
-    inner = np.arange(REACH, n - REACH)
-    before, after = np.arange(-REACH, 0), np.arange(1, REACH + 1)
-    sizes, fars = [], []
-    for offsets, degree in ((np.array([-2, -1, 1, 2]), 3), (before, 2), (after, 2)):
-        nodes = inner[:, None] + offsets
-        weights = _predicting(times[nodes], times[inner], degree)
-        gap = np.abs(x[inner] - np.einsum("nk,nkd->nd", weights, x[nodes])) / sigma
+    size, far, beyond = _deviations(times, x, sigma)
+    order = np.argsort(-far, kind="stable")
+    if n >= LONG:
+        order = order[: np.count_nonzero(far > FAR)]
+    else:  # one that is off makes everything look usual
+        order = [row for row in order[:TRIED] if beyond[row] > FAR]
+    for row in order:
+        is_inner = REACH <= row < n - REACH
+        if (n >= LONG and is_inner and not is_exact) or _is_alone(times, x, sigma, row):
+            return size[row], int(row)
+    return 1.0, None
+
+
+def _is_alone(times, x, sigma, row):
+    """Whether a point is far off by what is usual without it, and those beside it are not."""
+    kept = np.delete(np.arange(len(times)), row)
+    usual = {}
+    others = _deviations(times[kept], x[kept], sigma, usual)[1]
+    beside = others[max(row - ALONE, 0) : row + ALONE]
+    return _deviations(times, x, sigma, usual)[1][row] > FAR_ALONE and beside.max() <= FAR
+
+
+def _deviations(times, x, sigma, usual=None):
+    """Size of what points are off, in sigma; how far by what is usual, and by sigma alone.
+
+    Parameters
+    ----------
+    usual : dict, optional
+        The usual deviation by set of neighbours; what is missing is found here and filled in.
+    """
+    n = len(times)
+    usual = {} if usual is None else usual
+    size, far, beyond = np.ones(n), np.full(n, np.inf), np.full(n, np.inf)
+    for (offsets, degree), judged in _neighbours(n):
+        rows = np.arange(max(-offsets[0], 0), n - max(offsets[-1], 0))
+        nodes = rows[:, None] + np.array(offsets)
+        weights = _predicting(times[nodes], times[rows], degree)
+        gap = np.abs(x[rows] - (weights[..., None] * x[nodes]).sum(axis=1)) / sigma
         z = gap / np.sqrt(1 + np.square(weights).sum(axis=1))[:, None]
-        # The motion itself is no polynomial: what is usual on this track is no error.
-        usual = np.maximum(1.4826 * np.median(z, axis=0), 1.0)
-        sizes.append(gap.max(axis=1))
-        fars.append((z / usual).max(axis=1))
-    size, far = np.ones(n), np.zeros(n)
-    size[inner] = sizes[0]
-    far[inner] = np.min(fars, axis=0)
-    return size, far
+        if (offsets, degree) not in usual:
+            # The motion itself is no polynomial: what is usual on this track is no error.
+            usual[offsets, degree] = np.maximum(1.4826 * np.median(z, axis=0), 1.0)
+        ratio = (z / usual[offsets, degree]).max(axis=1)
+        if degree == 0:
+            ratio *= FAR_ALONE / FAR_STEP
+        own = np.array(judged) - rows[0]
+        far[judged] = np.minimum(far[judged], ratio[own])
+        beyond[judged] = np.minimum(beyond[judged], z.max(axis=1)[own])
+        if (offsets, degree) in (BEFORE, AFTER, BOTH):
+            size[judged] = gap.max(axis=1)[own]
+    return size, far, beyond
+
+
+def _neighbours(n):
+    """Sets of neighbours, each with the degree of its polynomial, and the rows that it judges."""
+    inner = list(range(REACH, n - REACH))
+    yield BEFORE, [*inner, *range(n - REACH, n)]
+    yield AFTER, [*range(REACH), *inner]
+    yield BOTH, [*range(2, n - 2)]
+    for sign in (1, -1):
+        for place, (offsets, degree) in ENDS.items():
+            turned = offsets if sign > 0 else tuple(-k for k in reversed(offsets))
+            yield (turned, degree), [place if sign > 0 else n - 1 - place]
 
 
 def _predicting(nodes, at, degree):
     """Weights of the least squares polynomial through nodes (n, k) at places (n,), (n, k)."""
-    s = (nodes - at[:, None]) / np.ptp(nodes, axis=1)[:, None]
+    s = nodes - at[:, None]
+    s = s / np.abs(s).max(axis=1, keepdims=True)
+    if np.ptp(s, axis=0).max() < 1e-9:  # even times: all rows have the same weights
+        s = s[:1]
     return np.linalg.pinv(s[..., None] ** np.arange(degree + 1))[:, 0]

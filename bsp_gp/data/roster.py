@@ -16,6 +16,8 @@ __all__ = ["Roster", "read_roster", "require_columns"]
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 ABSURD = 1e150
+STATE_NAMES = {"p": "position", "v": "velocity", "s": "shape"}
+"""What laws call so; a property of that name could not be told from it."""
 
 
 @dataclass(frozen=True)
@@ -206,6 +208,12 @@ class _RosterReader:
             columns = stems.get(name, (name,))
             if not re.fullmatch(r"[A-Za-z_]\w*", name):
                 self.notes.append(f"column {name!r} is not used: its name is no identifier")
+                continue
+            if name in STATE_NAMES:
+                self.notes.append(
+                    f"column {', '.join(map(repr, columns))} is not used: in laws {name}_i is "
+                    f"the {STATE_NAMES[name]}; give the column another name"
+                )
                 continue
             arrays = [self.property_column(column, name, coded) for column in columns]
             if any(array is None for array in arrays):

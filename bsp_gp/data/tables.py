@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,13 +17,14 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.assembly import build_rows, build_scenes
+from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, read_table
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
-from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sniffing import TEXT_COLUMNS, normalise_columns, number_columns
 from bsp_gp.data.trk import read_trk
 from bsp_gp.errors import DataError
@@ -69,7 +71,7 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
                 remedy=f"name the table of positions {TRAJECTORIES}, or give the file itself",
             )  # fmt: skip
         toml = path / TOML
-        declaration = read_declaration(toml) if toml.is_file() else Declaration()
+        declaration = read_declaration(toml) if os.path.lexists(toml) else Declaration()
         entities = path / ENTITIES
     elif path.suffix.lower() == ".trk" and path.is_file():
         return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
@@ -88,7 +90,7 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     )
     table = read_table(trajectories, rename=declaration.columns)
     roster = None
-    if entities is not None and entities.is_file():
+    if entities is not None and os.path.lexists(entities):
         roster = read_table(entities, rename=declaration.columns, as_text=True)
     name = path.resolve().name if path.is_dir() else path.stem
     return _assemble(table, roster, declaration, name)
@@ -203,6 +205,9 @@ def _assemble(table, roster, declaration, default_name):
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
     scenes, idle = build_scenes(rows, roster)
+    has_times = "t" in table.frame.columns
+    clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
+    clock += clock_jumps(rows, scenes, conversion.time())
     scenes = _with_noise_of_bodies(scenes, declaration, conversion, rows.entity_names)
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
@@ -212,6 +217,8 @@ def _assemble(table, roster, declaration, default_name):
         *rows.notes,
         *(roster.notes if roster else ()),
         *idle,
+        *clock,
+        *_noise_notes(declaration, rows),
         *split_note,
     ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
@@ -335,6 +342,18 @@ def _noise(declaration, conversion, n_dims):
     if declaration.noise is None or isinstance(declaration.noise, Mapping):
         return None
     return _levels(declaration.noise, "noise", declaration, conversion, n_dims)
+
+
+def _noise_notes(declaration, rows):
+    """That declared noise of all bodies has no say where points quote errors of their own."""
+    if declaration.noise is None or rows.sigma is None or not np.isfinite(rows.sigma).any():
+        return ()
+    if isinstance(declaration.noise, Mapping):
+        return ()  # fills what is not quoted
+    return (
+        f"{CHECK}noise is declared and points quote errors of their own (columns sx, sy, sz): the "
+        "quoted ones count, on every axis that has any",
+    )
 
 
 def _levels(values, what, declaration, conversion, n_dims):

@@ -10,7 +10,7 @@ from numbers import Integral
 
 import numpy as np
 
-from bsp_gp.data.noise import checked_noise, estimate_noise
+from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
@@ -19,6 +19,7 @@ from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
 from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
@@ -159,7 +160,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     began = time.monotonic()
     _check_settings(starts, bounds, time_limit)
     if noise is not None:
-        dataset = replace(dataset, noise=checked_noise(noise, dataset.n_dims))
+        dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, _generator(rng))
@@ -186,7 +187,10 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         chi2_red=found.chi2_red, bic=_bic(found), log_evidence=found.log_evidence,
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
-        notes=(*dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test))),
+        notes=(
+            *dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test)),
+            *aliasing_notes(found.law, train.scenes, dataset.units),
+        ),
     )  # fmt: skip
 
 

@@ -63,7 +63,9 @@ class HorizonMisfit(_Misfit):
         """Weighted errors (W, m); half their sum of squares is minus the log-likelihood."""
         values = np.atleast_2d(np.asarray(values, dtype=float))
         constants = self._constants(constants, len(values))
-        size = sum(n * b.positions[0].size * b.bodies.others.shape[1] for b, _, n in self.groups)
+        size = sum(
+            n * b.positions[0].size * max(1, b.bodies.others.shape[1]) for b, _, n in self.groups
+        )
         step = max(1, CHUNK_NUMBERS // size)
         parts = [
             self._chunk(values[k : k + step], constants[k : k + step])

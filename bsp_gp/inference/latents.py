@@ -156,7 +156,8 @@ class Latents:
         out = np.array(coordinates, dtype=float)
         for k, item in enumerate(self.items):
             if item.prior.is_logarithmic:
-                out[..., k] = np.exp(out[..., k])
+                with np.errstate(over="ignore"):  # infinite: outside of every prior
+                    out[..., k] = np.exp(out[..., k])
         return out
 
     def log_jacobian(self, coordinates):

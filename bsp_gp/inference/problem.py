@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import FLOOR, estimate_noise, is_declared_noisy
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.latents import Latents, declared_latents
@@ -121,13 +121,14 @@ def _likelihood(dataset, kind, noise):
         source = estimate.source
     else:
         sigma = np.broadcast_to(np.asarray(noise, dtype=float), (dataset.n_dims,))
-        source = "given"
+        sigma, source = np.maximum(sigma, FLOOR * extent), "given"
     if not np.isfinite(sigma).any():
         raise DataError("nothing moves: no dynamic entity changes its position on any axis")
     is_exact = bool(np.nanmax(sigma) <= EXACT * extent)
     touching = any(e.shape != "point" for s in dataset.scenes for e in s.entities)
     chosen = kind if kind != "auto" else "one_step" if is_exact else "gls"
-    if is_exact:
+    is_given = is_declared_noisy(dataset) if noise is None else np.max(noise) > 0
+    if is_exact and not is_given:
         sigma = np.where(np.isfinite(sigma), ASSUMED * extent, sigma)
         note = (
             f"the positions are exact: posteriors are those of an assumed error of "

@@ -13,12 +13,12 @@ import ast
 import functools
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
+from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import GrammarError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import property_of
@@ -253,8 +253,8 @@ def load_grammar(name):
             f"unknown grammar {str(name)!r}; known are {', '.join(known)}, or give a .toml file"
         )
     try:
-        source = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        source = parse_toml(path.read_bytes())
+    except (TomlError, UnicodeDecodeError) as error:
         raise GrammarError(f"{path.name}: not readable as TOML: {error}") from None
     try:
         return read_grammar(source)
@@ -293,7 +293,7 @@ class _Reader:
         self.constants = tuple(self.source.get("constants", {}))
         self.operators = dict(self.source.get("operators", {}))
         for name, meaning in self.operators.items():
-            if meaning not in OPERATORS:
+            if not isinstance(meaning, str) or meaning not in OPERATORS:
                 raise GrammarError(f"[operators] {name} = {meaning!r}: no such operator")
         rules = self.rules()
         grammar = Grammar(
@@ -314,7 +314,11 @@ class _Reader:
         symbols, kinds = head.get("start"), head.get("kind", "pair")
         symbols = [symbols] if isinstance(symbols, str) else symbols
         kinds = [kinds] if isinstance(kinds, str) else kinds
-        if not symbols or len(symbols) != len(kinds):
+        are_texts = all(
+            isinstance(each, list) and all(isinstance(item, str) for item in each)
+            for each in (symbols, kinds)
+        )
+        if not are_texts or not symbols or len(symbols) != len(kinds):
             raise GrammarError("[grammar] needs one kind (pair or field) for each start symbol")
         for kind in kinds:
             if kind not in KINDS:
@@ -360,7 +364,7 @@ class _Reader:
         return tuple(rules)
 
     def body(self, nonterminal, text):
-        where = f"rule {nonterminal} -> {text}"
+        where = f"rule {nonterminal} -> {text if len(text) <= 120 else text[:117] + '...'}"
         try:
             tree = ast.parse(text, mode="eval").body
         except SyntaxError:

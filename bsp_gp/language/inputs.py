@@ -80,5 +80,6 @@ def input_types(property_units, *, vectors=(), n_dims=2, up=None, has_contact=Tr
         type_ = Type("vector" if column in vectors else "scalar", unit or DIMENSIONLESS)
         for stem in {column, SHORT.get(column, column)}:
             for role in ("i", "j"):
-                types[f"{stem}_{role}"] = type_
+                if f"{stem}_{role}" not in STATE_INPUTS:  # a position stays a position
+                    types[f"{stem}_{role}"] = type_
     return types

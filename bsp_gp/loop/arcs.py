@@ -42,7 +42,8 @@ def orthonormal_rows(rows):
 
 
 def scaled_rows(rows):
-    """The rows that are not zero, at unit length."""
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    """The rows that are not zero, at unit length; without those beyond all numbers."""
+    with np.errstate(over="ignore", invalid="ignore"):  # of a law that runs away
+        sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     known = np.isfinite(sizes[:, 0]) & (sizes[:, 0] > 0)
     return rows[known] / sizes[known]

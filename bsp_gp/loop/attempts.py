@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, factors, product
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.models import Attempt, Model, is_property
 from bsp_gp.loop.naming import describe, form_of, fresh_name, rename_constant
@@ -52,11 +52,9 @@ def attempt_of(job):
         law = law.plus(Term(formula, proposal.kind), {name: start})
         terms.append((name, formula))
     bounds = sign_bounds(observation, law)
-    try:
-        fit = observation.fit_beyond(law, before, bounds)
-    except EvaluationError:
-        return None  # no finite value at some instant of the training data; counted by the round
-    if not np.isfinite(fit.chisqr):
+    # No finite value at some instant of the training data, say; counted by the round.
+    fit, _ = or_fault(observation.fit_beyond, law, before, bounds)
+    if fit is None or not np.isfinite(fit.chisqr):
         return None
     reason, words = "", []
     for name, formula in terms:
@@ -133,7 +131,7 @@ def _confirmed(observation, model, able, best, n_eff, alpha):
     near.sort(key=lambda a: (a.score(n_eff), a.complexity))
     kept = [a for a in near if not observation.held_out_contradict(model.fit, a.fit)]
     for attempt in kept or near:
-        if not examine_residual(observation, attempt.fit, alpha).is_missing:
+        if examine_residual(observation, attempt.fit, alpha).is_noise:
             return attempt
     return kept[0] if kept else best
 
@@ -175,7 +173,9 @@ def _like_declared(observation, model, best, n_eff):
         return best
     name = split_linear(formula)[0]
     new = law.plus(Term(formula, "pair"), {name: 0.0})
-    fit = observation.fit_beyond(new, model.fit, sign_bounds(observation, new))
+    fit, _ = or_fault(observation.fit_beyond, new, model.fit, sign_bounds(observation, new))
+    if fit is None:
+        return best
     # On exact data what is left is misfit: a tenth of it more is no evidence.
     same = (
         fit.chisqr < 1.1 * best.fit.chisqr

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError
 from bsp_gp.loop.denoise import tracks_of
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.memory import plausible_memories, search_with_memory
 from bsp_gp.physics.noise import draw_noise
 
@@ -103,19 +103,20 @@ def bootstrap(search, fit, observed, rng, *, alpha=0.01, n_max=99, workers=None)
     seeds = rng.spawn(n_max)
     for start in range(0, n_max, BATCH):
         for value in run(source, seeds[start : start + BATCH]):
-            n_failed += value is None
-            strengths.append(math.inf if value is None else value)
+            is_failed = value is None or math.isnan(value)
+            n_failed += is_failed
+            strengths.append(math.inf if is_failed else value)
             done = _decided(strengths, n_failed, observed, alpha, n_max)
             if done is not None:
                 return done
-    n_strong = sum(s >= observed for s in strengths)
+    n_strong = sum(not s < observed for s in strengths)  # nor is what failed significant
     return Significance(
         (n_strong + 1) / (n_max + 1), n_max, n_strong, n_failed, False, tuple(strengths)
     )
 
 
 def _decided(strengths, n_failed, observed, alpha, n_max):
-    n, n_strong = len(strengths), sum(s >= observed for s in strengths)
+    n, n_strong = len(strengths), sum(not s < observed for s in strengths)
     if n_strong >= ENOUGH:
         return Significance(n_strong / n, n, n_strong, n_failed, False, tuple(strengths))
     if n < LEAST or n == n_max or n_strong:
@@ -151,13 +152,11 @@ class _Source:
         noise = self.search.observation.sigma * factors[k], memories[k]
         train = [self._simulated(s, noise, data_rng) for s in self.search.observation.train]
         search = self.search.on(self.search.observation.with_train(train))
-        try:
-            fit = search.observation.fit(self.law)
-            _, _, proposals = search_with_memory(
-                search, fit, search_rng, n_null=0, top_k=1, max_ties=0
-            )
-        except EvaluationError:
-            return None
+        return or_fault(self._strength, search, search_rng)[0]
+
+    def _strength(self, search, rng):
+        fit = search.observation.fit(self.law)
+        _, _, proposals = search_with_memory(search, fit, rng, n_null=0, top_k=1, max_ties=0)
         return strength(proposals)
 
     def _simulated(self, scene, noise, rng):

@@ -46,7 +46,7 @@ def compare_searches(
         Masked to the data.
     rng : numpy.random.Generator
     kind : str, optional
-        "pair" or "field"; by default the grammar's first.
+        "pair" or "field"; by default the grammar's first of which these data have any.
     seeds : int
         Runs of each strategy.
     n_scored : int
@@ -71,12 +71,17 @@ def compare_searches(
     certificate : Certificate
     how : str
         How accelerations were read off the positions.
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown, or there is no law to compare on these data.
     """
     names = tuple(STRATEGIES) if searches is None else tuple(searches)
     unknown = [name for name in names if name not in STRATEGIES]
     if unknown:
         raise SettingsError(f"search must be one of {', '.join(STRATEGIES)}, got {unknown[0]!r}")
-    kind = kind or next(iter(grammar.start))
+    kind = _sayable_kind(dataset, grammar, kind)
     law = declared_law(dataset, laws)
     observation = observe(dataset, law, rng.spawn(1)[0], method=method)
     regression = observation.train_regression
@@ -98,11 +103,45 @@ def compare_searches(
         executor=executor,
         missing_inputs=missing_inputs,
     )
+    if outcomes[0].best is None:
+        raise SettingsError(
+            f"there is nothing to compare: no {kind} law of the grammar {grammar.name} has a "
+            "finite value on these data within the bound of the exhaustive search; choose another "
+            "--kind or another --grammar"
+        )
     optimum = outcomes[0].cost
     rows = [_row(outcome, optimum, fit.law, observation) for outcome in outcomes]
     widths = regression.widths
     how = regression.method + (f", {widths.text()}" if widths is not None else "")
     return rows, outcomes[0].certificate, how
+
+
+def _sayable_kind(dataset, grammar, kind):
+    """The kind to search; pair laws need another body to act.
+
+    Raises
+    ------
+    SettingsError
+        If pair laws are asked for, or are all that the grammar has, and every scene has one body.
+    """
+    kinds = tuple(grammar.start)
+    is_alone = all(len(scene.entities) < 2 for scene in dataset.scenes)
+    if kind is not None and kind not in kinds:
+        raise SettingsError(
+            f"kind must be one of {', '.join(kinds)} in the grammar {grammar.name}, got {kind!r}"
+        )
+    if not is_alone:
+        return kind or kinds[0]
+    if kind == "pair" or set(kinds) == {"pair"}:
+        raise SettingsError(
+            "pair laws act between bodies, and every scene has one body only; "
+            + (
+                "choose --kind field"
+                if "field" in kinds
+                else f"choose a grammar with field laws, such as physics, not {grammar.name}"
+            )
+        )
+    return kind or next(k for k in kinds if k != "pair")
 
 
 def _row(outcome, optimum, law, observation):

@@ -225,7 +225,8 @@ def _unslanted(axis, middle, extent, scene, values, track=None):
     away = scene.positions - middle
     growth = 1 + values[0] * away[..., axis : axis + 1] / extent
     slope = growth + values[0] * away / extent * (np.arange(scene.n_dims) == axis)
-    sigma = None if scene.sigma is None else scene.sigma * slope
+    # A trial value may be so great that the picture folds; an error has a size all the same.
+    sigma = None if scene.sigma is None else scene.sigma * np.abs(slope)
     velocities = None
     if scene.velocities is not None:
         change = values[0] * scene.velocities[..., axis : axis + 1] / extent

@@ -14,8 +14,9 @@ import numpy as np
 
 from bsp_gp.data.point_errors import REACH
 from bsp_gp.errors import DataError, EvaluationError
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.effects import sign_bounds
-from bsp_gp.loop.explanation import MEASUREMENT, Explanation
+from bsp_gp.loop.explanation import MEASUREMENT, Explanation, not_fitted
 from bsp_gp.loop.seeing import with_scenes
 
 __all__ = ["bad_frame", "defect_rivals", "frozen_tails", "swaps_of", "without_swaps"]
@@ -57,8 +58,16 @@ def defect_rivals(observation, model):
     """
     if model.fit.whole is None or not model.fit.whole.batches:
         return []
-    found = [finder(observation, model) for finder in (_swapped, _lost, _bad)]
-    return [explanation for explanation in found if explanation is not None]
+    out = []
+    for name, finder in (
+        ("tracks with swapped labels", _swapped), ("a track that was lost", _lost),
+        ("a frame that is off", _bad),
+    ):  # fmt: skip
+        found, reason = or_fault(finder, observation, model)
+        if reason:
+            found = not_fitted(observation, model, MEASUREMENT, name, reason)
+        out += [] if found is None else [found]
+    return out
 
 
 # --- swapped tracks -------------------------------------------------------------------------------

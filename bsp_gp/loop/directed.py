@@ -123,12 +123,15 @@ def directed_test(observation, fit, blocks, p_of_size):
             residual.append(flat[s] - (q @ flat[s]) @ q)
             taken.append(free[:n_own])
             rows.append(free[n_own:])
-            sizes = sizes + np.square(by_constant[s][n_own:]).sum(axis=1)
+            with np.errstate(over="ignore"):
+                sizes = sizes + np.square(by_constant[s][n_own:]).sum(axis=1)
     residual, rows = np.concatenate(residual), np.concatenate(rows, axis=1)
     q = orthonormal_rows(np.concatenate(taken, axis=1))
+    is_finite = np.isfinite(sizes) & np.isfinite(rows).all(axis=1)
+    rows = np.where(is_finite[:, None], rows, 0.0)  # tracks that run away show no effect
     rows = rows - (rows @ q.T) @ q
     size_beyond = np.einsum("kn,kn->k", rows, rows)
-    seen = np.isfinite(size_beyond) & (size_beyond > BEYOND * sizes) & (sizes > 0)
+    seen = is_finite & (size_beyond > BEYOND * sizes) & (sizes > 0)
     effects = [effect for effect, is_seen in zip(effects, seen, strict=True) if is_seen]
     rows = rows[seen] / np.sqrt(size_beyond[seen])[:, None]
     scores, overlaps = rows @ residual, rows @ rows.T
@@ -153,7 +156,7 @@ def _ranked(effects, sets, scores, overlaps, p_of_size):
     out, n = [], len(found)
     for square, members in found:
         names, texts, bases, _ = zip(*(effects[k] for k in members), strict=True)
-        p_value = min(1.0, n * p_of_size(square, len(members)))
+        p_value = float(np.minimum(1.0, n * p_of_size(square, len(members))))
         laws = tuple(text for text in texts if text)
         out.append(Direction(" and ".join(names), laws, p_value, n, bases[0]))
     return tuple(out)

@@ -8,16 +8,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bsp_gp.errors import DataError, EvaluationError
+from bsp_gp.errors import ResourceError
 from bsp_gp.loop.attempts import evaluate
 from bsp_gp.loop.before_after import compared
 from bsp_gp.loop.bootstrap import bootstrap, strength
+from bsp_gp.loop.dropping import FAULTS
 from bsp_gp.loop.effects import sign_bounds
 from bsp_gp.loop.guide import ordered
 from bsp_gp.loop.memory import estimate_memory, p_value_of, widened, with_memory
 from bsp_gp.loop.outcome import Missing, Rival, Round
 from bsp_gp.loop.residual import examine_residual
-from bsp_gp.loop.rivals import as_attempt, judge, rival_rows, told_beside
+from bsp_gp.loop.rivals import (
+    UNOPPOSED,
+    as_attempt,
+    is_unopposed,
+    judge,
+    rival_rows,
+    told_beside,
+)
 from bsp_gp.loop.seeing import with_scenes
 from bsp_gp.loop.telling import effect_of, freed_effect, freed_numbers, held_out_rows, rivals_of
 from bsp_gp.loop.verdict import FREED, TURNED, put_in_place, verdict_of, weigh
@@ -30,6 +38,10 @@ __all__ = [
 STRONG = 5.0
 """Multiple of the greatest evidence in simulated residuals beyond which no data sets are simulated
 and searched: nothing that this leaves out of account is as large."""
+FAILED = (
+    "the model could not be fitted: it has no finite value along these tracks, so that what it "
+    "leaves could not be tested"
+)
 
 
 class Streams(NamedTuple):
@@ -157,6 +169,11 @@ def ends_quiet(turn):
         "the residual is as large and as uncorrelated as the noise: nothing is missing that these "
         "data could show"
     )  # fmt: skip
+    if turn.missing.is_failed:
+        return turn.unchanged(turn.round(
+            effect=None, rivals=(), adopted=False, floor=turn.floor(), held_out=(),
+            verdict="cannot tell", certificate="", reason=FAILED,
+        ))  # fmt: skip
     there = _held_out(turn)
     if there is not None and there.is_missing:
         verdict, reason = "cannot tell", (
@@ -179,7 +196,9 @@ def _held_out(turn):
     try:
         there = with_scenes(observation, observation.test, observation.train)
         fit = there.fit(law, sign_bounds(there, law), start=law)
-    except (DataError, EvaluationError):  # too few rows, or the law has no value there
+    except ResourceError:
+        raise
+    except FAULTS:  # too few rows, or the law has no value there
         return None
     return examine_residual(there, fit, turn.alpha)
 
@@ -234,6 +253,8 @@ def ends_in_rival(turn, winner, others):
     if "p_value" not in winner.details:  # else the chance of it is known from its own likelihood
         p_value, how = turn.significance((model.fit.bic(n_eff) - counted.fit.bic(n_eff)) / 2)
     judged = judge(observation, model, winner, others, p_value, turn.alpha, turn.rngs.ratio)
+    if judged.adopted and is_unopposed(observation, others):
+        judged = replace(judged, adopted=False, verdict="seen, not adopted", reason=UNOPPOSED)
     ranked, ruled_out = rival_rows(model, counted.fit, others, but=winner)
     rivals = [
         *rivals_of(observation, model, counted, turn.attempts), *ranked,
@@ -305,6 +326,8 @@ def ends_in_law(turn, shown, chosen, near, others, n_failed):
             after, errors = refuted.after, refuted.errors
         told = replace(chosen, fit=widened(turn.search, chosen.fit))
         effect = effect_of(observation, told, turn.attempts, p_value, near)
+    if adopted and is_unopposed(observation, others):
+        adopted, verdict, reason = False, "seen, not adopted", UNOPPOSED
     rivals = rivals_of(observation, model, shown, turn.attempts)
     effect, rivals = ordered(effect, rivals, turn.guidance)
     effect, undecided = told_beside(observation, effect, shown, others)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import log
 
-__all__ = ["HIDDEN_BODY", "MEASUREMENT", "Explanation"]
+__all__ = ["HIDDEN_BODY", "MEASUREMENT", "Explanation", "not_fitted"]
 
 HIDDEN_BODY = "hidden_body"
 MEASUREMENT = "measurement"
@@ -72,3 +72,9 @@ class Explanation:
     def bic(self, n_effective):
         """BIC with the explanation's own numbers counted, comparable to `Fit.bic`."""
         return self.fit.bic(n_effective) + self.n_free * log(max(n_effective, 2.0))
+
+
+def not_fitted(observation, model, kind, name, reason, n_free=1):
+    """An explanation that came to grief, listed with the reason."""
+    latex = rf"\text{{{name}}}"
+    return Explanation(kind, name, name, latex, observation, model.fit, n_free, reason=reason)

@@ -204,9 +204,17 @@ def _mixing(view, group, slopes, sigma):
             covariance[dead, dead] = 1.0
             if np.max(np.abs(covariance - np.eye(size))) > WORTH:
                 changed = True
-                factor = np.linalg.cholesky(covariance)
-                out[s, r] = np.linalg.inv(factor)
+                out[s, r] = np.linalg.inv(_factor(covariance, felt.shape[1]))
     return out if changed else None
+
+
+def _factor(covariance, n_summed):
+    """Cholesky factor of sums of so many products, also where rounding left no positive matrix."""
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        rounding = 4 * len(covariance) * n_summed * np.finfo(float).eps  # relative to the diagonal
+        return np.linalg.cholesky(covariance + np.diag(rounding * np.diag(covariance)))
 
 
 def _remembered(times, memory):

@@ -181,8 +181,9 @@ class Grid:
 
     def p_value(self, share=0.0):
         """Chance that noise alone has a place that explains this share, or the grid's."""
-        share = max(share, self.share)
-        return float((1 + np.sum(self.null >= share)) / (1 + len(self.null)))
+        share = np.maximum(share, self.share)
+        # So put that what is not a number is never significant.
+        return float((1 + np.sum(~(self.null < share))) / (1 + len(self.null)))
 
 
 def survey(view, motions, stage, rng, n_null=N_NULL):

@@ -108,7 +108,7 @@ def leaves_noise(observation, attempts, alpha):
         return False
     n_eff = able[0].fit.n_effective
     best = min(able, key=lambda a: a.score(n_eff))
-    return not examine_residual(observation, best.fit, alpha).is_missing
+    return examine_residual(observation, best.fit, alpha).is_noise
 
 
 def joined(attempts, known):

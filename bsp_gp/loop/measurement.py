@@ -18,7 +18,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.correcting import fit_correction, inflation, linear_step
 from bsp_gp.loop.corrections import corrections_of
 from bsp_gp.loop.defects import defect_rivals
-from bsp_gp.loop.explanation import MEASUREMENT, Explanation
+from bsp_gp.loop.dropping import or_fault
+from bsp_gp.loop.explanation import MEASUREMENT, Explanation, not_fitted
 from bsp_gp.loop.naming import fresh_name
 from bsp_gp.loop.outcome import ConstantEstimate
 from bsp_gp.loop.seeing import Linearised
@@ -80,8 +81,10 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     linear = Linearised(observation, model.fit)
     screened, out = [], []
     for correction in corrections_of(observation):
-        found = _screen(linear, correction)
-        if found is None:
+        found, reason = or_fault(_screen, linear, correction)
+        if reason:
+            out.append(_dropped(observation, model, correction, reason))
+        elif found is None:
             out.append(_unseen(observation, model, correction))
         else:
             screened.append(found)
@@ -99,7 +102,8 @@ def measurement_rivals(observation, model, rng, *, workers=None, to_beat=None):
     same = _same_as(observation, model, linear, screened)
     job = partial(_fitted, observation, model, len(screened))
     run = map if workers is None else workers.map
-    for s, explained in zip(worth, run(job, worth), strict=True):
+    for s, (explained, reason) in zip(worth, run(partial(or_fault, job), worth), strict=True):
+        explained = explained or _dropped(observation, model, s.correction, reason)
         out.append(replace(explained, equivalents=same[s.correction.name]))
     out += defects
     n_eff = model.fit.n_effective
@@ -171,9 +175,11 @@ def same_numbers(observation, fit):
     """
     if all(term.formula.constants for term in fit.law.terms if term.is_declared):
         return {}
+    if not np.isfinite(fit.chisqr):  # the law runs away: there is nothing to be told apart
+        return {}
     linear = Linearised(observation, fit)
     single = [c for c in corrections_of(observation) if len(c) == 1 and not c.needs_track]
-    found = [s for s in (_screen(linear, c) for c in single) if s is not None]
+    found = [s for s in (or_fault(_screen, linear, c)[0] for c in single) if s is not None]
     out = {}
     for text, column in _declared_columns(linear, fit.law):
         size = float(np.linalg.norm(column))
@@ -210,7 +216,9 @@ def parted_by(observation, fit, text, names):
 def _declared_columns(linear, law):
     """Text of every declared term with a fixed number, and what a factor on it does."""
     for text, changed, name in _freed_laws(law):
-        yield text, linear.column_of_law(changed, name)
+        column, reason = or_fault(linear.column_of_law, changed, name)
+        if not reason:
+            yield text, column
 
 
 def _freed_laws(law):
@@ -299,6 +307,10 @@ def _text_of(text, constants):
 
 def _sized(constants):
     return ", ".join(f"{c.name} = {c.value:.3g} {c.unit}".strip() for c in constants[:3])
+
+
+def _dropped(observation, model, correction, reason):
+    return not_fitted(observation, model, MEASUREMENT, correction.name, reason, len(correction))
 
 
 def _unseen(observation, model, correction):

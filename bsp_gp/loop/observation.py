@@ -6,6 +6,7 @@ predictions and errors always use the same model, the same rows and the same noi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from bsp_gp.data.noise import NoiseEstimate
 from bsp_gp.data.scene import Scene
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.loop.denoise import tracks_of
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.fitted import Fit
 from bsp_gp.loop.tracks import fit_tracks, is_lost, starts_of
 from bsp_gp.physics.likelihood import build_regression
@@ -194,20 +196,22 @@ class Observation:
         for batch in regression.batches:
             part = residual[start : start + batch.target.size].reshape(batch.target.shape)
             start += batch.target.size
-            tops += float((part[1:] * part[:-1]).sum())
-            bottoms += float((part * part).sum())
+            with np.errstate(over="ignore", invalid="ignore"):
+                tops += float((part[1:] * part[:-1]).sum())
+                bottoms += float((part * part).sum())
             n_tracks += int(batch.valid.any(axis=0).sum())
-        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+        rho = _correlation(tops, bottoms)
         return max(regression.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
 
     def _effective_positions(self, fit):
         tops = bottoms = 0.0
         n_tracks = 0
         for error in fit.whitened:
-            tops += float((error[1:] * error[:-1]).sum())
-            bottoms += float((error * error).sum())
-            n_tracks += int((np.abs(error).sum(axis=0) > 0).sum())
-        rho = min(max(tops / bottoms, 0.0), 0.999) if bottoms > 0 else 0.0
+            with np.errstate(over="ignore", invalid="ignore"):
+                tops += float((error[1:] * error[:-1]).sum())
+                bottoms += float((error * error).sum())
+            n_tracks += int((error != 0).any(axis=0).sum())
+        rho = _correlation(tops, bottoms)
         return max(fit.n_rows * (1 - rho) / (1 + rho), 4.0 * n_tracks, 8.0)
 
     # --- errors on held-out data -----------------------------------------------------------------
@@ -350,7 +354,8 @@ class Observation:
         observed = scene.positions[:, scene.dynamic]
         error = np.where(np.isfinite(self.sigma), observed - predicted, 0.0)
         error[: self.n_initial(scene)] = np.nan
-        squares = np.square(error).sum(axis=-1)
+        with np.errstate(over="ignore"):  # of a rollout that runs away
+            squares = np.square(error).sum(axis=-1)
         row = self.dataset.evaluation.endpoint_row
         index = (row - 1) if row is not None else len(scene.times) - 1
         # Where a track ends before the end-point row there is no end-point to score.
@@ -414,7 +419,10 @@ class Observation:
         for k, child in enumerate(rng.spawn(n_copies)):
             copy = self._noisy(states, self.test, child)
             copies.append(tuple(replace(scene, name=f"{scene.name} copy {k}") for scene in copy))
-        rows = self.score_copies(law, copies)
+        rows, _ = or_fault(self.score_copies, law, copies)
+        if rows is None:  # under a law that runs away no copy can be scored, and no floor is known
+            nothing = dict.fromkeys(METRICS, math.nan)
+            return replace(self._numerical_floor(), **nothing), (), []
         return self._errors_of([row for copy in rows for row in copy]), copies, rows
 
     def _numerical_floor(self):
@@ -545,3 +553,10 @@ class Observation:
             integrator=self.integrator, substeps=self.substeps, up=self.dataset.up,
             memory=self.memory,
         )  # fmt: skip
+
+
+def _correlation(tops, bottoms):
+    """Of neighbouring rows, from sums of products; 0 where a failed fit leaves none."""
+    if not (np.isfinite([tops, bottoms]).all() and bottoms > 0):
+        return 0.0
+    return min(max(tops / bottoms, 0.0), 0.999)

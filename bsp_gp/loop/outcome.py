@@ -51,7 +51,8 @@ class Missing:
     statistic : float
         Whitened residual sum of squares per degree of freedom (1 = noise alone).
     p_value : float
-        Chance of as much, or as strongly autocorrelated a residual, from noise alone.
+        Chance of as much, or as strongly autocorrelated a residual, from noise alone; nan where
+        the fit failed.
     detectable_force, detectable_share : float
         Smallest constant force, one for all bodies, that would have been seen with 95 % power,
         `detectable_force_unit`, and in parts of the root mean square of the declared force; nan
@@ -85,6 +86,16 @@ class Missing:
     detectable_force: float = math.nan
     detectable_force_unit: str = ""
     detectable_share: float = math.nan
+
+    @property
+    def is_failed(self):
+        """Whether there was nothing to be tested: the fit has no finite value."""
+        return not math.isfinite(self.p_value)
+
+    @property
+    def is_noise(self):
+        """Whether what is left was tested, and is no more than noise."""
+        return not self.is_missing and not self.is_failed
 
 
 @dataclass(frozen=True)

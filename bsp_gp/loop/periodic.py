@@ -95,7 +95,8 @@ def rhythm_of(observation, whole, blocks, p_of_size):
             axes.append(axis)
     # Positions swing against the push: x = -a / w^2.
     amplitudes = -frequency**2 * amplitudes.reshape(-1, 2)
-    return Rhythm(float(frequency), amplitudes, min(1.0, len(frequencies) * p), tuple(axes))
+    p = float(np.minimum(1.0, len(frequencies) * p))
+    return Rhythm(float(frequency), amplitudes, p, tuple(axes))
 
 
 def _frequencies(batches):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import estimate_noise, is_declared_noisy
 from bsp_gp.data.point_errors import with_point_errors
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.data.split import choose_split
@@ -84,19 +85,26 @@ def observe(dataset, law, rng, *, sources=True, noise=None, method=None):
     )
     extent = _extent(dataset)
     is_exact = measured or bool(np.nanmax(sigma) <= EXACT * extent)
+    resolved, told = estimate, ""
+    if is_exact and not measured:
+        train = choose_split(dataset, deepcopy(rng)).train  # as below
+        is_exact = _made_in_steps(train, law, dataset.up, sources)
+        # Noise that is declared is never replaced, however small it is.
+        is_declared = estimate.source != "estimated" and is_declared_noisy(dataset)
+        if not is_exact and not is_declared:
+            sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)
+            resolved = replace(estimate, sigma=tuple(sigma))
+            told = (
+                f"; the positions are exact and the motion looks continuous: they are fitted to "
+                f"{RESOLUTION:g} of their range"
+            )
     if not is_exact:
-        dataset, more = with_point_errors(dataset, estimate)
+        dataset, more = with_point_errors(dataset, resolved, is_exact=resolved is not estimate)
         estimate = replace(estimate, notes=(*estimate.notes, *more))
     train, test, note = choose_split(dataset, rng)
     if not is_exact:
         estimate = replace(estimate, notes=(*estimate.notes, *_unheeded(train)))
-    if is_exact and not measured and not _made_in_steps(train, law, dataset.up, sources):
-        is_exact = False
-        sigma = np.where(np.isfinite(sigma), np.maximum(sigma, RESOLUTION * extent), sigma)
-        note += (
-            f"; the positions are exact and the motion looks continuous: they are fitted to "
-            f"{RESOLUTION:g} of their range"
-        )
+    note += told
     given, method = method, "derivative" if measured else "one_step" if is_exact else "gls"
     if given is not None:
         if method != "gls" or given not in ("gls", "weak"):
@@ -282,7 +290,8 @@ def _segment_rows(observation, law):
             substeps=observation.substeps,
             integrator=observation.integrator,
         )
-        growth = np.linalg.norm(moved - base, axis=-1) / step
+        with np.errstate(over="ignore", invalid="ignore"):  # what runs away has grown
+            growth = np.linalg.norm(moved - base, axis=-1) / step
         running = np.isfinite(batch.times)[..., None]
         grown = np.flatnonzero((running & ~(growth < CHAOS)).any(axis=(1, 2)))
         if len(grown):

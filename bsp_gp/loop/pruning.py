@@ -48,8 +48,8 @@ def prune(observation, model, rounds, alpha):
         if not gain > 0:
             break
         if was_left is None:
-            was_left = examine_residual(observation, model.fit, alpha).is_missing
-        if not was_left and examine_residual(observation, fit, alpha).is_missing:
+            was_left = not examine_residual(observation, model.fit, alpha).is_noise
+        if not was_left and not examine_residual(observation, fit, alpha).is_noise:
             break
         gone[split_linear(model.law.terms[k].formula)[0]] = (
             f"beside what was found later it is not needed: BIC falls by {gain:.1f} without it"

@@ -51,10 +51,14 @@ def examine_residual(observation, fit, alpha):
         size = fit.whole.chisqr
         dof = max(fit.whole.n_rows - fit.whole.n_free, 1)
         blocks = observation.track_blocks(fit.whole)
+        if not _is_finite(size, blocks):
+            return _failed(size / dof)
         p_lag = _ljung_box_of_tracks(fit.whole, blocks)
     else:
         size = float(fit.residual @ fit.residual)
         dof = max(observation.train_regression.n_rows - len(fit.parameters), 1)
+        if not _is_finite(size, [[fit.jacobian]]):
+            return _failed(size / dof)
         p_lag = ljung_box(observation.train_regression, fit.residual)
     size /= dof
     n_noise = observation.noise_dof
@@ -71,7 +75,8 @@ def examine_residual(observation, fit, alpha):
             tests[f"common effects ({directions[0].name})"] = directions[0].p_value
     if rhythm is not None:
         tests["a period"] = rhythm.p_value
-    p_value = min(1.0, len(tests) * min(tests.values()))
+    # `min` passes over what is not a number.
+    p_value = float(np.minimum(1.0, len(tests) * np.min(list(tests.values()))))
     detectable = _detectable(observation, fit, alpha / len(tests), len(directions))
     return Missing(
         statistic=size,
@@ -88,6 +93,15 @@ def examine_residual(observation, fit, alpha):
         together=together,
         durbin_watson=math.nan if fit.whole is None else durbin_watson(fit.whole.whitened),
     )
+
+
+def _is_finite(size, blocks):
+    return math.isfinite(size) and all(np.isfinite(p).all() for block in blocks for p in block)
+
+
+def _failed(statistic):
+    """Nothing was tested: what a fit that failed leaves says nothing."""
+    return Missing(float(statistic), math.nan, math.nan, is_missing=False)
 
 
 def _p_of_size(square, dof, n_noise):

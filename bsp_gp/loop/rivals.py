@@ -8,13 +8,16 @@ stands beside the law as a member of its class.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bsp_gp.loop.attempts import TIE_BIC, evaluate
 from bsp_gp.loop.before_after import compared
+from bsp_gp.loop.corrections import corrections_of
+from bsp_gp.loop.dropping import NOT_FITTED, or_fault
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
-from bsp_gp.loop.explanation import HIDDEN_BODY
+from bsp_gp.loop.explanation import HIDDEN_BODY, not_fitted
 from bsp_gp.loop.hidden import hidden_body
 from bsp_gp.loop.measurement import measurement_rivals
 from bsp_gp.loop.models import Attempt
@@ -25,9 +28,11 @@ from bsp_gp.loop.telling import freed_attempt
 from bsp_gp.loop.verdict import MIN_BIC_GAIN, MIN_SHARE, explained_share
 
 __all__ = [
-    "Judged", "as_attempt", "explanations", "in_class", "judge", "rival_rows", "told_beside",
-    "winner_of", "without_memory",
+    "UNOPPOSED", "Judged", "as_attempt", "explanations", "in_class", "is_unopposed", "judge",
+    "rival_rows", "told_beside", "winner_of", "without_memory",
 ]  # fmt: skip
+
+UNOPPOSED = "no error of the measurement could be fitted, so that it was weighed with none"
 
 
 def explanations(observation, model, rng, workers=None, to_beat=None):
@@ -51,9 +56,10 @@ def explanations(observation, model, rng, workers=None, to_beat=None):
     measurement_rng, hidden_rng = rng.spawn(2)
     out = measurement_rivals(observation, model, measurement_rng, workers=workers, to_beat=to_beat)
     least = [e.fit.chisqr for e in _able(out)] + ([] if to_beat is None else [to_beat])
-    found = hidden_body(
-        observation, model, hidden_rng, workers=workers, to_beat=min(least, default=None)
-    )
+    unseen = partial(hidden_body, workers=workers, to_beat=min(least, default=None))
+    found, reason = or_fault(unseen, observation, model, hidden_rng)
+    if reason:
+        found = not_fitted(observation, model, HIDDEN_BODY, "an unseen body", reason)
     return out if found is None else [*out, found]
 
 
@@ -88,6 +94,16 @@ def winner_of(model, laws, found):
     if any(law.bic(n_eff) - best.bic(n_eff) < CLASS_BIC for law in laws):
         return None
     return best
+
+
+def is_unopposed(observation, found):
+    """Whether every error of the measurement came to grief, so that none could be weighed.
+
+    Defects of single frames and tracks do not count: they leave nothing that a force leaves.
+    """
+    names = {correction.name for correction in corrections_of(observation)}
+    weighed = [e for e in found if e.name in names]
+    return bool(weighed) and all(e.reason.startswith(NOT_FITTED) for e in weighed)
 
 
 def without_memory(search, model, shown, rng, alpha, workers=None):
@@ -125,7 +141,9 @@ def without_memory(search, model, shown, rng, alpha, workers=None):
     least = min((a.fit.chisqr for a in laws), default=None)
     found = explanations(observation, model, rng, workers, least)
     winner = winner_of(model, [a.fit for a in laws], found)
-    if winner is None or examine_residual(winner.observation, winner.fit, alpha).is_missing:
+    if winner is None:
+        return None, found, laws
+    if not examine_residual(winner.observation, winner.fit, alpha).is_noise:
         return None, found, laws
     return winner, found, laws
 
@@ -290,7 +308,8 @@ def judge(observation, model, best, found, p_value, alpha, rng):
     floor_rng, ratio_rng = rng.spawn(2)
     floor, copies = seen.floor(after.law, floor_rng)
     errors = compared(seen, model, after, copies, ratio_rng)
-    p_value = max(p_value, best.details.get("p_value", p_value))
+    own = best.details.get("p_value", p_value)
+    p_value = max(p_value, own) if np.isfinite(own) else 1.0  # what failed shows nothing
     alike = [e for e in in_class(best.fit, found, best.n_free) if e is not best]
     names = list(dict.fromkeys((*best.equivalents, *(e.name for e in alike))))
     freed = freed_attempt(observation, model)
@@ -330,7 +349,7 @@ def _verdict(observation, model, best, after, names, floor, ratio, p_value, alph
     seen = best.observation
     left = examine_residual(seen, best.fit, alpha)
     # Differences of measured velocities are alike from row to row by themselves.
-    if left.tests["size"] <= alpha if seen.is_exact else left.is_missing:
+    if not (left.tests.get("size", 0.0) > alpha if seen.is_exact else left.is_noise):
         # A law may be rough and of use; a measurement that is put right leaves noise.
         return False, "seen, not adopted", (
             f"{best.name} fits better than any law, but leaves more than noise: the cause is not "

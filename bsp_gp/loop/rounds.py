@@ -118,7 +118,7 @@ def _defect_alone(turn):
     """
     observation, model = turn.observation, turn.model
     alone = [e for e in defect_rivals(observation, model) if not e.reason]
-    alone = [e for e in alone if not examine_residual(e.observation, e.fit, turn.alpha).is_missing]
+    alone = [e for e in alone if examine_residual(e.observation, e.fit, turn.alpha).is_noise]
     if not alone:
         return None
     least = min(alone, key=lambda e: e.fit.chisqr)
@@ -161,7 +161,7 @@ def _search(turn):
     _trace_again(turn)
     if turn.missing.is_missing:
         return known_attempts(turn.search, turn.model, turn.missing, turn.alpha), None
-    if not turn.observation.memory:
+    if not turn.observation.memory or turn.missing.is_failed:
         return known, ends_quiet(turn)
     # What was measured wrongly looks like noise with a memory, too.
     simpler, seen, _ = without_memory(

@@ -176,8 +176,11 @@ class Linearised:
                 moved[k] += sign * STEP * size
                 changed = corrected_train(source, correction, moved, self.tracks)
                 ends.append(self._residual_of(changed, self.fit.law))
-            slope = [(up - down) / (2 * STEP * size) for up, down in zip(*ends, strict=True)]
-            whole.append(float(np.sqrt(sum(np.square(part).sum() for part in slope))))
+            with np.errstate(over="ignore", invalid="ignore"):
+                slope = [(up - down) / (2 * STEP * size) for up, down in zip(*ends, strict=True)]
+                whole.append(float(np.sqrt(sum(np.square(part).sum() for part in slope))))
+            if not np.isfinite(whole[-1]):  # tracks that run away show no correction
+                slope = [np.zeros_like(part) for part in slope]
             beside.append(self._beside(self._joined(slope)))
         return np.array(beside), np.array(whole)
 

@@ -42,6 +42,7 @@ def p_value(observed, null):
     null : sequence of ndarray, shape (B,) each
         Best evidence of each search on the same simulated draws.
     """
-    best = max(observed)
+    best = np.max(observed)
     worst = np.max(np.stack(null), axis=0)
-    return float((1 + np.sum(worst >= best)) / (1 + len(worst)))
+    # So put that what is not a number is never significant.
+    return float((1 + np.sum(~(worst < best))) / (1 + len(worst)))

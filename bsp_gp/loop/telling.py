@@ -8,6 +8,7 @@ from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.attempts import TIE_BIC
+from bsp_gp.loop.dropping import or_fault
 from bsp_gp.loop.effects import CLASS_BIC, sign_bounds
 from bsp_gp.loop.measurement import same_numbers
 from bsp_gp.loop.models import Attempt
@@ -38,17 +39,24 @@ def constant_estimates(observation, fit):
     for term in fit.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = observation.dataset.units.text(unit)
-    out = []
+    out, bounds = [], sign_bounds(observation, fit.law)
     for (name, entity), value, half in zip(fit.parameters, fit.values, fit.intervals, strict=True):
         unit = units.get(name, "")
         if entity and _mass_unknown(observation, entity) and unit:
             unit = f"{unit} per unit mass"
         out.append(
             ConstantEstimate(
-                name, float(value), float(value - half), float(value + half), unit, entity
+                name, float(value), float(value - half), float(value + half), unit, entity,
+                _state(value, half, bounds.get(name)),
             )
         )
     return tuple(out)
+
+
+def _state(value, half, bounds):
+    if not np.isfinite([value, half]).all():
+        return "undetermined"
+    return "at_bound" if bounds is not None and value in bounds else ""
 
 
 def _mass_unknown(observation, entity):
@@ -182,7 +190,10 @@ def _freed_fits(observation, base, contained):
         scaled = Term(Call("mul", Constant(name), term.formula), term.kind, is_declared=True)
         terms = (*base.terms[:index], scaled, *base.terms[index + 1 :])
         law = ForceLaw(terms, {**base.constants, name: 1.0})
-        fit = observation.fit_beyond(law, contained, sign_bounds(observation, law))
+        bounds = sign_bounds(observation, law)
+        fit, reason = or_fault(observation.fit_beyond, law, contained, bounds)
+        if reason:
+            continue
         yield term, scaled, name, fit
 
 
@@ -243,6 +254,7 @@ def freed_numbers(observation, model, chosen=None, wins=False, against=None):
         alike = alike_numbers(observation, contained)
         for term, scaled, name, fit in _freed_fits(observation, base, contained):
             factor, half = _scale_of(fit, name)
+            same = alike.get(to_text(term.formula), ()) if factor > 0 else ()
             delta = fit.bic(best.n_effective) - best.bic()
             out.append(
                 Rival(
@@ -254,9 +266,7 @@ def freed_numbers(observation, model, chosen=None, wins=False, against=None):
                     float(1 - (fit.chisqr / model.fit.chisqr)),
                     _ratio_of(observation, fit.law, model.errors),
                     0.0,
-                    _freed_reason(
-                        factor, half, delta, alike[to_text(term.formula)] if factor > 0 else ()
-                    ),
+                    _freed_reason(factor, half, delta, same),
                 )
             )
     return out

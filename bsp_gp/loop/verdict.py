@@ -85,7 +85,7 @@ def weigh(observation, model, after, floor, ratio, alpha, is_clear=False):
     """
     # A memory that was estimated takes up what a term leaves: then only errors can tell.
     is_blind = observation.is_exact or (observation.memory > 0 and observation.may_have_memory)
-    is_left = is_blind or examine_residual(observation, after.fit, alpha).is_missing
+    is_left = is_blind or not examine_residual(observation, after.fit, alpha).is_noise
     held_out = observation.held_out_gain(model.law, after.law)
     sight = observation.held_out_sight(model.law, after.law) if held_out <= 0 else float("nan")
     seen = np.sqrt(max(model.fit.chisqr - after.fit.chisqr, 0.0))

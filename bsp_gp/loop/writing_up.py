@@ -12,12 +12,14 @@ from scipy import special
 
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.before_after import compared
+from bsp_gp.loop.dropping import dropped_rivals
 from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
 from bsp_gp.loop.measurement import parted_by
 from bsp_gp.loop.memory import widened
 from bsp_gp.loop.outcome import VERDICTS, LoopReport, Overlay, ResidualTable
 from bsp_gp.loop.pruning import unsupported
 from bsp_gp.loop.telling import alike_numbers, constant_estimates
+from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.units import Unit
 
 __all__ = ["corrections", "write_up"]
@@ -105,7 +107,9 @@ def write_up(search, measured, law, first, model, rounds, grammar, alpha, seed, 
             *dataset.notes,
             observation.split_note,
             *_too_much_noise(observation, model.fit),
+            *aliasing_notes(model.law, observation.train, dataset.units),
             *_caveats(observation, search),
+            *dropped_rivals(rounds),
         ),
     )
 

@@ -199,10 +199,11 @@ class Settling:
             full = (*shape[:-1], self._n_sources, shape[-1])
             if np.shape(force) != full:
                 force = np.broadcast_to(force, full)
-            with np.errstate(invalid="ignore"):  # inf - inf is nan, which the caller refuses
-                force = _summed(force)
+            with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused
+                force = _summed(force)  # by the caller
         if self._mass is not None:
-            force = force / self._mass
+            with np.errstate(over="ignore"):
+                force = force / self._mass
         if self._lost is not None:
             force = np.where(self._lost, 0.0, force)
         return force if np.shape(force) == tuple(shape) else np.broadcast_to(force, shape)

@@ -236,12 +236,28 @@ def _steps(times):
     return h[:-1], h[1:]
 
 
+def _require_numbers(batch, accelerations):
+    """Refuse positions and times of which no accelerations can be made."""
+    p = batch.positions
+    seen = np.isfinite(p[1:-1]) & np.isfinite(p[:-2]) & np.isfinite(p[2:])
+    bad = np.argwhere(seen & ~np.isfinite(accelerations))
+    if len(bad):
+        row, s, entity, _ = bad[0]
+        raise DataError(
+            f"scene {batch.scenes[s].name!r}, t = {batch.times[row + 1, s]:g}: the acceleration of "
+            f"{batch.bodies.names[s][entity]!r} is beyond all numbers",
+            remedy="give times and positions in units of the order of what was recorded",
+        )
+
+
 def _from_positions(batch, method, sigma):
     p = batch.positions
     before, after = _steps(batch.times)
-    step_back = (p[1:-1] - p[:-2]) / before
-    step_on = (p[2:] - p[1:-1]) / after
-    target = (step_on - step_back) / ((before + after) / 2)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        step_back = (p[1:-1] - p[:-2]) / before
+        step_on = (p[2:] - p[1:-1]) / after
+        target = (step_on - step_back) / ((before + after) / 2)
+    _require_numbers(batch, target)
     if method in ("one_step", "one_step_gls"):
         velocities = step_back
     else:

@@ -63,13 +63,17 @@ class RegressionBatch:
             object.__setattr__(self, "kept", self.valid)
 
     def whiten(self, values):
-        """Whiten accelerations, shape (n, S, R, ..., d); rows that are not kept become 0."""
+        """Whiten accelerations, shape (n, S, R, ..., d); rows that are not kept become 0.
+
+        What is beyond the range of numbers is not finite afterwards.
+        """
         extra = values.ndim - 4
         index = (slice(None),) * 3 + (None,) * extra
         values = np.where(self.valid[index], values, 0.0)
-        if self.whitener is not None:
-            values = _along_time(self.whitener, values)
-        return values * self.scale[index]
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.whitener is not None:
+                values = _along_time(self.whitener, values)
+            return values * self.scale[index]
 
     def whitened_target(self):
         """What the whitened law is to explain, shape (n, S, R, d)."""

@@ -405,7 +405,8 @@ class _Problem:
         widths = np.concatenate(
             [2 * steps_c, np.full(size, 2 * scale_p), np.full(size, 2 * scale_v)]
         )
-        slopes = slopes / widths[:count, None, None, None, None]
+        with np.errstate(over="ignore"):  # told by `_step`: beyond `_HUGE`
+            slopes = slopes / widths[:count, None, None, None, None]
         slopes = np.nan_to_num(slopes)
         return rolled[:, 0], slopes[:n_c], slopes[n_c:]
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import shutil
-from pathlib import Path
 
-from bsp_gp.errors import OutputError
-from bsp_gp.loop.outcome import SCHEMA
+from bsp_gp.data.cells import safe_cell
+from bsp_gp.output.place import claim
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.html import render_html
-from bsp_gp.report.numbers import format_value, is_number
+from bsp_gp.report.numbers import format_constant, is_number
 from bsp_gp.report.typeset import law_document
 
-__all__ = ["check_target", "write_report"]
+__all__ = ["KIND", "write_report"]
+
+KIND = "report"
 
 _COLUMNS = (
     "scene",
@@ -30,72 +29,6 @@ _COLUMNS = (
     "before_along",
     "after_along",
 )
-_MARK = f'"schema": "{SCHEMA.rpartition("/")[0]}/'
-
-
-def check_target(folder, overwrite=False):
-    """See whether a report can be written there, before hours of work.
-
-    Parameters
-    ----------
-    folder : path
-    overwrite : bool
-        Whether an older report may be replaced.
-
-    Returns
-    -------
-    Path
-        The absolute path.
-
-    Raises
-    ------
-    OutputError
-        If something is there that must not be replaced, or nothing can be written there.
-    """
-    target = Path(folder).expanduser().resolve()
-    if Path.cwd().is_relative_to(target):
-        raise OutputError(
-            f"{target}: a report needs a folder of its own, and this is or holds the current one; "
-            "choose another --out"
-        )
-    if target.exists() and not target.is_dir():
-        raise OutputError(f"{target}: is a file, not a folder; choose another --out")
-    parent = next(p for p in target.parents if p.exists())
-    if not parent.is_dir():
-        raise OutputError(f"{target}: {parent} is a file, not a folder; choose another --out")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{target}: {parent} is not writable; choose another --out")
-    if target.is_dir():
-        _check_old(target, overwrite)
-    return target
-
-
-def _check_old(target, overwrite):
-    try:
-        has_files = any(target.iterdir())
-        is_ours = has_files and _is_report(target)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be read ({error.strerror})") from error
-    if not has_files:
-        return
-    if not is_ours:
-        raise OutputError(
-            f"{target}: holds files that are no report of bsp_gp and are never overwritten; "
-            "choose another --out"
-        )
-    if not overwrite:
-        raise OutputError(
-            f"{target}: holds an older report; pass --overwrite to replace it, or choose "
-            "another --out"
-        )
-
-
-def _is_report(target):
-    file = target / "report.json"
-    if not file.is_file():
-        return False
-    with file.open("rb") as stream:
-        return _MARK.encode() in stream.read(4096)
 
 
 def write_report(report, folder, *, overwrite=False, run_info=None):
@@ -105,7 +38,8 @@ def write_report(report, folder, *, overwrite=False, run_info=None):
     ----------
     report : LoopReport
     folder : path
-        Made, with its parents; must be empty or, with `overwrite`, hold an older report.
+        Made, with its parents; must be empty or, with `overwrite`, hold an older report; what
+        else it holds is kept.
     overwrite : bool
     run_info : mapping, optional
         What else belongs into run.json (``argv``, settings); plain values only.
@@ -118,43 +52,17 @@ def write_report(report, folder, *, overwrite=False, run_info=None):
     Raises
     ------
     OutputError
-        See `check_target`; also if the disk refuses. Nothing is left behind then, and an
-        older report is still there.
+        See `bsp_gp.output.place.claim`; also if the disk refuses. Nothing is left behind then,
+        and an older report is still there.
     """
-    target = check_target(folder, overwrite)
-    files = _contents(report, dict(run_info or {}))
-    fresh = target.with_name(f".{target.name}.new-{os.getpid()}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        fresh.mkdir()
-        try:
+    with claim(folder, KIND, overwrite=overwrite) as place:
+        files = _contents(report, dict(run_info or {}))
+        with place.fill(KIND, overwrite) as fresh:
             for name, data in files.items():
                 path = fresh / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(data)
-            _put_in_place(fresh, target)
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(
-            f"{target}: cannot be written ({error.strerror or error}); choose another --out"
-        ) from error
-    return target
-
-
-def _put_in_place(fresh, target):
-    """Rename the new folder to its place; an older one steps aside until that is done."""
-    if not target.exists():
-        fresh.rename(target)
-        return
-    old = target.with_name(f".{target.name}.old-{os.getpid()}")
-    target.rename(old)
-    try:
-        fresh.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+    return place.path
 
 
 def _contents(report, run_info):
@@ -189,7 +97,7 @@ def _law_text(report):
     lines += [f"# with {c['name']}: {' '.join(c['text'].split())}" for c in report.corrections]
     for c in report.constants:
         name = f"{c.name} of {c.entity}" if c.entity else c.name
-        lines.append(f"# {' '.join(name.split())} = {format_value(c.value, c.low, c.high, c.unit)}")
+        lines.append(f"# {' '.join(name.split())} = {format_constant(c)}")
     return "\n".join(lines) + "\n"
 
 
@@ -206,5 +114,5 @@ def _residuals(table):
 
 def _csv_cell(value):
     if isinstance(value, str):
-        return value
+        return safe_cell(value)
     return repr(float(value)) if is_number(value) else ""

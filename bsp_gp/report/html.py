@@ -166,12 +166,15 @@ def _count(value):
 
 def _constant(c):
     value, low, high, power = rounded(c.value, c.low, c.high)
+    if c.state == "undetermined":
+        value = power = ""
+        low = high = NOT_KNOWN
     interval = NOT_KNOWN if NOT_KNOWN in (low, high) else f"[{low}, {high}]{power}"
     return {
         "name": c.name,
         "entity": c.entity,
-        "value": value + power,
-        "interval": interval,
+        "value": (value + power) or "undetermined",
+        "interval": "at its bound" if c.state == "at_bound" else interval,
         "unit": pretty_unit(c.unit),
     }
 

@@ -7,6 +7,7 @@ import re
 
 __all__ = [
     "NOT_KNOWN",
+    "format_constant",
     "format_level",
     "format_number",
     "format_p",
@@ -139,6 +140,17 @@ def format_value(value, low=math.nan, high=math.nan, unit=""):
     if NOT_KNOWN in (low, high):
         return with_unit(middle + power, unit)
     return with_unit(f"{middle} [{low}, {high}]{power}", unit)
+
+
+def format_constant(constant):
+    """Write a `ConstantEstimate`, in words where there is no number to be told."""
+    c = constant
+    if c.state == "undetermined":
+        return "undetermined by these data"
+    text = format_value(c.value, c.low, c.high, c.unit)
+    if c.state == "at_bound":
+        return f"{format_value(c.value, unit=c.unit)}, at its bound"
+    return text
 
 
 def format_ratio(ratio):

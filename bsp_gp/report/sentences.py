@@ -147,6 +147,8 @@ def missing_sentence(round_, alpha):
         numbers = f"{format_number(missing.statistic)} where noise alone gives 1, {numbers}"
     if missing.is_missing:
         text = f"More is left than noise explains (whitened χ² per degree of freedom {numbers})."
+    elif not is_number(missing.p_value):
+        return "The model could not be fitted, so that what it leaves could not be tested."
     else:
         text = f"Nothing is left above the noise (whitened χ² per degree of freedom {numbers})."
     if not is_number(missing.statistic):
@@ -320,8 +322,11 @@ def constant_groups(constants):
 
 def group_range(name, unit, group):
     """One line for a constant of which every entity has its own."""
-    values = [c.value for c in group if is_number(c.value)]
+    values = [c.value for c in group if is_number(c.value) and c.state != "undetermined"]
     label = f"{name}: {len(group)} {'entities' if len(group) > 1 else 'entity'}"
+    n_open = sum(c.state == "undetermined" for c in group)
+    if n_open:
+        label += f", {n_open} of them undetermined"
     if not values:
         return f"{label}, no value known"
     spread = max(values) - min(values)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import textwrap
 
-from bsp_gp.report.numbers import format_number, format_p, format_value, with_unit
+from bsp_gp.data.scene import CHECK
+from bsp_gp.report.numbers import format_constant, format_number, format_p, format_value, with_unit
 from bsp_gp.report.sentences import (
     caveats,
     constant_groups,
@@ -21,6 +22,7 @@ WIDTH = 100
 MAX_LINES = 25
 _MAX_CONSTANTS = 5
 _MAX_ROUNDS = 4
+_MAX_CHECKS = 3
 
 
 def summary_text(report):
@@ -33,19 +35,22 @@ def summary_text(report):
     Returns
     -------
     str
-        Verdict, error before and after, law, constants, rounds, ties, notes; no newline at
-        the end.
+        Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no
+        newline at the end.
     """
     lines = _wrapped(f"{report.dataset.get('name', 'data')}: {report.verdict}", 1)
     lines += _wrapped(verdict_sentence(report), 4)
     lines += _wrapped(headline(report)["text"], 2)
     lines += _wrapped(ratio_caution(report), 1)
+    notes = [*caveats(report), *report.notes]
+    for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
+        lines += _wrapped(note.replace(CHECK, "Check: ", 1), 3, indent="       ")
     lines += _wrapped("Law: F = " + report.law_text, 3, indent="     ")
     lines += _constants(report)
     lines += _rounds(report)
     lines += _traced(report)
     lines += _ties(report)
-    notes = [*caveats(report), *report.notes]
+    notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
         lines += _wrapped(f"Note: {notes[0]}{more}", 2, indent="      ")
@@ -62,7 +67,7 @@ def _wrapped(text, max_lines, indent=""):
 
 def _constants(report):
     shared, own = constant_groups(report.constants)
-    rows = [f"{c.name} = {format_value(c.value, c.low, c.high, c.unit)}" for c in shared]
+    rows = [f"{c.name} = {format_constant(c)}" for c in shared]
     rows += [group_range(*group) for group in own]
     if not rows:
         return []

@@ -167,11 +167,15 @@ def law_document(report):
         ]
         for c in report.constants:
             value, low, high, power = rounded(c.value, c.low, c.high)
+            if c.state == "undetermined":
+                value, power = "undetermined", ""
+            elif c.state == "at_bound":
+                low, high = "at its bound", NOT_KNOWN
             exponent = power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+"))
             exponent = exponent.replace(" × 10", "")
             tail = rf"$\,\times 10^{{{exponent}}}$" if exponent else ""
             cells = [_tex(c.name), _tex(c.entity)]
-            cells += [_tex(p) + (tail if p != NOT_KNOWN else "") for p in (value, low, high)]
+            cells += [_tex(p) + (tail if p[-1:].isdigit() else "") for p in (value, low, high)]
             lines.append(" & ".join([*cells, _tex_unit(c.unit)]) + r" \\")
         lines += [r"\hline", r"\end{longtable}"]
     lines.append(r"\end{document}")

@@ -180,15 +180,16 @@ class Banks:
         """All distinct entries of at most `max_levels` levels, fewest levels first."""
         out = []
         for level in range(1, max_levels + 1):
-            out.extend(self._level(nonterminal, level))
+            out.extend(self.level(nonterminal, level))
         return out
 
-    def _level(self, nonterminal, level):
+    def level(self, nonterminal, level):
+        """The distinct entries of exactly this many levels."""
         key = (nonterminal, level)
         if key not in self._levels:
             self._levels[key] = []  # a recursive nonterminal sees only lower levels
             if level > 1:
-                self._level(nonterminal, level - 1)
+                self.level(nonterminal, level - 1)
             self._levels[key] = self._new_entries(nonterminal, level)
         return self._levels[key]
 

@@ -111,6 +111,12 @@ def fit_constants(regression, law, *, starts=1):
     target = regression.target()
     if linear is not None:
         fixed, matrix, parameters = linear
+        with np.errstate(over="ignore", invalid="ignore"):
+            is_sayable = np.isfinite(matrix).all() and np.isfinite(fixed @ fixed)
+        if not is_sayable:
+            raise EvaluationError(
+                "accelerations under the law, or their squares, are beyond the range of numbers"
+            )
         values, covariance, residual = _least_squares(matrix, target - fixed)
         if not np.isfinite(values).all():
             raise EvaluationError(

@@ -35,6 +35,7 @@ from bsp_gp.search.correlated import CorrelatedScorer
 from bsp_gp.search.factoring import plan_of
 from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
+from bsp_gp.search.room import require_room
 from bsp_gp.search.scoring import GroupScorer, RowScorer
 
 __all__ = ["MOST_TIES", "Exhaustive", "law_pool", "search_exhaustive"]
@@ -97,6 +98,8 @@ def search_exhaustive(
     ------
     SettingsError
         If the grammar has no laws of this kind.
+    ResourceError
+        If the search would not fit into memory; proposes a bound on the levels that does.
     """
     if kind not in grammar.start:
         raise SettingsError(
@@ -173,6 +176,7 @@ class Exhaustive:
         started = time.perf_counter()
         with threadpool_limits(limits=1, user_api="blas"):
             self._set_target(target, nuisance, groups, null_targets)
+            require_room(self, self.n_columns())
             self._run(progress)
             candidates = self._candidates(max_ties)
         certificate = Certificate(
@@ -221,10 +225,17 @@ class Exhaustive:
         self.n_scored = self.n_failed = 0
         self.kept = Kept(self.top_k)
 
+    def n_columns(self):
+        """Targets and what is fitted beside, of which every law's products are kept at a time."""
+        n_null = len(self.null_gain)
+        splits = n_null if len(self.groups) > 1 else 0
+        return 1 + n_null + splits + max(q.shape[1] for q in self.q_groups)
+
     def _run(self, progress):
         for done, (plans, directed) in enumerate(self._directed_plans(), 1):
             for block in self._blocks(plans):
-                self._score(block, directed)
+                if block.allowed.size:  # a bank may be empty within the bound
+                    self._score(block, directed)
             if progress is not None:
                 progress(done, len(self._directed_plans()))
         if self.null_total.size:
@@ -290,7 +301,7 @@ class Exhaustive:
             ones = Side([self._one()])
             for plan in plans:
                 # On the right, where factors may vary in time under any covariance.
-                right = ones if plan.left is None else self._side(self.banks.bank(*plan.left))
+                right = ones if plan.left is None else self.side(self.banks.bank(*plan.left))
                 blocks.append(
                     Block(
                         ones,
@@ -305,14 +316,15 @@ class Exhaustive:
     def _one(self):
         return Entry(Number(1.0), None, 0.0, 0, np.ones(self.rows.n_rows))
 
-    def _side(self, entries):
+    def side(self, entries):
+        """A bank as one side of a block: proportional factors are one."""
         return Side(merge_proportional(entries, self.weights))
 
     def _rule_cost(self, plan):
         return -float(sum(self.log_probs[r] for r in plan.rules))
 
     def _self_product(self, plans, squares):
-        left = self._side(self.banks.bank(*squares[0].left))
+        left = self.side(self.banks.bank(*squares[0].left))
         operators = {p.operator: p for p in squares}
         single = next((p for p in plans if p.right is None and p.left is not None), squares[0])
         cost = self._rule_cost(squares[0])
@@ -373,8 +385,8 @@ class Exhaustive:
             base = self._one()
             return [Entry(base.formula, None, self._rule_cost(alone[0]) - cost, 0, base.value)]
 
-        left = self._side(with_one(plan.left, plan.right[0]) + self.banks.bank(*plan.left))
-        right = self._side(with_one(plan.right, plan.left[0]) + self.banks.bank(*plan.right))
+        left = self.side(with_one(plan.left, plan.right[0]) + self.banks.bank(*plan.left))
+        right = self.side(with_one(plan.right, plan.left[0]) + self.banks.bank(*plan.right))
         allowed = np.ones((len(left.entries), len(right.entries)), dtype=bool)
         needs_factor = not any(p.left is None for p in plans)
         for a, one in enumerate(left.entries):
@@ -431,6 +443,7 @@ class Exhaustive:
 
     def pool(self, is_left):
         """See `law_pool`."""
+        require_room(self, 0)
         laws, columns = [], []
         for plans, directed in self._directed_plans():
             for block in self._blocks(plans):

@@ -9,8 +9,8 @@ draws what the uninterrupted one would have.
 from __future__ import annotations
 
 import gc
+import hashlib
 import json
-import os
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import BspError, OutputError, SettingsError
 from bsp_gp.language.expression import from_lists, to_lists
+from bsp_gp.output.place import whole_file
 from bsp_gp.search.candidate import SearchResult
 
 __all__ = ["Budget", "Search", "run_search"]
@@ -241,6 +242,10 @@ def _result(objective, keep, n_evaluated, seconds):
     )
 
 
+def _digest(text):
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
 class _Checkpoint:
     """The file that a run can be taken up from."""
 
@@ -263,14 +268,9 @@ class _Checkpoint:
             "seen": objective.history,
             "counts": [objective.n_trees, objective.n_repeats, self.idle],
         }
-        temporary = self.path.with_name(self.path.name + ".part")
-        try:
-            temporary.write_text(json.dumps(content, default=to_lists), encoding="utf-8")
-            os.replace(temporary, self.path)
-        except OSError as error:
-            raise OutputError(
-                f"checkpoint {self.path} cannot be written: {error.strerror}"
-            ) from None
+        text = json.dumps(content, default=to_lists)
+        with whole_file(self.path) as part:
+            part.write_text(f'{text[:-1]}, "digest": "{_digest(text)}"}}', encoding="utf-8")
         self.steps = steps
         self.due = time.perf_counter() + 20 * (time.perf_counter() - now)
 
@@ -282,18 +282,21 @@ class _Checkpoint:
         damaged = f"{path} is no checkpoint of a search; move it away"
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
+            is_as_written = content.pop("digest") == _digest(json.dumps(content))
             matches = content["search"] == self.identity
             steps, state, seen = int(content["steps"]), dict(content["state"]), content["seen"]
             n_trees, n_repeats, idle = map(int, content["counts"])
         except OSError as error:
             raise OutputError(f"checkpoint {path} cannot be read: {error.strerror}") from None
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise OutputError(damaged) from None
         if not matches:
             raise OutputError(
                 f"{path} is the checkpoint of another search (strategy, grammar, data or seed); "
                 "move it away"
             )
+        if not is_as_written:
+            raise OutputError(f"{damaged}; it was altered since it was written")
         try:
             grammar = objective.grammar
             seen = [[from_lists(lists, grammar) for lists in part] for part in seen]

@@ -12,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from bsp_gp.data.folder import whole_folder
+from bsp_gp.data.cells import safe_table
 from bsp_gp.data.scene import Scene
-from bsp_gp.errors import OutputError
+from bsp_gp.output.place import claim
 from bsp_gp.simulate.engine import acceleration
 from bsp_gp.simulate.world import Ensemble, States, World
 
-__all__ = ["PIXELS", "STATES", "TRUTH", "Truth", "save_truth"]
+__all__ = ["KIND", "PIXELS", "STATES", "TRUTH", "Truth", "fill_truth", "save_truth"]
 
 TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
+KIND = "truth"
 _INSTANT = 1e-12
 
 
@@ -151,7 +152,7 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
     folder : path-like
         Must not be the data set's own folder or inside of it.
     overwrite : bool
-        Replace an older truth there; a folder with anything else in it is never touched.
+        Replace an older truth there; what else is in the folder is kept.
     pixels : DataFrame, optional
         Where bodies are in the frames of films; written as ``pixels.csv``.
     seed : int, optional
@@ -166,21 +167,21 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
     OutputError
         If the folder cannot be written, exists, or holds a data set.
     """
-    folder = Path(folder)
-    if folder.exists():
-        if not folder.is_dir() or {p.name for p in folder.iterdir()} - {TRUTH, STATES, PIXELS}:
-            raise OutputError(f"{folder} holds other files, never overwritten; choose another name")
-        if not overwrite:
-            raise OutputError(f"{folder} exists already; choose another name, or overwrite")
-    with whole_folder(folder) as partial:
-        text = json.dumps(
-            {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
-        )
-        (partial / TRUTH).write_text(f"{text}\n", encoding="utf-8")
-        _states_table(truth).to_csv(partial / STATES, index=False, lineterminator="\n")
-        if pixels is not None:
-            pixels.to_csv(partial / PIXELS, index=False, lineterminator="\n")
-    return folder
+    with claim(folder, KIND, overwrite=overwrite) as place:
+        with place.fill(KIND, overwrite) as fresh:
+            fill_truth(truth, fresh, pixels, seed)
+    return Path(folder)
+
+
+def fill_truth(truth, folder, pixels=None, seed=None):
+    """Write the files of `save_truth` into an empty folder."""
+    text = json.dumps(
+        {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
+    )
+    (folder / TRUTH).write_text(f"{text}\n", encoding="utf-8")
+    safe_table(_states_table(truth)).to_csv(folder / STATES, index=False, lineterminator="\n")
+    if pixels is not None:
+        safe_table(pixels).to_csv(folder / PIXELS, index=False, lineterminator="\n")
 
 
 def _states_table(truth):

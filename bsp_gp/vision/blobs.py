@@ -213,7 +213,9 @@ def _gathered(video, name, found):
         rms[k, 0] = np.sqrt(np.mean(np.sum(off**2, axis=1)))
         area[k] = found[frame][1][1]
         covariances[k, 0] = np.eye(2) * (0.2**2) + off.T @ off / max(len(off) - 1, 1)
-    seen = (area / np.nanmedian(area))[:, None]
+    known = area[np.isfinite(area)]
+    typical = float(np.median(known)) if len(known) else 1.0
+    seen = (area / (typical or 1.0))[:, None]
     return Track(
         (name,), np.array(frames), video.fps, positions, covariances, rms, np.minimum(seen, 1.0),
         tuple(reasons), {name: "patch of one chromaticity"}, {name: float("nan")}, "px",

@@ -71,6 +71,11 @@ class DiscTracker:
             name: (counts or {}).get(name, self._usual([len(f[name]) for f in self.found]))
             for name in self.kinds
         }
+        if not any(self.counts.values()):
+            raise DataError(
+                f"most frames show no disc of the kind {' or '.join(self.counts)}",
+                file=video.path, remedy="give the colour as #rrggbb, and the radius in px",
+            )  # fmt: skip
 
     def _learn(self, colours, radius, counts):
         kinds, failures = {}, {}

@@ -7,16 +7,15 @@ it, so that the centre of gravity of what is drawn is the true centre to a hundr
 
 from __future__ import annotations
 
+import itertools
 import math
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bsp_gp.data.folder import whole_folder
 from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.output.place import claim
 
 __all__ = ["Camera", "Look", "film_scene", "write_film", "write_frames"]
 
@@ -30,7 +29,6 @@ _COLOURS = np.array(
 )  # fmt: skip
 _GREYS = {"rect_wall": (150.0, 150.0, 150.0), "rect_mat": (222.0, 222.0, 222.0)}
 _ANCHOR = (90.0, 90.0, 90.0)
-_CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
 _MAX_PIXELS = 40_000_000
 _PARTS = 4
 
@@ -279,43 +277,19 @@ def write_film(frames, path, fps, *, overwrite=False):
     OutputError
         If the file exists, or OpenCV cannot write it.
     """
-    import cv2
+    from bsp_gp.vision.video import VideoWriter
 
     path = Path(path)
-    if path.suffix.lower() not in _CODECS:
-        raise OutputError(f"{path}: a film must end in one of {', '.join(_CODECS)}")
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise OutputError(f"{path}: a film needs at least one frame")
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists already; choose another name, or overwrite")
-    code = cv2.VideoWriter_fourcc(*_CODECS[path.suffix.lower()])
-    part = _part(path)
-    writer = None
-    try:
-        for frame in frames:
-            if writer is None:
-                writer = cv2.VideoWriter(str(part), code, float(fps), frame.shape[1::-1])
-                if not writer.isOpened():
-                    raise OutputError(f"OpenCV cannot write {path.suffix} films here")
-            writer.write(np.ascontiguousarray(frame[..., ::-1]))
-        if writer is None:
-            raise OutputError(f"{path}: a film needs at least one frame")
-        writer.release()
-        part.chmod(0o644)
-        os.replace(part, path)
-    finally:
-        if writer is not None:
-            writer.release()
-        part.unlink(missing_ok=True)
+    with VideoWriter(path, fps, first.shape[1::-1]) as film:
+        for frame in itertools.chain((first,), frames):
+            film.write(frame[..., ::-1])
     return path
-
-
-def _part(path):
-    """A fresh file beside `path` with the same ending."""
-    try:
-        handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=".film-", dir=path.parent)
-    except OSError as error:
-        raise OutputError(f"cannot write in {path.parent}: {error.strerror}") from error
-    os.close(handle)
-    return Path(name)
 
 
 def write_frames(frames, folder):
@@ -328,10 +302,10 @@ def write_frames(frames, folder):
     import cv2
 
     folder = Path(folder)
-    if folder.exists():
-        raise OutputError(f"{folder} exists already; choose another name")
-    with whole_folder(folder) as partial:
+    with claim(folder, "folder of frames") as place, place.fill("folder of frames") as fresh:
         for k, frame in enumerate(frames):
-            if not cv2.imwrite(str(partial / f"{k:04d}.png"), frame[..., ::-1]):
-                raise OutputError(f"OpenCV cannot write PNG files in {folder.parent}")
+            is_good, data = cv2.imencode(".png", frame[..., ::-1])
+            if not is_good:
+                raise OutputError(f"{folder}: OpenCV cannot say frame {k} as PNG")
+            (fresh / f"{k:04d}.png").write_bytes(data.tobytes())
     return folder

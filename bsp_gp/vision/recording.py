@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bsp_gp.data.folder import save_dataset, whole_folder
+from bsp_gp.data.folder import fill_dataset
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.errors import SettingsError
+from bsp_gp.output.place import claim
 from bsp_gp.units import UnitSystem
 from bsp_gp.vision.annotate import write_annotated
 from bsp_gp.vision.blobs import BlobSettings, track_blob
@@ -27,6 +28,7 @@ from bsp_gp.vision.video import open_video
 
 __all__ = ["ObjectSpec", "parse_object", "track_video", "write_recording"]
 
+RECORDING = "recording"
 SPECS = (
     "disc:COLOUR[:RADIUS] | patch:X,Y,W,H@FRAME | moving:X,Y,W,H@FRAME | "
     "template:X,Y,W,H@FRAME | point:X,Y@FRAME"
@@ -255,32 +257,30 @@ def _spans(reasons):
 
 def write_recording(
     path, specs, out, *, fps=None, calibration=None, mat_colours=None, first=0, last=None,
-    smooth=False, film=True, progress=None,
+    smooth=False, film=True, progress=None, overwrite=False,
 ):  # fmt: skip
     """Track a video and write a folder: ``data/`` (a data set), ``film.mp4``, ``quality.html``.
 
-    Written whole or not at all; an existing folder is an error.
+    Written whole or not at all; an older one gives way only if `overwrite` is set.
 
     Returns
     -------
     Path, Track
     """
-    out = Path(out)
-    if out.exists():
-        raise OutputError(f"{out} exists already; choose another --out")
-    video = open_video(path, fps)
-    calibration = calibration or Calibration()
-    track = track_video(video, specs, first, last, progress)
-    regions = ()
-    if mat_colours:
-        picture, seen = still_background(video, track)
-        colours = {name: parse_colour(c) for name, c in mat_colours.items()}
-        regions = tuple(mats(picture, seen, colours))
-    dataset = to_dataset(video, track, calibration, regions, smooth)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with whole_folder(out) as partial:
-        save_dataset(dataset, partial / "data")
-        (partial / "quality.html").write_text(quality_page(video, track, calibration), "utf-8")
-        if film:
-            write_annotated(video, track, partial / "film.mp4", regions)
-    return out, track
+    with claim(out, RECORDING, inputs=(path,), overwrite=overwrite) as place:
+        video = open_video(path, fps)
+        calibration = calibration or Calibration()
+        track = track_video(video, specs, first, last, progress)
+        regions = ()
+        if mat_colours:
+            picture, seen = still_background(video, track)
+            colours = {name: parse_colour(c) for name, c in mat_colours.items()}
+            regions = tuple(mats(picture, seen, colours))
+        dataset = to_dataset(video, track, calibration, regions, smooth)
+        with place.fill(RECORDING, overwrite) as fresh:
+            (fresh / "data").mkdir()
+            fill_dataset(dataset, fresh / "data")
+            (fresh / "quality.html").write_text(quality_page(video, track, calibration), "utf-8")
+            if film:
+                write_annotated(video, track, fresh / "film.mp4", regions)
+    return Path(out), track

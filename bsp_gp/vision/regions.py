@@ -56,7 +56,7 @@ def still_background(video, track, n=24):
         mask = np.zeros(image.shape[:2], dtype=np.uint8)
         row = rows.get(int(index))
         for k, name in enumerate(track.names):
-            reach = track.radii.get(name, 0.0)
+            reach = np.nan_to_num(track.radii.get(name, 0.0))  # a point has no known size
             if row is not None and np.all(np.isfinite(track.positions[row, k])):
                 centre = tuple(int(round(c)) for c in track.positions[row, k])
                 cv2.circle(mask, centre, int(np.ceil(reach + 4)), 255, -1)

@@ -8,12 +8,19 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
+# FFmpeg and OpenCV write what they think of a damaged film to stderr, past Python; what could be
+# decoded is counted here and told. FFmpeg reads this variable when the first video is opened.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-from bsp_gp.errors import DataError, OutputError
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+
+from bsp_gp.errors import DataError, OutputError  # noqa: E402
+from bsp_gp.output.place import whole_file  # noqa: E402
 
 __all__ = ["Video", "VideoWriter", "open_video"]
+
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 MAX_FPS = 100_000.0
 LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")
@@ -60,7 +67,7 @@ class Video:
         The file is always decoded from its first frame: seeking in compressed video is not
         exact in OpenCV.
         """
-        capture = cv2.VideoCapture(str(self.path))
+        capture = _capture(self.path)
         try:
             index = 0
             while stop is None or index < stop:
@@ -106,7 +113,7 @@ def open_video(path, fps=None):
     path = Path(path)
     if not path.is_file():
         raise DataError("no such video file", file=path)
-    capture = cv2.VideoCapture(str(path))
+    capture = _capture(path)
     try:
         if not capture.isOpened():
             raise DataError(
@@ -135,6 +142,12 @@ def open_video(path, fps=None):
     return Video(path, rate, size[0], size[1], count, promised, codec)
 
 
+def _capture(path):
+    """A reader of a film: FFmpeg where OpenCV has it, whose complaints can be turned off."""
+    has_ffmpeg = cv2.CAP_FFMPEG in cv2.videoio_registry.getStreamBackends()
+    return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
+
+
 class VideoWriter:
     """Write frames to a video, whole or not at all (a ``with`` statement ends it).
 
@@ -155,29 +168,43 @@ class VideoWriter:
     CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
 
     def __init__(self, path, fps, size):
-        self.path = Path(path)
-        if self.path.suffix not in self.CODECS:
+        self.path, self.fps, self.size = Path(path), float(fps), tuple(size)
+        if self.path.suffix.lower() not in self.CODECS:
             raise OutputError(
-                f"a film must end in {', '.join(self.CODECS)}, got {self.path.name!r}"
+                f"a film must end in one of {', '.join(self.CODECS)}, got {self.path.name!r}"
             )
-        self.part = self.path.with_name(f".{self.path.stem}.part{self.path.suffix}")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        code = cv2.VideoWriter_fourcc(*self.CODECS[self.path.suffix])
-        self._writer = cv2.VideoWriter(str(self.part), code, fps, tuple(size))
-        if not self._writer.isOpened():
-            raise OutputError(f"cannot write a film to {self.path}")
+        self.n_written = 0
 
     def write(self, image):
         """Append one BGR image, uint8, shape (height, width, 3)."""
         self._writer.write(np.ascontiguousarray(image, dtype=np.uint8))
+        self.n_written += 1
 
     def __enter__(self):
+        code = cv2.VideoWriter_fourcc(*self.CODECS[self.path.suffix.lower()])
+        with contextlib.ExitStack() as stack:
+            self._part = stack.enter_context(whole_file(self.path))
+            self._writer = cv2.VideoWriter(str(self._part), code, self.fps, self.size)
+            stack.callback(self._writer.release)
+            if not self._writer.isOpened():
+                raise OutputError(f"cannot write a film to {self.path}")
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, kind, error, trace):
-        self._writer.release()
-        if kind is None:
-            os.replace(self.part, self.path)
-        else:
-            with contextlib.suppress(FileNotFoundError):
-                self.part.unlink()
+        with self._open:
+            if kind is not None:
+                raise error
+            self._writer.release()
+            self._require_whole()
+
+    def _require_whole(self):
+        """OpenCV does not tell when the disk is full; the film itself does."""
+        film = cv2.VideoCapture(str(self._part))
+        n_there = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+        film.release()
+        if n_there < self.n_written:
+            raise OutputError(
+                f"{self.path}: only {n_there} of {self.n_written} frames could be written; is "
+                "the disk full?"
+            )

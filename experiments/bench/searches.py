@@ -7,7 +7,6 @@ import resource
 import sys
 import time
 from collections import defaultdict
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,7 @@ from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget, run_search
+from bsp_gp.workers import worker_pool
 
 SECONDS = 2.0
 SIGMA = 1e-3
@@ -271,8 +271,8 @@ def gplearn(seconds):
 
 def work(tool, name, seconds):
     """One measurement in a process of its own, so that memory is its own."""
-    with get_context("spawn").Pool(1) as pool:
-        row = pool.apply(measured, (tool, name, seconds))
+    with worker_pool(1, own_process=True) as pool:
+        row = pool.submit(measured, tool, name, seconds).result()
     return [] if row is None else [{"tool": tool, "problem": name, **row}]
 
 

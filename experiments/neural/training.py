@@ -7,7 +7,6 @@ decays, and, where it helps, the parameters kept that are best on held-out rows.
 `longer_training` is ours with four times the steps.
 """
 
-import os
 import time
 import zlib
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+
+from bsp_gp.output.place import whole_file
 
 from .models import Inputs, excess_of_row, init_model, normaliser
 from .worlds import load_worlds, rows_of
@@ -316,11 +317,9 @@ def fingerprint(model, training, draws, seeds):
 def _write(path, mark, done, seconds, state):
     """Write the state, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
     leaves = {f"leaf{k}": np.asarray(x) for k, x in enumerate(jax.tree.leaves(state))}
-    with open(part, "wb") as file:
-        np.savez(file, mark=mark, done=done, seconds=seconds, **leaves)
-    os.replace(part, path)
+    with whole_file(path) as part:
+        np.savez(part, mark=mark, done=done, seconds=seconds, **leaves)
 
 
 def _taken_up(path, mark, state):

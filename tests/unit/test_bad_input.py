@@ -151,7 +151,8 @@ COMMANDS = {
     "NUL in a name": (["close", "a\0b", "--declare", LAW], ["NUL"]),
     "empty name": (["fit", "", "--law", LAW], [""]),
     "fit: not a force": (["fit", "data", "--law", "c1 * m_i"], ["vector"]),
-    "fit: out in nowhere": (["fit", "data", "--law", LAW, "--out", "x/y/z"], ["no folder"]),
+    "fit: out below a file": (["fit", "data", "--law", LAW, "--out", f"{M}/z"], ["is a file"]),
+    "fit: parents of out": (["fit", "data", "--law", "c1 * m_i", "--out", "x/y/z"], ["vector"]),
     "simulate: no out": (["simulate", "data", "--law", LAW], ["--out"]),
     "simulate: no value": (
         ["simulate", "data", "--law", "c1 * v_i", "--out", "out"], ["'c1'", "--set c1="],

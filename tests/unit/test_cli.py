@@ -220,13 +220,13 @@ def test_fit_prints_and_writes(data, tmp_path, capsys):
     assert tree(tmp_path) == []
     assert main([*words, "--out", str(out)]) == 0
     assert capsys.readouterr().out == f"{printed}Fit: {out}\n"
-    assert tree(out) == ["fit.json", "fit.txt"]
+    assert tree(out) == [".bsp_gp", "fit.json", "fit.txt"]
     assert (out / "fit.txt").read_text("utf-8") == printed
     assert main([*words, "--out", str(out)]) == 2
     assert main([*words, "--out", str(out), "--overwrite", "--json"]) == 0
     captured = capsys.readouterr()
     assert captured.out == (out / "fit.json").read_text("utf-8")
-    assert tree(tmp_path) == ["fit", "fit/fit.json", "fit/fit.txt"]
+    assert tree(tmp_path) == ["fit", "fit/.bsp_gp", "fit/fit.json", "fit/fit.txt"]
 
 
 def test_fit_without_a_law_searches_from_no_force(data, tmp_path, capsys):

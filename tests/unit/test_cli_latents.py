@@ -1,5 +1,7 @@
 import json
+import shutil
 
+import pandas as pd
 import pytest
 
 from bsp_gp.cli import main
@@ -35,6 +37,21 @@ def test_infer_prints_a_posterior_and_writes_its_folder(data, tmp_path, capsys):
     assert content["posterior"]["latents"][0]["name"] == "mass[s0:b1]"
     assert main(words) == 2  # not overwritten without being asked
     assert "exists already" in capsys.readouterr().err
+
+
+def test_infer_keeps_noise_that_is_declared_and_tells_the_notes(data, tmp_path, capsys):
+    """Far below what counts as exact, where an error of one part in 10,000 was assumed."""
+    folder = tmp_path / "pulls"
+    shutil.copytree(data, folder)
+    toml = (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text(toml.replace("noise = 0.0", "noise = 1e-9"))
+    table = pd.read_csv(folder / "trajectories.csv")
+    table.assign(colour=1).to_csv(folder / "trajectories.csv", index=False)
+    words = ["infer", str(folder), "--law", LAW.replace("c1", "20 [m^3/(kg s^2)]"), "--train"]
+    assert main([*words, "s0", "--e-step", "laplace", "--json", *FAST]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any(note.startswith("noise 1e-09 m (declared)") for note in notes)
+    assert any("column 'colour' is not used" in note for note in notes)
 
 
 def test_fit_with_latents_learns_the_law(data, tmp_path, capsys):

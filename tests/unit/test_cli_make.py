@@ -73,9 +73,9 @@ def test_films_come_with_their_truth(capsys, tmp_path):
     assert status == 0 and f"Film: {tmp_path / 's-film'}" in text
     film = tmp_path / "s-film"
     assert sorted(p.name for p in film.iterdir()) == [
-        "camera.toml", "scene-1", "scene-1.mp4", "scene-2", "scene-2.mp4",
+        ".bsp_gp", "camera.toml", "scene-1", "scene-1.mp4", "scene-2", "scene-2.mp4",
     ]  # fmt: skip
-    assert len(list((film / "scene-2").iterdir())) == 6
+    assert len(list((film / "scene-2").glob("*.png"))) == 6
     pixels = pd.read_csv(tmp_path / "s-truth" / "pixels.csv")
     assert list(pixels.columns) == ["scene", "frame", "t", "entity", "x_px", "y_px"]
     assert len(pixels) == 2 * 6 * 2
@@ -106,11 +106,11 @@ def test_older_results_are_kept_unless_asked(capsys, tmp_path):
     assert after["s/trajectories.csv"] != before["s/trajectories.csv"]
     assert not any(name.startswith("s-film") for name in after)  # of data that are gone
     (tmp_path / "s-truth" / "mine.txt").write_text("x")
-    status, _, err = run(capsys, *words, "--overwrite")
-    assert status == 2 and "holds other files" in err
-    assert digest(tmp_path / "s") == {
-        name[2:]: value for name, value in after.items() if name.startswith("s/")
-    }
+    status, _, err = run(capsys, *words, "--seed", 2, "--overwrite")
+    assert status == 0 and "kept" in err and "s-truth/mine.txt" in err
+    mine = "s-truth/mine.txt"
+    assert {k: v for k, v in digest(tmp_path).items() if k != mine} == after
+    assert (tmp_path / mine).read_text() == "x"
 
 
 def test_a_folder_in_the_place_of_a_file_is_left_alone(capsys, tmp_path):

@@ -100,6 +100,36 @@ def test_the_weak_form_on_a_users_data():
         observe(dataset, law, np.random.default_rng(0), method="one_step")
 
 
+def falling_ball(tmp_path):
+    """One body, falling: there is nothing that a pair law could name."""
+    t = 0.02 * np.arange(40)
+    rng = np.random.default_rng(3)
+    x = np.stack([0.5 * t, 2 - 4.9 * t**2], axis=1) + 1e-3 * rng.standard_normal((40, 2))
+    frame = pd.DataFrame({"t": t, "x": x[:, 0], "y": x[:, 1]})
+    frame.to_csv(tmp_path / "ball.csv", index=False)
+    return str(tmp_path / "ball.csv")
+
+
+def test_one_body_is_searched_for_field_laws(tmp_path, capsys):
+    words = ["compare", falling_ball(tmp_path), "--units", "length=m", "time=s", "--quiet"]
+    assert main([*words, "--seeds", "1", "--laws", "50", "--out", str(tmp_path / "out")]) == 0
+    table = pd.read_csv(tmp_path / "out" / "results.csv")
+    assert (table["n_evaluated"] > 0).all()
+    assert np.isfinite(table["regret_nats"]).all()
+    assert "nan" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [(["--kind", "pair"], "choose --kind field"), (["--grammar", "newtonian"], "such as physics")],
+)
+def test_pair_laws_of_one_body_are_refused(tmp_path, capsys, options, remedy):
+    words = ["compare", falling_ball(tmp_path), "--units", "length=m", "time=s", "--quiet"]
+    assert main([*words, *options]) == 2
+    error = capsys.readouterr().err
+    assert "every scene has one body only" in error and remedy in error
+
+
 def test_unknown_searches_are_refused():
     with pytest.raises(SettingsError, match="must be one of cross_entropy, genetic, random"):
         compare_searches(

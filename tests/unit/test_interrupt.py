@@ -1,4 +1,4 @@
-"""Ctrl-C during the work: status 130, one line, nothing written, no process left."""
+"""Ctrl-C or SIGTERM during the work: status 130, one line, nothing written, no process left."""
 
 import os
 import signal
@@ -16,9 +16,10 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_interrupt_leaves_nothing(workers, tmp_path):
+@pytest.mark.parametrize("how", ["ctrl-c", "kill", "kill all"])
+def test_interrupt_leaves_nothing(how, workers, tmp_path):
     data = throws_folder(tmp_path / "throws", n_scenes=10, n_times=150, sigma=0.01)
-    # A session of its own: the signal goes to all of its processes, as from a terminal.
+    # A session of its own: Ctrl-C goes to all of its processes, as from a terminal.
     process = subprocess.Popen(
         [sys.executable, "-m", "bsp_gp", "close", str(data), "--declare", GRAVITY,
          "--workers", workers, "--out", str(tmp_path / "out")],
@@ -31,7 +32,10 @@ def test_interrupt_leaves_nothing(workers, tmp_path):
             line = process.stderr.readline()
             assert line, f"it ended before it could be interrupted: {seen}"
             seen.append(line)
-        os.killpg(process.pid, signal.SIGINT)
+        if how == "kill":
+            process.terminate()
+        else:
+            os.killpg(process.pid, signal.SIGINT if how == "ctrl-c" else signal.SIGTERM)
         out, err = process.communicate(timeout=30)
     finally:
         if process.poll() is None:

@@ -4,9 +4,12 @@ import math
 import numpy as np
 import pytest
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.cli import main
+from bsp_gp.data.noise import declare_noise, estimate_noise
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from bsp_gp.errors import DataError
+from bsp_gp.data.tables import load_dataset
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.fitting.law_fit import fit_law
 
 BALL = Entity("ball")
 
@@ -218,3 +221,32 @@ def test_reference_scenes(shared_data):
             for s in scenes
         ]
         assert estimate_noise(noisy).sigma == pytest.approx((0.01, 0.01), rel=0.05)
+
+
+def quoting(folder, toml=""):
+    rows = "".join(f"{0.1 * k},{k},{k * k},0.01,0.02\n" for k in range(12))
+    (folder / "trajectories.csv").write_text(f"t,x,y,sx,sy\n{rows}", encoding="utf-8")
+    (folder / "dataset.toml").write_text(toml, encoding="utf-8")
+    return folder
+
+
+def test_declared_noise_beside_quoted_errors_is_told(tmp_path):
+    data = load_dataset(quoting(tmp_path, "noise = 0.5\n"))
+    assert any("the quoted ones count" in note for note in data.notes)
+    assert estimate_noise(data).sigma == pytest.approx((0.01, 0.02))
+    assert load_dataset(quoting(tmp_path, 'noise = {"*" = 0.5}\n')).notes == ()
+
+
+def test_an_option_of_noise_beside_quoted_errors_is_refused(tmp_path, capsys):
+    words = ["fit", str(quoting(tmp_path)), "--law", "c * m_i * e_y", "--quiet"]
+    assert main([*words, "--noise", "0.5"]) == 2
+    assert "the points quote errors of their own" in capsys.readouterr().err
+    data = load_dataset(tmp_path)
+    with pytest.raises(SettingsError, match="leave the option out"):
+        fit_law(data, ["c * m_i * e_y"], rng=np.random.default_rng(0), noise=0.5)
+
+
+def test_an_option_of_noise_stands_in_for_the_declared():
+    data = Dataset("d", (make_scene("fall"),), noise=(0.5,))
+    assert estimate_noise(data).sigma == (0.5, 0.5)
+    assert estimate_noise(declare_noise(data, [0.25])).sigma == (0.25, 0.25)

@@ -1,3 +1,4 @@
+import math
 import pickle
 from dataclasses import replace
 
@@ -6,6 +7,7 @@ import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, Evaluation, Scene
 from bsp_gp.errors import DataError, LawError
+from bsp_gp.fitting.law_fit import fit_law
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.close import _check_masses, close_loop, declared_law
 from bsp_gp.loop.effects import EffectSearch
@@ -15,6 +17,7 @@ from bsp_gp.loop.tracks import fit_tracks
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.simulate import effects
 from bsp_gp.simulate.synth import make, preset
+from bsp_gp.units import UnitSystem
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset
 from tests.throws import C1, DRAG, GRAVITY, throws
@@ -478,3 +481,36 @@ def test_held_out_rows_that_are_not_seen_do_not_count():
         true = declared_law(data, [WEIGHT, "c * v_i"]).with_constants({"c": -0.3})
         sights.append(observation.held_out_sight(law, true))
     assert 0 < sights[1] < sights[0]
+
+
+GM, ORBIT = 3.986004418e14, 2.6e7  # m^3/s^2; of a navigation satellite, m
+
+
+def satellite(noise=None, quoted=None, sigma=0.05, n=120):
+    """One turn about the Earth, seen to 5 cm: two parts in a thousand million of the range."""
+    rate = np.sqrt(GM / ORBIT**3)
+    times = np.linspace(0, math.tau / rate, n)
+    p = np.zeros((n, 2, 2))
+    p[:, 0] = ORBIT * np.stack([np.cos(rate * times), np.sin(rate * times)], axis=1)
+    p[:, 0] += sigma * np.random.default_rng(0).standard_normal((n, 2))
+    bodies = Entity("satellite", properties={"mass": 1e3}), Entity("Earth", is_static=True)
+    errors = None if quoted is None else np.full(p.shape, quoted)
+    units = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
+    return Dataset("orbit", (Scene("a", times, p, bodies, None, errors),), noise=noise, units=units)
+
+
+@pytest.mark.parametrize("how", [{"noise": (0.05,)}, {"quoted": 0.05}])
+def test_declared_noise_is_never_replaced(how):
+    law = ["k * m_i / norm(p_i - p_j)^2 * normalize(p_j - p_i)"]
+    fit = fit_law(satellite(**how), law, rng=np.random.default_rng(0))
+    assert fit.noise["sigma"] == pytest.approx([0.05, 0.05])
+    assert fit.reduced_chisqr == pytest.approx(1, abs=0.4)
+    (k,) = fit.constants
+    assert k.low < GM < k.high and k.high - k.low < 1e-8 * GM
+
+
+def test_exact_positions_of_a_smooth_motion_have_a_resolution_of_their_own():
+    law = ["k * m_i / norm(p_i - p_j)^2 * normalize(p_j - p_i)"]
+    fit = fit_law(satellite(noise=(0.0,)), law, rng=np.random.default_rng(0))
+    assert fit.noise["sigma"] == pytest.approx([5.2, 5.2], rel=0.01)
+    assert "fitted to 1e-07 of their range" in fit.split

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.noise import FLOOR, estimate_noise
 from bsp_gp.data.point_errors import gross_errors, with_point_errors
 from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.law_fit import fit_law
 
 TIMES = 0.05 * np.arange(60)
 SIGMA = 0.01
@@ -96,3 +98,100 @@ def test_quoted_errors_stay_and_are_multiplied():
     new, notes = with_point_errors(data, estimate_noise(data))
     assert len(notes) == 1
     assert np.count_nonzero(new.scenes[2].sigma != SIGMA) == 2
+
+
+FALL = 0.04 * np.arange(16)
+
+
+def short_fall(rng, sigma=0.002):
+    x = np.stack([1.5 * FALL, 3 + 2 * FALL - 4.905 * FALL**2], axis=1)
+    return x + sigma * rng.standard_normal(x.shape)
+
+
+@pytest.mark.parametrize("row", range(16))
+def test_a_gross_error_is_found_in_any_row_of_a_short_track(row):
+    """Of 16 rows one changes what is usual; at an end no row beyond it speaks for it."""
+    for seed in range(5):
+        rng = np.random.default_rng([seed, row])
+        x = short_fall(rng)
+        x[row] += 0.6 * np.array([1, -1])
+        off = gross_errors(FALL, x, np.full(2, 0.002))
+        assert np.flatnonzero(off > 1).tolist() == [row]
+        assert off[row] > 100
+
+
+@pytest.mark.parametrize("row", [0, 1, 2, 3, 4, 55, 56, 57, 58, 59])
+def test_a_gross_error_near_an_end_is_found(row):
+    for seed in range(5):
+        x = swinging(np.random.default_rng([seed, row]))
+        x[row, 0] += 0.6
+        off = gross_errors(TIMES, x, np.full(2, SIGMA))
+        assert np.flatnonzero(off > 1).tolist() == [row]
+
+
+def test_a_body_that_is_hit_near_an_end_is_left_alone():
+    """Two rows and more on the far side of a blow are where the motion went."""
+    rng = np.random.default_rng(8)
+    for n in (16, 60):
+        times = 0.05 * np.arange(n)
+        for row in (2, 3, 4, 5, n - 6, n - 5, n - 4, n - 3):
+            for start in (0.0, 1.0):
+                after = np.maximum(times - 0.05 * row, 0.0)
+                x = np.stack([start * times, start * times - 3.0 * after], axis=1)
+                x = x + SIGMA * rng.standard_normal(x.shape)
+                assert np.all(gross_errors(times, x, np.full(2, SIGMA)) == 1)
+
+
+def clean_tracks(rng, n_tracks=60):
+    """Motions of many kinds: smooth, bouncing, stopped, close to the sampling limit, at rest."""
+    for k in range(n_tracks):
+        n = int(rng.integers(16, 60))
+        t = 0.05 * np.arange(n)
+        w, f = rng.uniform(0.5, 8), rng.uniform(0, 6)
+        fast = np.pi / 0.05 * rng.uniform(0.5, 0.95)
+        up = (t + f) % 0.6
+        yield t, (
+            np.stack([np.cos(w * t + f), 0.6 * np.sin(w * t + f)], axis=1),
+            np.stack([0.5 * t, 4.9 * up * (0.6 - up)], axis=1),
+            np.stack([np.cos(fast * t + f), np.sin(0.7 * fast * t)], axis=1),
+            np.stack([np.minimum(t, 0.4 * t[-1]), 1 - np.exp(-w * t)], axis=1),
+            np.stack([t, -4.9 * t**2], axis=1),
+            np.zeros((n, 2)),
+        )[k % 6]
+
+
+def test_clean_tracks_of_many_kinds_have_none():
+    rng = np.random.default_rng(9)
+    for t, x in clean_tracks(rng):
+        sigma = 10.0 ** rng.uniform(-4, -1.5)
+        seen = x + sigma * rng.standard_normal(x.shape)
+        assert np.all(gross_errors(t, seen, np.full(2, sigma)) == 1)
+        assert np.all(gross_errors(t, x, np.full(2, 1e-7), is_exact=True) == 1)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.002])
+@pytest.mark.parametrize("row", [0, 3, 8, 15])
+def test_a_fit_tells_a_gross_error_of_sixteen_rows_and_stands_it(row, sigma):
+    x = short_fall(np.random.default_rng(row), sigma)
+    x[row, 1] += 1.5
+    others = [short_fall(np.random.default_rng(ord(s)), sigma) for s in "bcd"]
+    tracks = dict(zip("abcd", [x, *others], strict=True))
+    frames = {s: pd.DataFrame({"t": FALL, "x": y[:, 0], "y": y[:, 1]}) for s, y in tracks.items()}
+    units = {"length": "m", "time": "s"}
+    data = Dataset.from_frames(frames, units=units, train=["a", "b", "c"])
+    fit = fit_law(data, ["-g * m_i * e_y"], rng=np.random.default_rng(0))
+    assert f"object of a at t = {FALL[row]:.4g}" in fit.text()
+    assert fit.constants[0].value == pytest.approx(9.81, rel=0.01)
+
+
+def test_quoted_errors_that_no_number_resolves_are_floored_without_a_word():
+    track = 1e100 * swinging(np.random.default_rng(7))
+    errors = np.stack([np.full(60, 1e-3), np.full(60, np.nan)], axis=1)
+    scene = Scene("a", TIMES, track[:, None], [Entity("ball")], sigma=errors[:, None])
+    dataset = Dataset("d", (scene,))
+    floored, notes = with_point_errors(dataset, estimate_noise(dataset))
+    assert notes == ()
+    np.testing.assert_allclose(floored.scenes[0].sigma[..., 0], FLOOR * np.ptp(track[:, 0]))
+    fine = replace(scene, sigma=np.full_like(scene.sigma, 1e95))
+    same, notes = with_point_errors(Dataset("d", (fine,)), estimate_noise(Dataset("d", (fine,))))
+    assert same.scenes[0] is fine

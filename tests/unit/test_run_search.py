@@ -1,6 +1,7 @@
 """The loop of all searches: budgets, seeds, checkpoints, resuming, Ctrl-C."""
 
 import functools
+import hashlib
 import json
 import multiprocessing
 import os
@@ -271,12 +272,15 @@ def damaged():
 
 
 def _changed(key, value, text):
+    """As somebody writes it who knows of the digest, so that what is behind it is tested too."""
     content = json.loads(text)
+    del content["digest"]
     if value is None:
         del content[key]
     else:
         content[key] = value
-    return json.dumps(content)
+    text = json.dumps(content)
+    return json.dumps({**content, "digest": hashlib.sha256(text.encode()).hexdigest()})
 
 
 @pytest.mark.parametrize("damage", [pytest.param(d, id=name) for name, d in damaged()])
@@ -285,6 +289,29 @@ def test_damaged_checkpoints_are_refused(damage, tmp_path):
     run("random", 0, checkpoint=path)
     path.write_text(damage(path.read_text()))
     refused(path, "run.json is no checkpoint of a search; move it away", name="random")
+
+
+def says_the_same(text, other):
+    try:
+        return json.loads(text) == json.loads(other)
+    except json.JSONDecodeError:
+        return False
+
+
+def test_an_altered_checkpoint_is_found_wherever_it_was_altered(tmp_path):
+    path = tmp_path / "run.json"
+    run("cross_entropy", 1, checkpoint=path)
+    whole = path.read_text()
+    rng = np.random.default_rng(0)
+    digits = [k for k, c in enumerate(whole) if c.isdigit()]
+    for k in rng.choice(digits, 60, replace=False):
+        other = str((int(whole[k]) + 1 + rng.integers(9)) % 10)
+        altered = whole[:k] + other + whole[k + 1 :]
+        path.write_text(altered)
+        if not says_the_same(altered, whole):  # the 17th digit of a number may say nothing
+            refused(path, "altered since|another search|no checkpoint")
+    path.write_text(json.dumps(json.loads(whole), indent=1))  # the same, only set otherwise
+    assert run("cross_entropy", 1, checkpoint=path)
 
 
 def test_checkpoints_that_are_no_text_or_no_file(tmp_path):

@@ -143,7 +143,7 @@ def test_the_loop_cannot_peek(tmp_path):
         save_dataset(each, tmp_path / name)
     save_truth(truth, tmp_path / "b-truth", seed=7)
     assert sorted(p.name for p in (tmp_path / "b").iterdir()) == [
-        "dataset.toml", "entities.csv", "trajectories.csv",
+        ".bsp_gp", "dataset.toml", "entities.csv", "trajectories.csv",
     ]  # fmt: skip
     for name in ("dataset.toml", "entities.csv"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
@@ -315,7 +315,7 @@ def test_truth_is_written_whole_and_beside(tmp_path):
         save_truth(truth, tmp_path / "t")
     save_truth(truth, tmp_path / "t", overwrite=True)
     save_dataset(dataset, tmp_path / "d")
-    with pytest.raises(OutputError, match="holds other files"):
+    with pytest.raises(OutputError, match="holds a data set and not a truth"):
         save_truth(truth, tmp_path / "d", overwrite=True)
     states = pd.read_csv(tmp_path / "t" / "states.csv")
     assert len(states) == 2 * 12 * 2
