@@ -50,6 +50,9 @@ class FitTolerances:
         How far intervals of a converged fit may fail to join, in the same.
     exact : float
         Noise below this part of the extent is numerical: its level is that of what is left.
+    resolution : float
+        Part of the extent by which a law may miss exact data (another integrator, numbers cut
+        short): what it leaves is then their noise.
     most_starts : int
         Starts at the most; all are taken where no two agree.
     noise_passes : int
@@ -67,6 +70,7 @@ class FitTolerances:
     step_error: float = 0.02
     gap: float = 1e-3
     exact: float = 1e-9
+    resolution: float = 1e-7
     most_starts: int = 16
     noise_passes: int = 4
     refuted: float = 5.0
@@ -283,7 +287,12 @@ class _Run:
         """The fit with one kind of steps."""
         model = self.hypothesis.noise
         climb, minimum = self.descend(model, paper_steps)
-        if self.is_noise_estimated and minimum.linearised is not None:
+        if self.is_exact and minimum.linearised is not None:
+            model = self.resolved(model, minimum)
+            meshes = climb.problem.meshes
+            climb = climb.with_noises(self.noises(model))
+            minimum = climb.again(minimum, meshes)
+        elif self.is_noise_estimated and minimum.linearised is not None:
             new = self.noise_beside(climb, minimum, paper_steps)
             for _ in range(self.tolerances.noise_passes):
                 is_settled, model = _same_noise(new, model), new
@@ -296,6 +305,17 @@ class _Run:
                     break
                 new = self.estimated(climb, minimum, model, adopt=False)
         return self.result(climb, minimum, model, paper_steps)
+
+    def resolved(self, model, minimum):
+        """The noise of exact data: rounding, or what a law leaves that misses them by little more.
+
+        What is left beyond that is no noise, and refutes the law.
+        """
+        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
+        levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / dof), 1.0)
+        if not np.nanmax(levels) <= self.tolerances.resolution * self.extent:
+            return model
+        return replace(model, levels=tuple(map(float, levels)))
 
     def descend(self, model, paper_steps):
         """A climb under a noise, and the minimum that it leads to."""
@@ -426,7 +446,7 @@ class _Run:
             return "aliased"
         if minimum.status == "at_bound":
             return "at_bound"
-        if not self.is_noise_estimated and not self.is_exact:
+        if self.is_exact or not self.is_noise_estimated:
             dof = max(found.n_rows - found.n_free, 1)
             if found.chisqr > dof + self.tolerances.refuted * np.sqrt(2 * dof):
                 return "refuted"

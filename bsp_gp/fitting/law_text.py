@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from bsp_gp.data.scene import CHECK
+
 __all__ = ["doubts", "fit_text", "how_it_ended", "strong_correlations"]
 
 MIN_CORRELATION = 0.1
-CHECK = "check: "
-"""How notes begin that cast a doubt on the result."""
 UNKNOWN = "—"
 """In the place of an interval that there is not."""
 

@@ -11,12 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.point_errors import gross_errors
+from bsp_gp.data.scene import CHECK
 
 __all__ = ["without_outliers"]
 
 LISTED = 5
 EXACT = 1e-9
-"""Noise below this part of the extent is numerical: nothing can be told from it."""
+"""Noise below this part of the extent is numerical."""
+RESOLUTION = 1e-7
+"""Part of the extent by which neighbours of exact rows are taken to predict one."""
 
 
 def without_outliers(scenes, sigma):
@@ -36,13 +39,15 @@ def without_outliers(scenes, sigma):
     """
     sigma = np.asarray(sigma, dtype=float)
     extent = max(float(np.nanmax(s.positions) - np.nanmin(s.positions)) for s in scenes)
-    if not np.nanmax(sigma) > EXACT * extent:
-        return tuple(scenes), ()
+    is_exact = not np.nanmax(sigma) > EXACT * extent
+    if is_exact:
+        sigma = np.where(np.isfinite(sigma), RESOLUTION * extent, sigma)
     out, found = [], []
     for scene in scenes:
         positions = scene.positions.copy()
         for k in scene.dynamic:
-            is_far = gross_errors(scene.times, scene.positions[:, k], sigma) > 1
+            track = scene.times, scene.positions[:, k], sigma
+            is_far = gross_errors(*track, is_exact=is_exact) > 1
             positions[is_far, k] = np.nan
             found += [
                 f"{scene.names[k]} of {scene.name} at t = {time:.4g}"
@@ -54,4 +59,5 @@ def without_outliers(scenes, sigma):
         return tuple(out), ()
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     listed = ", ".join(found[:LISTED])
-    return tuple(out), (f"far off their neighbours, and left out of the fit: {listed}{more}",)
+    note = f"{CHECK}far off their neighbours, and left out of the fit: {listed}{more}"
+    return tuple(out), (note,)

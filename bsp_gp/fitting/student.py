@@ -12,6 +12,7 @@ __all__ = ["fit_degrees", "fit_student", "log_likelihood", "scaled_without_tails
 
 _DEGREES = (1.0, 200.0)
 _N_PASSES = 10
+_LEAST = 1e-300
 
 
 def log_likelihood(model, channels, residual):
@@ -58,7 +59,8 @@ def scaled_without_tails(model, channels, whitener, weights, innovations):
         white, _ = model.parts(channels)
         rest = np.where(whitener.seen, white - white / weights, 0.0)
         spread = np.sqrt(np.square(spread) + rest)
-    return innovations / spread, spread
+    # Exact rows have no spread; what is off there is off by any number of it.
+    return innovations / np.maximum(spread, _LEAST), spread
 
 
 def fit_student(z):
