@@ -6,6 +6,7 @@ belongs to a chain and an instant; all points are computed at once.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,6 +135,21 @@ class Motion:
         ]
         self._static = [self._static_inputs(program) for program in self.programs]
         self._ready = None
+
+    def on(self, chains, law):
+        """The same formulas with other properties and constants.
+
+        Parameters
+        ----------
+        chains : Chains
+            Of the same build; the number of chains may differ.
+        law : ForceLaw
+            The same terms.
+        """
+        other = copy(self)
+        other.chains, other.law, other._ready = chains, law, None
+        other._static = [other._static_inputs(program) for program in self.programs]
+        return other
 
     # --- what does not change along a track ------------------------------------------------------
 
