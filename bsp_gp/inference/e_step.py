@@ -23,7 +23,7 @@ from bsp_gp.inference.enumeration import (
 from bsp_gp.inference.findings import findings
 from bsp_gp.inference.importance import sample_importance
 from bsp_gp.inference.posterior import Posterior, joined
-from bsp_gp.inference.profile import fit_profile
+from bsp_gp.inference.profile import FixedConstants, fit_profile
 
 __all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
@@ -170,24 +170,7 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
 
 def fit_fixed_constants(misfit, starts):
     """Joint optimum of the latents alone, the law's constants as they are."""
-    return fit_profile(_Fixed(misfit), starts)
-
-
-class _Fixed:
-    """A misfit whose constants are not free."""
-
-    def __init__(self, misfit):
-        self.misfit = misfit
-        self.law, self.latents, self.constants = misfit.law, misfit.latents, ()
-        self.scene_names, self.row_scene = misfit.scene_names, misfit.row_scene
-        self.rest, self.n_rows = misfit.rest, misfit.n_rows
-
-    @property
-    def start(self):
-        return np.zeros(0)
-
-    def residual(self, values, constants=None):
-        return self.misfit.residual(values)
+    return fit_profile(FixedConstants(misfit), starts)
 
 
 def start_places(latents, profile, n_places, rng, constants=0):
