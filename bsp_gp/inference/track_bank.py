@@ -88,6 +88,8 @@ def _batch_of(path, bodies, law):
     times = path.times[:, None]
     with np.errstate(all="ignore"):
         target = law.acceleration(bodies, positions, velocities, times)
+    if path.is_free:
+        target = np.zeros_like(target)
     valid = np.ones(target.shape, dtype=bool)
     n_counted = max(path.n_seen - path.n * path.n_pieces, 1)
     return RegressionBatch(

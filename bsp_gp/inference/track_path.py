@@ -13,12 +13,15 @@ from copy import copy
 
 import numpy as np
 
-__all__ = ["ScenePath", "paths_of"]
+__all__ = ["ScenePath", "curve_paths", "paths_of"]
 
 POINTS = {"rk45": 3, "dop853": 5}
 """Gauss points in a step of the pair: exact to the order at which the pair is."""
 POINTS_WITH_MODES = 12
 """Where conditions may change within a step."""
+CURVE_POINTS = 6
+MOST_PANELS = 12
+"""Steps of an interval that have points of their own; of more steps, even parts have them."""
 
 
 class ScenePath:
@@ -45,10 +48,13 @@ class ScenePath:
         Inverse prior deviations of an initial state.
     rows : sequence of (int, int)
         Pieces of the track with initial states of their own: first row, end.
+    is_free : bool
+        Whether the reference moves without forces: all of a law is still to be added.
     """
 
     def __init__(self, scene, times, states, impulses, interval, transitions, gaps, left, sigma,
-                 prior, rows):  # fmt: skip
+                 prior, rows, is_free=False):  # fmt: skip
+        self.is_free = is_free
         self.scene, self.times, self.states = scene, times, states
         self._impulses = impulses
         self._interval_starts = np.flatnonzero(np.diff(interval, prepend=-1))
@@ -151,13 +157,69 @@ def paths_of(shooting, nodes, mesh, receivers):
     -------
     list of ScenePath
     """
-    flow, chains = shooting.flow, shooting.chains
+    flow = shooting.flow
     ends, transitions = flow.run(nodes, mesh)
     transitions = transitions[..., : flow.n_state]
-    gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
     interval, offset, weight = _points(flow, mesh)
-    times = flow.start[interval] + offset
     states, impulses = _impulses(flow, nodes, interval, offset, weight, transitions)
+    return _scenes(
+        shooting, nodes, ends, transitions, (interval, offset), states, impulses, receivers
+    )
+
+
+def curve_paths(shooting, nodes, receivers):
+    """As `paths_of`, about a curve through the nodes: no forces need to be known.
+
+    Coarse rows show accelerations only integrated from row to row; along a curve through what was
+    seen they are nearly right whatever the law, and its constants can be read off.
+    """
+    flow = shooting.flow
+    n, half = flow.n_state, flow.n_state // 2
+    places, weights = np.polynomial.legendre.leggauss(CURVE_POINTS)
+    share = (1 + places) / 2
+    interval = np.repeat(np.arange(flow.n_intervals), CURVE_POINTS)
+    length = flow.length[interval]
+    offset = length * np.tile(share, flow.n_intervals)
+    first, last = (nodes[..., flow.row + k, flow.chain][..., interval] for k in (0, 1))
+    states = _hermite(first, last, length, offset)
+    weight = length * np.tile(weights / 2, flow.n_intervals)
+    left = length - offset
+    one = np.eye(half)
+    impulses = np.concatenate(
+        [(left * weight)[:, None, None] * one, weight[:, None, None] * one], axis=1
+    )
+    transitions = np.broadcast_to(np.eye(n), (flow.n_intervals, n, n)).copy()
+    transitions[:, :half, half:] = flow.length[:, None, None] * one
+    ends = nodes[..., flow.row, flow.chain].copy()
+    ends[0] += ends[1] * flow.length
+    return _scenes(
+        shooting, nodes, ends, transitions, (interval, offset), states, impulses, receivers,
+        is_free=True,
+    )  # fmt: skip
+
+
+def _hermite(first, last, length, offset):
+    """States on cubic curves between states (2, R, d, P)."""
+    s = offset / length
+    p0, v0, p1, v1 = first[0], first[1] * length, last[0], last[1] * length
+    place = (
+        (2 * s**3 - 3 * s**2 + 1) * p0 + (s**3 - 2 * s**2 + s) * v0
+        + (3 * s**2 - 2 * s**3) * p1 + (s**3 - s**2) * v1
+    )  # fmt: skip
+    slope = (
+        6 * (s**2 - s) * (p0 - p1) + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
+    )
+    return np.stack([place, slope / length])
+
+
+def _scenes(
+    shooting, nodes, ends, transitions, points, states, impulses, receivers, is_free=False
+):
+    """The paths of all scenes of a group."""
+    flow, chains = shooting.flow, shooting.chains
+    interval, offset = points
+    gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
+    times = flow.start[interval] + offset
     driven = flow.driven.at(times, flow.chain[interval])
     n_own, n_dims = chains.n_moving, chains.n_dims
     n_all = n_own + (0 if driven is None else driven.shape[1])
@@ -169,8 +231,8 @@ def paths_of(shooting, nodes, mesh, receivers):
     for s, name in enumerate(chains.scenes):
         mine = flow.chain == s
         number = np.cumsum(mine) - 1  # of a scene's intervals: its rows
-        points = np.flatnonzero(mine[interval])
-        points = points[np.lexsort((times[points], number[interval[points]]))]
+        own = np.flatnonzero(mine[interval])
+        own = own[np.lexsort((times[own], number[interval[own]]))]
         n_rows = int(chains.lengths[s])
         places = np.moveaxis(nodes[0][..., :n_rows, s], -1, 0)
         left = (chains.observed[:n_rows, s] - places).reshape(n_rows, -1)
@@ -181,9 +243,8 @@ def paths_of(shooting, nodes, mesh, receivers):
         )
         out.append(
             ScenePath(
-                name, times[points], everyone[..., points], impulses[points],
-                number[interval[points]], transitions[mine], gaps[mine], left, sigma,
-                shooting.prior[:, s], rows,
+                name, times[own], everyone[..., own], impulses[own], number[interval[own]],
+                transitions[mine], gaps[mine], left, sigma, shooting.prior[:, s], rows, is_free,
             )
         )  # fmt: skip
     return out
@@ -197,6 +258,13 @@ def _points(flow, mesh):
     places, weights = np.polynomial.legendre.leggauss(count)
     interval = np.concatenate([mesh.order[: len(h)] for h in mesh.steps])
     begin, size = np.concatenate(mesh.starts), np.concatenate(mesh.steps)
+    many = np.flatnonzero(mesh.counts > MOST_PANELS)
+    if len(many):
+        few = ~np.isin(interval, many)
+        part = np.repeat(flow.length[many] / MOST_PANELS, MOST_PANELS)
+        interval = np.concatenate([interval[few], np.repeat(many, MOST_PANELS)])
+        begin = np.concatenate([begin[few], np.tile(np.arange(MOST_PANELS), len(many)) * part])
+        size = np.concatenate([size[few], part])
     offset = begin[:, None] + size[:, None] * (1 + places) / 2
     weight = size[:, None] * weights / 2
     return np.repeat(interval, count), offset.ravel(), weight.ravel()

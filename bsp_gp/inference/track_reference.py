@@ -22,21 +22,23 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.inference.misfit import misfit_of
 from bsp_gp.inference.profile import FixedConstants, Profile, fit_profile
 from bsp_gp.inference.track_bank import TrackBank
-from bsp_gp.inference.track_path import paths_of
+from bsp_gp.inference.track_path import curve_paths, paths_of
 from bsp_gp.physics.bodies import stack
 
 __all__ = ["Reference", "TrackWorld", "find_reference"]
 
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
-GROWTH, LEAST_ROWS = 6, 3
+GROWTH, LEAST_ROWS = 3, 4
 """Times that pieces are longer from level to level, and the shortest ones."""
+CURVE_ROWS = 5
+"""Rows of the pieces on which curves are compared with accelerations."""
 COARSE, TURN = 4, 0.5
 """As in `bsp_gp.fitting.climb`: whether bodies turn from row to row."""
-FEW, MOST = 4, 25
+FEW, MOST = 8, 25
 """Linearisations of a level that leads on, and of whole tracks."""
-SETTLINGS = 3
-"""Steps of the nodes at new latents and constants."""
+SETTLINGS = 12
+"""Steps of the nodes at new latents and constants, at the most."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 MOVED = 1e-4
 """Squared length of a step, in standard deviations, below which an optimum has been reached."""
@@ -169,18 +171,31 @@ class _Tracks:
         return ChainNoise(chains.times, np.where(np.isfinite(chains.observed), variance, np.nan))
 
     def settled_group(self, shooting, nodes, times):
-        """Nodes after steps of the states alone, and chi-squared per chain before the last one."""
+        """Nodes after steps of the states alone, and what they leave per chain, (S,)."""
         mesh = shooting.flow.mesh(nodes)
         still = np.zeros(len(shooting.constants))
+        best = (np.inf, nodes, np.full(shooting.chains.n_chains, np.inf))
         for _ in range(times):
             *_, condensed = shooting.linearise(shooting.constants, nodes, mesh)
+            chisq = _squares(shooting, condensed)
+            total = float(chisq.sum())
+            if not np.isfinite(total):
+                break
+            gained = best[0] - total
             nodes = shooting.move(nodes, condensed, still, 1.0)
-        chisq = np.zeros(shooting.chains.n_chains)
-        for group, part in zip(shooting.groups, condensed, strict=True):
-            n = shooting.flow.n_state
-            squares = np.square(part.factor[:, n:, -1]).sum(axis=1)
-            np.add.at(chisq, shooting.windows.chain[group], squares)
-        return nodes, chisq
+            best = (total, nodes, chisq)
+            if abs(gained) <= RISE / 10:
+                break
+        return best[1], best[2]
+
+
+def _squares(shooting, condensed):
+    """Chi-squared per chain, initial states eliminated."""
+    n, out = shooting.flow.n_state, np.zeros(shooting.chains.n_chains)
+    for group, part in zip(shooting.groups, condensed, strict=True):
+        squares = np.square(part.factor[:, n:, -1]).sum(axis=1)
+        np.add.at(out, shooting.windows.chain[group], squares)
+    return out
 
 
 def find_reference(world, starts, constants=None):
@@ -220,6 +235,17 @@ class _Climb:
         self.constants = np.array(own if constants is None else constants, dtype=float)
         is_coarse = self.scales.rows <= COARSE and self.scales.turn > TURN
         self.nodes = [first_nodes(chains, is_coarse) for chains in self.tracks.groups]
+        if is_coarse and not world.paper_steps:
+            self._read_off_curves()
+
+    def _read_off_curves(self):
+        """Latents and constants off curves through the rows, where one step is too coarse."""
+        rows = max(self.scales.rows, CURVE_ROWS)
+        shootings = self.tracks.shootings(self.values[None], self.constants[None], rows)
+        _, profile = self._profile(shootings, False, is_curve=True)
+        self.values = profile.values
+        if len(profile.constants):
+            self.constants = profile.constants
 
     def result(self):
         """Climb to whole tracks, the noise estimated on the way where it is not given."""
@@ -293,15 +319,18 @@ class _Climb:
                 return True
         return False
 
-    def _profile(self, shootings, is_whole):
+    def _profile(self, shootings, is_whole, is_curve=False):
         """Tracks linearised where they are, and the optimum that they lead to."""
         world = self.world
         nodes = [np.array(own) for own in self.nodes]
         paths = []
         scenes = world.latents.filled(world.scenes, self.values)
         for shooting, own, batch in zip(shootings, nodes, stack(scenes, world.up), strict=True):
-            mesh = shooting.flow.mesh(own)
-            paths += paths_of(shooting, own, mesh, batch.bodies.receivers)
+            receivers = batch.bodies.receivers
+            if is_curve:
+                paths += curve_paths(shooting, own, receivers)
+            else:
+                paths += paths_of(shooting, own, shooting.flow.mesh(own), receivers)
         law = world.law
         if len(self.constants):
             law = law.with_constants(dict(zip(self.tracks.names, self.constants, strict=True)))
