@@ -24,9 +24,11 @@ from bsp_gp.inference.findings import findings
 from bsp_gp.inference.importance import sample_importance
 from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import FixedConstants, fit_profile
+from bsp_gp.inference.tracks import Softened, is_point, reweighted
 
 __all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
+POINT_DRAWS = 1000
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 
 
@@ -117,16 +119,61 @@ def prior_posterior(latents, *, rng, n_draws=1000):
 def _block(law, scenes, latents, likelihood, rng, settings, warm):
     if not law.terms:
         return prior_posterior(latents, rng=rng)
-    misfit = likelihood.misfit(law, latents, scenes)
+    misfit = likelihood.misfit(law, latents, scenes, holds_constants=True)
     sample_rng, start_rng, check_rng = rng.spawn(3)
-    posterior, profile = _sample(misfit, latents, settings, warm, sample_rng, start_rng)
+    if likelihood.exact and misfit.reference is not None and not latents.is_discrete.all():
+        posterior, profile = _exact(misfit, latents, likelihood, settings, sample_rng, start_rng)
+    else:
+        posterior, profile = _sample(misfit, latents, settings, warm, sample_rng, start_rng)
+        posterior = reweighted(posterior, misfit, latents, rng=start_rng)
     notes = findings(misfit, latents, posterior, profile, rng=check_rng)
+    notes = [*misfit.notes, *notes]
     return replace(
         posterior,
         priors=tuple(item.prior for item in latents.items),
         truth=latents.truth,
         notes=(*posterior.notes, *notes),
     )
+
+
+def _exact(misfit, latents, likelihood, settings, rng, start_rng):
+    """The posterior of exact tracks: a point where they determine everything."""
+    if not latents.is_discrete.any() and is_point(misfit.reference.profile, latents):
+        return _point(latents, misfit.reference.profile, (), rng), misfit.reference.profile
+    level = float(np.nanmax(likelihood.sigma))
+    soft = Softened(misfit, level)
+    soft.reference = misfit.reference
+    posterior, profile = _sample(soft, latents, settings, None, rng, start_rng)
+    return replace(posterior, notes=(*posterior.notes, _softened_note(level))), profile
+
+
+def _softened_note(level):
+    return (
+        f"the exact positions leave something free: it was sampled with an error of {level:.2g} m, "
+        "and what they determine is known better than its interval says"
+    )
+
+
+def _point(latents, profile, constants, rng):
+    """Draws about an optimum that is numerically a point, with its numerical width."""
+    k = len(latents)
+    places, _, covariance = start_places(latents, profile, POINT_DRAWS, rng, len(constants))
+    values = latents.from_coordinate(places[:, :k])
+    widths = np.sqrt(np.diag(covariance))
+    names = (*latents.names, *constants)
+    gaps = places - places.mean(axis=0)
+    log_prob = -0.5 * np.einsum("wi,ij,wj->w", gaps, np.linalg.pinv(covariance), gaps)
+    size = np.abs(np.concatenate([profile.values, profile.constants[: len(constants)]]))
+    relative = float(np.max(widths / np.where(size > 0, size, 1.0)))
+    return Posterior(
+        names, np.concatenate([values, places[:, k:]], axis=1),
+        np.full(POINT_DRAWS, 1 / POINT_DRAWS), log_prob, "laplace",
+        np.full(len(names), float(POINT_DRAWS)), np.full(len(names), np.nan),
+        notes=(
+            f"numerically a point: relative width {relative:.1g} (Laplace's approximation, "
+            "no sampler)",
+        ),
+    )  # fmt: skip
 
 
 def _sample(misfit, latents, settings, warm, rng, start_rng):
@@ -154,7 +201,10 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
             sample_importance(misfit.log_likelihood, latents, rng=rng, n_draws=settings.n_draws),
             None,
         )
-    profile = fit_fixed_constants(misfit, latents.sample(settings.n_starts, rng=start_rng))
+    if misfit.reference is not None:
+        profile = misfit.reference.profile
+    else:
+        profile = fit_fixed_constants(misfit, latents.sample(settings.n_starts, rng=start_rng))
     places, mean, covariance = start_places(latents, profile, 64, start_rng)
     if method in ("laplace", "tempered"):
         posterior = sample_importance(
@@ -297,13 +347,15 @@ def _mixed(misfit, latents, settings, warm, rng):
     )  # fmt: skip
 
 
-def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
+def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=None):
     """Constants and latents of a found law sampled together (constants with a flat prior).
 
     Parameters
     ----------
     profile : Profile
         The joint optimum; its law is sampled around it.
+    misfit : misfit of its law, optional
+        Where it has been made already.
 
     Returns
     -------
@@ -319,9 +371,18 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
     latents, _ = latents.of_scenes([scene.name for scene in scenes])
     if latents.is_discrete.any():
         raise SettingsError("constants and discrete latents are not sampled together")
-    misfit = likelihood.misfit(profile.law, latents, scenes)
-    if likelihood.kind == "propagated":  # sharper than what the optimum was found with
-        profile = fit_profile(misfit, profile.values[None])
+    misfit = misfit or likelihood.misfit(profile.law, latents, scenes)
+    if misfit.reference is not None:
+        profile = misfit.reference.profile
+    elif likelihood.is_gls and likelihood.kind != "gls":
+        profile = fit_profile(misfit, profile.values[None])  # sharper than it was found with
+    used, own = misfit, []
+    if likelihood.exact and misfit.reference is not None:
+        if is_point(profile, latents):
+            posterior = _point(latents, profile, misfit.constants, rng)
+            return _with_findings(posterior, misfit, latents, profile, rng)
+        own = [_softened_note(float(np.nanmax(likelihood.sigma)))]
+        used = Softened(misfit, float(np.nanmax(likelihood.sigma)))
     k, n_c = len(latents), len(misfit.constants)
 
     def log_prob(places):
@@ -329,7 +390,7 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
         out = latents.log_prior(values) + latents.log_jacobian(places[:, :k])
         inside = np.isfinite(out)
         if inside.any():
-            out[inside] += misfit.log_likelihood(values[inside], places[inside, k:])
+            out[inside] += used.log_likelihood(values[inside], places[inside, k:])
         return out
 
     start_rng, sample_rng, check_rng = rng.spawn(3)
@@ -344,10 +405,19 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
     except FitError as error:
         raise FitError(f"joint refinement: {error}", estimate=profile) from None
     posterior = _in_values(posterior, latents, n_c)
-    priors = (*(item.prior for item in latents.items), *(None,) * n_c)
-    truth = np.concatenate([latents.truth, np.full(n_c, np.nan)])
-    posterior = replace(posterior, priors=priors, truth=truth)
-    return replace(
+    posterior = replace(posterior, notes=(*posterior.notes, *own))
+    if used is misfit:
+        posterior = reweighted(posterior, misfit, latents, rng=check_rng)
+    return _with_findings(posterior, misfit, latents, profile, check_rng)
+
+
+def _with_findings(posterior, misfit, latents, profile, rng):
+    """A posterior of latents and constants with what its reader must be told."""
+    n_c = len(misfit.constants)
+    posterior = replace(
         posterior,
-        notes=(*posterior.notes, *findings(misfit, latents, posterior, profile, rng=check_rng)),
+        priors=(*(item.prior for item in latents.items), *(None,) * n_c),
+        truth=np.concatenate([latents.truth, np.full(n_c, np.nan)]),
     )
+    found = findings(misfit, latents, posterior, profile, rng=rng)
+    return replace(posterior, notes=(*posterior.notes, *misfit.notes, *found))

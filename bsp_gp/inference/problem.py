@@ -16,8 +16,11 @@ __all__ = ["LatentProblem", "latent_problem", "stand_ins"]
 
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the positions count as exact."""
-ASSUMED = 1e-4
-"""Part of the range that is taken for the error of exact positions where none is given."""
+FLOOR = 1e-12
+"""Part of the range below which nothing is taken for noise."""
+NOMINAL = 1e-4
+"""Part of the range that sets the scale of searches on exact positions, and of samplers along what
+these leave free; posteriors that are read have what the law leaves of them for their error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,12 +131,8 @@ def _likelihood(dataset, kind, noise):
     touching = any(e.shape != "point" for s in dataset.scenes for e in s.entities)
     chosen = kind if kind != "auto" else "one_step" if is_exact else "gls"
     if is_exact:
-        sigma = np.where(np.isfinite(sigma), ASSUMED * extent, sigma)
-        note = (
-            f"the positions are exact: posteriors are those of an assumed error of "
-            f"{ASSUMED * extent:.3g} m (one part in {1 / ASSUMED:,.0f} of the range); give "
-            "--noise for another"
-        )
+        sigma = np.where(np.isfinite(sigma), NOMINAL * extent, sigma)
+        note = f"the positions are exact; single steps are weighed by {NOMINAL * extent:.3g} m"
     else:
         note = f"noise {np.nanmax(sigma):.3g} m ({source}), likelihood {chosen}"
     if chosen == "ahead":
@@ -142,5 +141,7 @@ def _likelihood(dataset, kind, noise):
         chosen, sigma=sigma, velocities="backward" if touching else "central",
         drops_unsure=touching and chosen == "gls", up=dataset.up,
         sources=max(len(s.entities) for s in dataset.scenes) > 1,
+        is_estimated=source == "estimated" and not is_exact,
+        exact=FLOOR * extent if is_exact else 0.0,
     )  # fmt: skip
     return likelihood, note
