@@ -22,13 +22,13 @@ from bsp_gp.inference.enumeration import (
 )
 from bsp_gp.inference.findings import findings
 from bsp_gp.inference.importance import sample_importance
+from bsp_gp.inference.laplace import point_posterior, softened_note, start_places
 from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.tracks import Softened, is_point, reweighted
 
 __all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
-POINT_DRAWS = 1000
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 
 
@@ -139,41 +139,12 @@ def _block(law, scenes, latents, likelihood, rng, settings, warm):
 def _exact(misfit, latents, likelihood, settings, rng, start_rng):
     """The posterior of exact tracks: a point where they determine everything."""
     if not latents.is_discrete.any() and is_point(misfit.reference.profile, latents):
-        return _point(latents, misfit.reference.profile, (), rng), misfit.reference.profile
+        return point_posterior(latents, misfit.reference.profile, (), rng), misfit.reference.profile
     level = float(np.nanmax(likelihood.sigma))
     soft = Softened(misfit, level)
     soft.reference = misfit.reference
     posterior, profile = _sample(soft, latents, settings, None, rng, start_rng)
-    return replace(posterior, notes=(*posterior.notes, _softened_note(level))), profile
-
-
-def _softened_note(level):
-    return (
-        f"the exact positions leave something free: it was sampled with an error of {level:.2g} m, "
-        "and what they determine is known better than its interval says"
-    )
-
-
-def _point(latents, profile, constants, rng):
-    """Draws about an optimum that is numerically a point, with its numerical width."""
-    k = len(latents)
-    places, _, covariance = start_places(latents, profile, POINT_DRAWS, rng, len(constants))
-    values = latents.from_coordinate(places[:, :k])
-    widths = np.sqrt(np.diag(covariance))
-    names = (*latents.names, *constants)
-    gaps = places - places.mean(axis=0)
-    log_prob = -0.5 * np.einsum("wi,ij,wj->w", gaps, np.linalg.pinv(covariance), gaps)
-    size = np.abs(np.concatenate([profile.values, profile.constants[: len(constants)]]))
-    relative = float(np.max(widths / np.where(size > 0, size, 1.0)))
-    return Posterior(
-        names, np.concatenate([values, places[:, k:]], axis=1),
-        np.full(POINT_DRAWS, 1 / POINT_DRAWS), log_prob, "laplace",
-        np.full(len(names), float(POINT_DRAWS)), np.full(len(names), np.nan),
-        notes=(
-            f"numerically a point: relative width {relative:.1g} (Laplace's approximation, "
-            "no sampler)",
-        ),
-    )  # fmt: skip
+    return replace(posterior, notes=(*posterior.notes, softened_note(level))), profile
 
 
 def _sample(misfit, latents, settings, warm, rng, start_rng):
@@ -221,40 +192,6 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
 def fit_fixed_constants(misfit, starts):
     """Joint optimum of the latents alone, the law's constants as they are."""
     return fit_profile(FixedConstants(misfit), starts)
-
-
-def start_places(latents, profile, n_places, rng, constants=0):
-    """Laplace draws about the joint optimum, inside the priors' support, in coordinates.
-
-    Returns
-    -------
-    places : ndarray, shape (n_places, k + constants)
-    mean : ndarray
-    covariance : ndarray
-        Inverse information, the prior's own width included.
-    """
-    k = len(latents)
-    spread = np.array([item.prior.spread for item in latents.items])
-    extra = np.zeros(k + constants)
-    extra[:k] = 1 / np.square(spread)
-    information = profile.information + np.diag(extra)
-    size = np.sqrt(np.diag(information))
-    size = np.where(size > 0, size, 1.0)
-    covariance = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
-    covariance = covariance / np.outer(size, size)
-    mean = np.concatenate([latents.to_coordinate(profile.values), profile.constants[:constants]])
-    values, vectors = np.linalg.eigh(covariance)
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    places = mean + rng.standard_normal((n_places, k + constants)) @ factor.T
-    bounds = np.array([item.prior.bounds for item in latents.items]).reshape(-1, 2)
-    low, high = bounds.T
-    inside = places[:, :k]
-    for _ in range(4):  # reflect at the bounds
-        inside = np.where(inside < low, 2 * low - inside, inside)
-        inside = np.where(inside > high, 2 * high - inside, inside)
-    margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 1.0)
-    places[:, :k] = np.clip(inside, low + margin, high - margin)
-    return places, mean, covariance
 
 
 def _ensemble(misfit, latents, start, settings, rng):
@@ -379,9 +316,9 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=N
     used, own = misfit, []
     if likelihood.exact and misfit.reference is not None:
         if is_point(profile, latents):
-            posterior = _point(latents, profile, misfit.constants, rng)
+            posterior = point_posterior(latents, profile, misfit.constants, rng)
             return _with_findings(posterior, misfit, latents, profile, rng)
-        own = [_softened_note(float(np.nanmax(likelihood.sigma)))]
+        own = [softened_note(float(np.nanmax(likelihood.sigma)))]
         used = Softened(misfit, float(np.nanmax(likelihood.sigma)))
     k, n_c = len(latents), len(misfit.constants)
 

@@ -13,22 +13,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
-from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import first_nodes, scales_of
-from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.inference.misfit import misfit_of
 from bsp_gp.inference.profile import FixedConstants, Profile, fit_profile
 from bsp_gp.inference.track_bank import TrackBank
 from bsp_gp.inference.track_path import curve_paths, paths_of
+from bsp_gp.inference.track_world import RISE, SETTLINGS, Tracks, TrackWorld
 from bsp_gp.physics.bodies import stack
 
-__all__ = ["Reference", "TrackWorld", "find_reference"]
+__all__ = ["Reference", "find_reference"]
 
-STEP_ERROR = 0.02
-"""Error of the integration over a whole track, in standard deviations of a position."""
 GROWTH, LEAST_ROWS = 3, 4
 """Times that pieces are longer from level to level, and the shortest ones."""
 CURVE_ROWS = 5
@@ -37,48 +31,12 @@ COARSE, TURN = 4, 0.5
 """As in `bsp_gp.fitting.climb`: whether bodies turn from row to row."""
 FEW, MOST = 8, 25
 """Linearisations of a level that leads on, and of whole tracks."""
-SETTLINGS = 12
-"""Steps of the nodes at new latents and constants, at the most."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 MOVED = 1e-4
 """Squared length of a step, in standard deviations, below which an optimum has been reached."""
-RISE = 1e-2
-"""Rise of chi-squared that is rounding and the error of the integration."""
 LEVEL_PASSES = 4
 """Times that the noise is estimated anew at the optimum under the last one."""
 SAME_LEVEL = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class TrackWorld:
-    """What tracks are compared with.
-
-    Attributes
-    ----------
-    law : ForceLaw
-    latents : Latents
-    scenes : tuple of Scene
-    sigma : ndarray, shape (d,), m
-        nan: an axis that carries no information.
-    paper_steps : bool
-    up : str or None
-    is_estimated : bool
-        Whether `sigma` is only where the estimate of the level begins.
-    floor : float, m
-        No estimated level is below it.
-    holds_constants : bool
-        Whether the law's constants are not fitted.
-    """
-
-    law: object
-    latents: object
-    scenes: tuple
-    sigma: np.ndarray
-    paper_steps: bool = False
-    up: str | None = None
-    is_estimated: bool = False
-    floor: float = 0.0
-    holds_constants: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +70,7 @@ class Reference:
         constants : ndarray, shape (W, n_c) or None
             None: the law's own.
         """
-        tracks = _Tracks(self.world)
+        tracks = Tracks(self.world)
         out = np.zeros(len(values))
         nodes = [np.tile(own, len(values)) for own in self.nodes]
         shootings = tracks.shootings(values, constants)
@@ -120,82 +78,6 @@ class Reference:
             _, parts = tracks.settled_group(shooting, own, settlings)
             out += parts.reshape(len(values), -1).sum(axis=1)
         return out
-
-
-class _Tracks:
-    """Tracks of a world under given latents and constants."""
-
-    def __init__(self, world):
-        self.world = world
-        law = world.law
-        self.names = tuple(n for n in law.names if not hasattr(law.constants[n], "items"))
-        parameters = tuple((name, "") for name in self.names)
-        self.groups = self.chains(_medians(world.latents)[None])
-        self.motions = [Motion(law, chains, parameters) for chains in self.groups]
-
-    def chains(self, values):
-        """Chains of all scenes for every draw of the latents, draws outermost."""
-        world = self.world
-        scenes = []
-        for w, draw in enumerate(values):
-            filled = world.latents.filled(world.scenes, draw)
-            scenes += filled if len(values) == 1 else [
-                replace(scene, name=f"{scene.name}#{w}") for scene in filled
-            ]  # fmt: skip
-        return build_chains(world.law, scenes, world.up, coupled=True)
-
-    def shootings(self, values, constants, rows=None):
-        """The tracks under draws (W, k) and (W, n_c), cut to pieces of so many rows."""
-        if constants is None:
-            constants = [[self.world.law.constants[n] for n in self.names]] * len(values)
-        constants = np.asarray(constants, dtype=float).reshape(len(values), -1)
-        out = []
-        for chains, motion in zip(self.chains(values), self.motions, strict=True):
-            noise = self.noise(chains)
-            flow = Flow(
-                motion.on(chains, self.world.law), _tolerance(chains, noise),
-                self.world.paper_steps,
-            )  # fmt: skip
-            shooting = Shooting(flow, noise, cut_windows(chains.lengths, rows))
-            shooting.constants = np.repeat(constants, chains.n_chains // len(values), axis=0).T
-            flow.motion.set_constants(shooting.constants)
-            out.append(shooting)
-        return out
-
-    def noise(self, chains):
-        """Errors of the rows: quoted, or the level of their axis."""
-        variance = np.broadcast_to(np.square(self.world.sigma), chains.observed.shape)
-        if chains.sigma is not None and not self.world.is_estimated:
-            quoted = np.isfinite(chains.sigma) & np.isfinite(variance)
-            variance = np.where(quoted, np.square(chains.sigma), variance)
-        return ChainNoise(chains.times, np.where(np.isfinite(chains.observed), variance, np.nan))
-
-    def settled_group(self, shooting, nodes, times):
-        """Nodes after steps of the states alone, and what they leave per chain, (S,)."""
-        mesh = shooting.flow.mesh(nodes)
-        still = np.zeros(len(shooting.constants))
-        best = (np.inf, nodes, np.full(shooting.chains.n_chains, np.inf))
-        for _ in range(times):
-            *_, condensed = shooting.linearise(shooting.constants, nodes, mesh)
-            chisq = _squares(shooting, condensed)
-            total = float(chisq.sum())
-            if not np.isfinite(total):
-                break
-            gained = best[0] - total
-            nodes = shooting.move(nodes, condensed, still, 1.0)
-            best = (total, nodes, chisq)
-            if abs(gained) <= RISE / 10:
-                break
-        return best[1], best[2]
-
-
-def _squares(shooting, condensed):
-    """Chi-squared per chain, initial states eliminated."""
-    n, out = shooting.flow.n_state, np.zeros(shooting.chains.n_chains)
-    for group, part in zip(shooting.groups, condensed, strict=True):
-        squares = np.square(part.factor[:, n:, -1]).sum(axis=1)
-        np.add.at(out, shooting.windows.chain[group], squares)
-    return out
 
 
 def find_reference(world, starts, constants=None):
@@ -227,7 +109,7 @@ class _Climb:
 
     def __init__(self, world, starts, constants):
         self.world, self.starts = world, starts
-        self.tracks = _Tracks(world)
+        self.tracks = Tracks(world)
         noises = [self.tracks.noise(chains) for chains in self.tracks.groups]
         self.scales = scales_of(self.tracks.groups, noises)
         self.values = starts[0]
@@ -371,15 +253,3 @@ class _Climb:
         with np.errstate(invalid="ignore", divide="ignore"):
             sigma = self.world.sigma * np.sqrt(squares / (counts * share))
         return np.maximum(sigma, self.world.floor)
-
-
-def _medians(latents):
-    return np.array([float(item.prior.ppf(0.5)) for item in latents.items])
-
-
-def _tolerance(chains, noise):
-    """Error of one interval such that a whole track keeps to its tolerance."""
-    with np.errstate(invalid="ignore"):
-        sigma = np.sqrt(np.nanmin(noise.variance, axis=(0, 2, 3)))
-    floor = 1e-13 * np.nanmax(np.abs(chains.observed))
-    return np.maximum(STEP_ERROR * sigma / chains.lengths, floor)

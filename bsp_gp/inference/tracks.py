@@ -10,7 +10,8 @@ from bsp_gp.errors import EvaluationError
 from bsp_gp.inference.misfit import misfit_of
 from bsp_gp.inference.posterior import effective_size
 from bsp_gp.inference.profile import FixedConstants, fit_profile
-from bsp_gp.inference.track_reference import TrackWorld, find_reference
+from bsp_gp.inference.track_reference import find_reference
+from bsp_gp.inference.track_world import TrackWorld
 
 __all__ = ["Softened", "is_point", "reweighted", "track_misfit"]
 
@@ -18,6 +19,8 @@ N_STARTS = 8
 """Prior draws from which the joint optimum is sought."""
 NUMERICAL = 1e3
 """Levels of numerical noise within which a law leaves nothing of exact tracks."""
+ALIKE = 1.3
+"""Level left by a law, in that estimated from the tracks alone, that leaves nothing to explain."""
 BETTER = 3.0
 """Nats by which the paper's steps must explain noisy tracks better than continuous motion."""
 POINT = 1e-6
@@ -99,11 +102,25 @@ def _references(likelihood, law, latents, scenes, holds_constants, first):
             found = find_reference(world, starts, constants)
         except (EvaluationError, np.linalg.LinAlgError):
             continue
-        if found.is_settled:
+        if found.is_settled or _is_numerical(found, likelihood):
             out.append(found)
-        if likelihood.exact and np.nanmax(found.world.sigma) <= NUMERICAL * likelihood.exact:
-            return [found]  # nothing is left that other steps could explain
+            if _explains(found, likelihood):
+                break  # nothing is left that other steps could explain
     return out
+
+
+def _is_numerical(found, likelihood):
+    return bool(np.nanmax(found.world.sigma) <= NUMERICAL * likelihood.exact)
+
+
+def _explains(found, likelihood):
+    """Whether tracks are explained up to their noise."""
+    if likelihood.exact:
+        return _is_numerical(found, likelihood)
+    if likelihood.is_estimated:
+        return bool(np.nanmax(found.world.sigma / _level(likelihood, found.world.scenes)) < ALIKE)
+    dof = sum(path.n_seen for path in found.bank.paths)
+    return bool(found.profile.chisq < dof + 3 * np.sqrt(2 * dof))
 
 
 def _level(likelihood, scenes):
