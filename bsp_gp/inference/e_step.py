@@ -142,7 +142,6 @@ def _exact(misfit, latents, likelihood, settings, rng, start_rng):
         return point_posterior(latents, misfit.reference.profile, (), rng), misfit.reference.profile
     level = float(np.nanmax(likelihood.sigma))
     soft = Softened(misfit, level)
-    soft.reference = misfit.reference
     posterior, profile = _sample(soft, latents, settings, None, rng, start_rng)
     return replace(posterior, notes=(*posterior.notes, softened_note(level))), profile
 
@@ -320,6 +319,7 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=N
             return _with_findings(posterior, misfit, latents, profile, rng)
         own = [softened_note(float(np.nanmax(likelihood.sigma)))]
         used = Softened(misfit, float(np.nanmax(likelihood.sigma)))
+        profile = used.reference.profile
     k, n_c = len(latents), len(misfit.constants)
 
     def log_prob(places):

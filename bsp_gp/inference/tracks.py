@@ -23,6 +23,8 @@ ALIKE = 1.3
 """Level left by a law, in that estimated from the tracks alone, that leaves nothing to explain."""
 BETTER = 3.0
 """Nats by which the paper's steps must explain noisy tracks better than continuous motion."""
+LOST = 1e-13
+"""Information, in parts of the largest, that is rounding."""
 POINT = 1e-6
 """Width of a posterior, in that of its prior, below which it is numerically a point."""
 N_CHECKED = 20
@@ -189,8 +191,10 @@ def _widths(profile, latents):
     index = np.arange(len(spread))
     information[index, index] += 1 / np.square(spread)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    covariance = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    # What rounding hides counts as free, not as known.
+    values = np.maximum(values, LOST * values[-1])
+    return np.sqrt(np.square(vectors) @ (1 / values)) / size
 
 
 # --- exact positions -----------------------------------------------------------------------------
@@ -207,7 +211,11 @@ class Softened:
 
     def __init__(self, misfit, level):
         self.misfit = misfit
-        self.factor = float(np.square(np.nanmax(misfit.reference.world.sigma) / level))
+        share = float(np.nanmax(misfit.reference.world.sigma) / level)
+        self.factor = share**2
+        profile = misfit.reference.profile
+        profile = replace(profile, jacobian=share * profile.jacobian)
+        self.reference = replace(misfit.reference, profile=profile)
 
     def log_likelihood(self, values, constants=None):
         """Nats up to a constant, (W,)."""
