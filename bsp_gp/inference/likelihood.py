@@ -55,6 +55,8 @@ class Likelihood:
     is_estimated : bool
         Whether `sigma` was estimated from the tracks alone; "track" estimates it anew under the
         law.
+    is_quoted : bool
+        Whether "track" takes the errors that are quoted point by point, where there are any.
     exact : float
         Level of numerical noise, metres, where positions are exact; 0 where they have noise.
         "track" takes what the law leaves for the noise, but no less.
@@ -70,6 +72,7 @@ class Likelihood:
     up: str | None = None
     sources: bool = True
     is_estimated: bool = False
+    is_quoted: bool = False
     exact: float = 0.0
     reads_tracks: bool = False
 

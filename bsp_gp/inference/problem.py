@@ -134,14 +134,14 @@ def _likelihood(dataset, kind, noise):
         sigma = np.where(np.isfinite(sigma), NOMINAL * extent, sigma)
         note = f"the positions are exact; single steps are weighed by {NOMINAL * extent:.3g} m"
     else:
-        note = f"noise {np.nanmax(sigma):.3g} m ({source}), likelihood {chosen}"
+        note = f"noise {np.nanmax(sigma):.3g} m ({source})"
     if chosen == "ahead":
         sigma = float(np.nanmax(sigma))
     likelihood = Likelihood(
         chosen, sigma=sigma, velocities="backward" if touching else "central",
         drops_unsure=touching and chosen == "gls", up=dataset.up,
         sources=max(len(s.entities) for s in dataset.scenes) > 1,
-        is_estimated=source == "estimated" and not is_exact,
+        is_estimated=source == "estimated" and not is_exact, is_quoted=source == "quoted",
         exact=FLOOR * extent if is_exact else 0.0,
     )  # fmt: skip
     return likelihood, note

@@ -41,6 +41,8 @@ class TrackWorld:
         No estimated level is below it.
     holds_constants : bool
         Whether the law's constants are not fitted.
+    is_quoted : bool
+        Whether errors quoted point by point come before `sigma`.
     """
 
     law: object
@@ -52,6 +54,7 @@ class TrackWorld:
     is_estimated: bool = False
     floor: float = 0.0
     holds_constants: bool = False
+    is_quoted: bool = False
 
 
 class Tracks:
@@ -97,7 +100,7 @@ class Tracks:
     def noise(self, chains):
         """Errors of the rows: quoted, or the level of their axis."""
         variance = np.broadcast_to(np.square(self.world.sigma), chains.observed.shape)
-        if chains.sigma is not None and not self.world.is_estimated:
+        if chains.sigma is not None and self.world.is_quoted:
             quoted = np.isfinite(chains.sigma) & np.isfinite(variance)
             variance = np.where(quoted, np.square(chains.sigma), variance)
         return ChainNoise(chains.times, np.where(np.isfinite(chains.observed), variance, np.nan))

@@ -99,6 +99,7 @@ def _references(likelihood, law, latents, scenes, holds_constants, first):
         world = TrackWorld(
             law, latents, tuple(scenes), _level(likelihood, scenes), paper_steps, likelihood.up,
             likelihood.is_estimated or likelihood.exact > 0, likelihood.exact, holds_constants,
+            likelihood.is_quoted,
         )  # fmt: skip
         try:
             found = find_reference(world, starts, constants)

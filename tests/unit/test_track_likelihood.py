@@ -115,6 +115,19 @@ def test_gaps_in_a_track_are_carried_over():
     assert misfit.n_rows == 4 * 161 - 10 - 8
 
 
+def test_quoted_errors_weigh_their_points():
+    data = double_star.dataset(5)
+    sigma = np.full(data.scenes[0].positions.shape, 1e-3)
+    sigma[::2] = 4e-3
+    scenes = (replace(data.scenes[0], sigma=sigma),)
+    latents = double_star.masses_of(data)
+    law = double_star.law_of(data)
+    quoted = track(is_quoted=True).misfit(law, latents, scenes).reference.profile.information
+    plain = track().misfit(law, latents, scenes).reference.profile.information
+    # Half of the points count a sixteenth.
+    assert np.diag(quoted) / np.diag(plain) == pytest.approx(np.full(3, 17 / 32), rel=0.1)
+
+
 def test_what_an_acceleration_does_to_a_free_body_is_its_double_integral():
     """x'' = a(t): impulses a at the starts of intervals, carried along without forces."""
     h, n = 0.5, 6
