@@ -17,8 +17,6 @@ __all__ = ["ScenePath", "curve_paths", "paths_of"]
 
 POINTS = {"rk45": 3, "dop853": 5}
 """Gauss points in a step of the pair: exact to the order at which the pair is."""
-POINTS_WITH_MODES = 12
-"""Where conditions may change within a step."""
 CURVE_POINTS = 6
 MOST_PANELS = 12
 """Steps of an interval that have points of their own; of more steps, even parts have them."""
@@ -254,7 +252,7 @@ def _points(flow, mesh):
     """Interval, time since its start and weight (s) of every quadrature point."""
     if mesh.scheme == "euler":
         return np.arange(flow.n_intervals), np.zeros(flow.n_intervals), flow.length
-    count = POINTS_WITH_MODES if flow.motion.has_modes else POINTS[mesh.scheme]
+    count = POINTS[mesh.scheme]
     places, weights = np.polynomial.legendre.leggauss(count)
     interval = np.concatenate([mesh.order[: len(h)] for h in mesh.steps])
     begin, size = np.concatenate(mesh.starts), np.concatenate(mesh.steps)

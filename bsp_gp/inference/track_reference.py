@@ -53,6 +53,8 @@ class Reference:
         Per group of like-built scenes.
     is_settled : bool
         Whether the optimum stays where it is, and tracks join end to end.
+    has_modes : bool
+        Whether the law has conditions that change along the tracks.
     """
 
     world: TrackWorld
@@ -60,6 +62,7 @@ class Reference:
     bank: TrackBank = field(repr=False)
     nodes: tuple = field(repr=False)
     is_settled: bool
+    has_modes: bool = False
 
     def exact_chisq(self, values, constants, settlings=SETTLINGS):
         """Whitened sums of squares of the tracks with nodes settled anew at each draw, (W,).
@@ -98,7 +101,8 @@ def find_reference(world, starts, constants=None):
     Raises
     ------
     EvaluationError
-        If the law has no finite value along the tracks.
+        If the law has no finite value along the tracks, or conditions on continuous motion: what
+        it does at a contact hangs on when that begins, which a frozen track does not know.
     """
     run = _Climb(world, np.atleast_2d(np.asarray(starts, dtype=float)), constants)
     return run.result()
@@ -110,6 +114,8 @@ class _Climb:
     def __init__(self, world, starts, constants):
         self.world, self.starts = world, starts
         self.tracks = Tracks(world)
+        if self.tracks.has_modes and not world.paper_steps:
+            raise EvaluationError("conditions of a law are linearised in the paper's steps only")
         noises = [self.tracks.noise(chains) for chains in self.tracks.groups]
         self.scales = scales_of(self.tracks.groups, noises)
         self.values = starts[0]
@@ -169,7 +175,9 @@ class _Climb:
             return None
         bank, profile = self._profile(shootings, True)
         is_settled = is_settled or self._size(profile) < MOVED
-        return Reference(self.world, profile, bank, tuple(self.nodes), is_settled)
+        return Reference(
+            self.world, profile, bank, tuple(self.nodes), is_settled, self.tracks.has_modes
+        )
 
     def _settled(self, values, constants, rows, nodes):
         """Tracks at a point with their nodes settled, and what they leave (priors included)."""

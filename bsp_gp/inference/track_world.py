@@ -68,6 +68,11 @@ class Tracks:
         self.groups = self.chains(_medians(world.latents)[None])
         self.motions = [Motion(law, chains, parameters) for chains in self.groups]
 
+    @property
+    def has_modes(self):
+        """Whether the law has conditions that change along a track."""
+        return any(motion.has_modes for motion in self.motions)
+
     def chains(self, values):
         """Chains of all scenes for every draw of the latents, draws outermost."""
         world = self.world

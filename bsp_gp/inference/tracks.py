@@ -105,9 +105,12 @@ def _references(likelihood, law, latents, scenes, holds_constants, first):
             found = find_reference(world, starts, constants)
         except (EvaluationError, np.linalg.LinAlgError):
             continue
+        explains = _explains(found, likelihood)
+        if found.has_modes and not explains:
+            continue  # other contacts than those of the data: a minimum of its own
         if found.is_settled or _is_numerical(found, likelihood):
             out.append(found)
-            if _explains(found, likelihood):
+            if explains:
                 break  # nothing is left that other steps could explain
     return out
 

@@ -10,12 +10,15 @@ from scipy.optimize import least_squares
 from bsp_gp.cli import main
 from bsp_gp.data.scene import LatentDeclaration
 from bsp_gp.data.tables import save_dataset
+from bsp_gp.errors import EvaluationError
 from bsp_gp.inference import tracks
 from bsp_gp.inference.e_step import EStep, infer, refine
 from bsp_gp.inference.likelihood import Likelihood
 from bsp_gp.inference.misfit import ReducedMisfit
 from bsp_gp.inference.posterior import Posterior
 from bsp_gp.inference.track_path import ScenePath
+from bsp_gp.inference.track_reference import find_reference
+from bsp_gp.inference.track_world import TrackWorld
 from tests import double_star, latent_worlds
 
 UNKNOWN = LatentDeclaration("mass", low=0.2, high=9.0, entities=("A", "B"))
@@ -216,6 +219,17 @@ def test_without_an_optimum_single_steps_are_read_and_it_is_said(monkeypatch):
         settings=EStep(n_eff=50, max_steps=300),
     )  # fmt: skip
     assert any("no joint optimum was found on whole tracks" in note for note in posterior.notes)
+
+
+def test_contacts_on_continuous_tracks_are_left_to_single_steps():
+    """What a law with conditions does hangs on when they begin: no frozen track knows it."""
+    some = latent_worlds.scenes(1, noise=0.01)
+    latents = latent_worlds.masses_of(some)
+    text = "c1 * m_j * does_collide(s_i, p_i, s_j, p_j) * normalize(p_i - p_j)"
+    law = latent_worlds.law_of(text, c1=20.0)
+    world = TrackWorld(law, latents, some, np.full(2, 0.01))
+    with pytest.raises(EvaluationError, match="paper's steps only"):
+        find_reference(world, latents.sample(2, rng=np.random.default_rng(0)))
 
 
 def test_infer_reads_whole_tracks_by_default(tmp_path, capsys):
