@@ -95,12 +95,17 @@ def with_declared_latents(args, dataset):
 
 
 def _problem(args, dataset, rng, **settings):
+    from dataclasses import replace
+
     from bsp_gp.inference.problem import latent_problem
 
-    return latent_problem(
-        with_declared_latents(args, dataset), rng=rng, kind=args.likelihood.replace("-", "_"),
+    tracks = args.likelihood in ("auto", "track")
+    problem = latent_problem(
+        with_declared_latents(args, dataset), rng=rng,
+        kind="auto" if tracks else args.likelihood.replace("-", "_"),
         noise=dataset.noise if args.noise is not None else None, **settings,
     )  # fmt: skip
+    return replace(problem, likelihood=replace(problem.likelihood, reads_tracks=tracks))
 
 
 def _e_step(args):
@@ -130,7 +135,7 @@ def run_infer(args, dataset, laws, progress):
     rng = np.random.default_rng(args.seed)
     split_rng, start_rng, sample_rng, draw_rng = rng.spawn(4)
     problem = _problem(args, dataset, split_rng, everything=not args.train, test=False)
-    if args.likelihood == "auto":
+    if problem.likelihood.reads_tracks:
         problem = replace(problem, likelihood=problem.likelihood.for_posterior)
     law = declared_law(problem.dataset, laws)
     settings = _e_step(args)
@@ -140,7 +145,7 @@ def run_infer(args, dataset, laws, progress):
     if law.names or not is_discrete:
         progress("joint optimum of unknowns and constants")
         starts = problem.latents.sample(settings.n_starts, rng=start_rng)
-        profile = fit_profile(misfit, starts)
+        profile = misfit.reference.profile if misfit.reference else fit_profile(misfit, starts)
         law = profile.law
     progress("sampling the posterior")
     together = bool(law.names) and len(problem.latents) <= MOST_TOGETHER and not is_discrete
@@ -158,7 +163,7 @@ def run_infer(args, dataset, laws, progress):
     if together:
         posterior = refine(
             profile, problem.train, problem.latents, problem.likelihood, rng=sample_rng,
-            settings=settings,
+            settings=settings, misfit=misfit,
         )  # fmt: skip
     else:
         posterior = infer(

@@ -598,9 +598,9 @@ def _latents(parser):
     group = parser.add_argument_group("inference")
     group.add_argument(
         "--likelihood",
-        choices=("auto", "one-step", "gls", "propagated", "ahead"),
+        choices=("auto", "one-step", "gls", "propagated", "track", "ahead"),
         default="auto",
-        help="auto: one-step for exact positions, gls for noisy ones; ahead: five steps",
+        help="auto: whole tracks for posteriors, single steps for searches; ahead: five steps",
     )
     group.add_argument(
         "--e-step",

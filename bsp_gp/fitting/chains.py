@@ -136,7 +136,7 @@ def is_coupled(law, batch):
     return len(batch.bodies.receivers) > 1 and any(term.kind == "pair" for term in law.terms)
 
 
-def build_chains(law, scenes, up=None, velocity="ignore"):
+def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None):
     """Stack scenes into chains for a law.
 
     Parameters
@@ -146,13 +146,19 @@ def build_chains(law, scenes, up=None, velocity="ignore"):
     up : str or None
     velocity : str
         "measured" keeps the scenes' velocities.
+    coupled : bool, optional
+        Whether the moving bodies of a scene make one chain; by default where a force passes
+        between them.
 
     Returns
     -------
     list of Chains
         One for every build of scenes.
     """
-    return [_chains(batch, is_coupled(law, batch)) for batch in stack(scenes, up, velocity)]
+    return [
+        _chains(batch, is_coupled(law, batch) if coupled is None else coupled)
+        for batch in stack(scenes, up, velocity)
+    ]
 
 
 def _chains(batch, coupled):

@@ -6,6 +6,7 @@ belongs to a chain and an instant; all points are computed at once.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,6 +136,21 @@ class Motion:
         self._static = [self._static_inputs(program) for program in self.programs]
         self._ready = None
 
+    def on(self, chains, law):
+        """The same formulas with other properties and constants.
+
+        Parameters
+        ----------
+        chains : Chains
+            Of the same build; the number of chains may differ.
+        law : ForceLaw
+            The same terms.
+        """
+        other = copy(self)
+        other.chains, other.law, other._ready = chains, law, None
+        other._static = [other._static_inputs(program) for program in self.programs]
+        return other
+
     # --- what does not change along a track ------------------------------------------------------
 
     def _static_inputs(self, program):
@@ -177,12 +193,19 @@ class Motion:
         return weight
 
     def set_constants(self, values):
-        """Put the values of the free constants in, in the order of `parameters`."""
-        law = self.law.with_values(self.parameters, values)
+        """Put the values of the free constants in, in the order of `parameters`.
+
+        Values of shape (k, S) are those of each chain, for constants that bodies share.
+        """
+        if np.ndim(values) == 2:
+            shared = dict(zip((name for name, _ in self.parameters), values, strict=True))
+            known = {**self.law.constants, **shared}
+        else:
+            known = self.law.with_values(self.parameters, values).constants
         self._ready = []
         for program, inputs in zip(self.programs, self._static, strict=True):
             constants = {
-                name: self._constant(law.constants[name], program.kind)
+                name: self._constant(known[name], program.kind)
                 for name in program.constants
             }
             self._ready.append(
@@ -196,7 +219,7 @@ class Motion:
 
     def _constant(self, value, kind):
         if not hasattr(value, "items"):
-            return np.float64(value)
+            return np.asarray(value, dtype=float)[()]
         table = np.array([[value.get(n, np.nan) for n in names] for names in self.chains.bodies])
         return table.T if kind == "field" else table.T[:, None]
 

@@ -22,8 +22,10 @@ from bsp_gp.inference.enumeration import (
 )
 from bsp_gp.inference.findings import findings
 from bsp_gp.inference.importance import sample_importance
+from bsp_gp.inference.laplace import point_posterior, softened_note, start_places
 from bsp_gp.inference.posterior import Posterior, joined
-from bsp_gp.inference.profile import fit_profile
+from bsp_gp.inference.profile import FixedConstants, fit_profile
+from bsp_gp.inference.tracks import Softened, is_point, reweighted
 
 __all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
@@ -117,16 +119,31 @@ def prior_posterior(latents, *, rng, n_draws=1000):
 def _block(law, scenes, latents, likelihood, rng, settings, warm):
     if not law.terms:
         return prior_posterior(latents, rng=rng)
-    misfit = likelihood.misfit(law, latents, scenes)
+    misfit = likelihood.misfit(law, latents, scenes, holds_constants=True)
     sample_rng, start_rng, check_rng = rng.spawn(3)
-    posterior, profile = _sample(misfit, latents, settings, warm, sample_rng, start_rng)
+    if likelihood.exact and misfit.reference is not None and not latents.is_discrete.all():
+        posterior, profile = _exact(misfit, latents, likelihood, settings, sample_rng, start_rng)
+    else:
+        posterior, profile = _sample(misfit, latents, settings, warm, sample_rng, start_rng)
+        posterior = reweighted(posterior, misfit, latents, rng=start_rng)
     notes = findings(misfit, latents, posterior, profile, rng=check_rng)
+    notes = [*misfit.notes, *notes]
     return replace(
         posterior,
         priors=tuple(item.prior for item in latents.items),
         truth=latents.truth,
         notes=(*posterior.notes, *notes),
     )
+
+
+def _exact(misfit, latents, likelihood, settings, rng, start_rng):
+    """The posterior of exact tracks: a point where they determine everything."""
+    if not latents.is_discrete.any() and is_point(misfit.reference.profile, latents):
+        return point_posterior(latents, misfit.reference.profile, (), rng), misfit.reference.profile
+    level = float(np.nanmax(likelihood.sigma))
+    soft = Softened(misfit, level)
+    posterior, profile = _sample(soft, latents, settings, None, rng, start_rng)
+    return replace(posterior, notes=(*posterior.notes, softened_note(level))), profile
 
 
 def _sample(misfit, latents, settings, warm, rng, start_rng):
@@ -154,7 +171,10 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
             sample_importance(misfit.log_likelihood, latents, rng=rng, n_draws=settings.n_draws),
             None,
         )
-    profile = fit_fixed_constants(misfit, latents.sample(settings.n_starts, rng=start_rng))
+    if misfit.reference is not None:
+        profile = misfit.reference.profile
+    else:
+        profile = fit_fixed_constants(misfit, latents.sample(settings.n_starts, rng=start_rng))
     places, mean, covariance = start_places(latents, profile, 64, start_rng)
     if method in ("laplace", "tempered"):
         posterior = sample_importance(
@@ -170,58 +190,7 @@ def _sample(misfit, latents, settings, warm, rng, start_rng):
 
 def fit_fixed_constants(misfit, starts):
     """Joint optimum of the latents alone, the law's constants as they are."""
-    return fit_profile(_Fixed(misfit), starts)
-
-
-class _Fixed:
-    """A misfit whose constants are not free."""
-
-    def __init__(self, misfit):
-        self.misfit = misfit
-        self.law, self.latents, self.constants = misfit.law, misfit.latents, ()
-        self.scene_names, self.row_scene = misfit.scene_names, misfit.row_scene
-        self.rest, self.n_rows = misfit.rest, misfit.n_rows
-
-    @property
-    def start(self):
-        return np.zeros(0)
-
-    def residual(self, values, constants=None):
-        return self.misfit.residual(values)
-
-
-def start_places(latents, profile, n_places, rng, constants=0):
-    """Laplace draws about the joint optimum, inside the priors' support, in coordinates.
-
-    Returns
-    -------
-    places : ndarray, shape (n_places, k + constants)
-    mean : ndarray
-    covariance : ndarray
-        Inverse information, the prior's own width included.
-    """
-    k = len(latents)
-    spread = np.array([item.prior.spread for item in latents.items])
-    extra = np.zeros(k + constants)
-    extra[:k] = 1 / np.square(spread)
-    information = profile.information + np.diag(extra)
-    size = np.sqrt(np.diag(information))
-    size = np.where(size > 0, size, 1.0)
-    covariance = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
-    covariance = covariance / np.outer(size, size)
-    mean = np.concatenate([latents.to_coordinate(profile.values), profile.constants[:constants]])
-    values, vectors = np.linalg.eigh(covariance)
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    places = mean + rng.standard_normal((n_places, k + constants)) @ factor.T
-    bounds = np.array([item.prior.bounds for item in latents.items]).reshape(-1, 2)
-    low, high = bounds.T
-    inside = places[:, :k]
-    for _ in range(4):  # reflect at the bounds
-        inside = np.where(inside < low, 2 * low - inside, inside)
-        inside = np.where(inside > high, 2 * high - inside, inside)
-    margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 1.0)
-    places[:, :k] = np.clip(inside, low + margin, high - margin)
-    return places, mean, covariance
+    return fit_profile(FixedConstants(misfit), starts)
 
 
 def _ensemble(misfit, latents, start, settings, rng):
@@ -314,13 +283,15 @@ def _mixed(misfit, latents, settings, warm, rng):
     )  # fmt: skip
 
 
-def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
+def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=None):
     """Constants and latents of a found law sampled together (constants with a flat prior).
 
     Parameters
     ----------
     profile : Profile
         The joint optimum; its law is sampled around it.
+    misfit : misfit of its law, optional
+        Where it has been made already.
 
     Returns
     -------
@@ -336,9 +307,19 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
     latents, _ = latents.of_scenes([scene.name for scene in scenes])
     if latents.is_discrete.any():
         raise SettingsError("constants and discrete latents are not sampled together")
-    misfit = likelihood.misfit(profile.law, latents, scenes)
-    if likelihood.kind == "propagated":  # sharper than what the optimum was found with
-        profile = fit_profile(misfit, profile.values[None])
+    misfit = misfit or likelihood.misfit(profile.law, latents, scenes)
+    if misfit.reference is not None:
+        profile = misfit.reference.profile
+    elif likelihood.is_gls and likelihood.kind != "gls":
+        profile = fit_profile(misfit, profile.values[None])  # sharper than it was found with
+    used, own = misfit, []
+    if likelihood.exact and misfit.reference is not None:
+        if is_point(profile, latents):
+            posterior = point_posterior(latents, profile, misfit.constants, rng)
+            return _with_findings(posterior, misfit, latents, profile, rng)
+        own = [softened_note(float(np.nanmax(likelihood.sigma)))]
+        used = Softened(misfit, float(np.nanmax(likelihood.sigma)))
+        profile = used.reference.profile
     k, n_c = len(latents), len(misfit.constants)
 
     def log_prob(places):
@@ -346,7 +327,7 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
         out = latents.log_prior(values) + latents.log_jacobian(places[:, :k])
         inside = np.isfinite(out)
         if inside.any():
-            out[inside] += misfit.log_likelihood(values[inside], places[inside, k:])
+            out[inside] += used.log_likelihood(values[inside], places[inside, k:])
         return out
 
     start_rng, sample_rng, check_rng = rng.spawn(3)
@@ -361,10 +342,19 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None):
     except FitError as error:
         raise FitError(f"joint refinement: {error}", estimate=profile) from None
     posterior = _in_values(posterior, latents, n_c)
-    priors = (*(item.prior for item in latents.items), *(None,) * n_c)
-    truth = np.concatenate([latents.truth, np.full(n_c, np.nan)])
-    posterior = replace(posterior, priors=priors, truth=truth)
-    return replace(
+    posterior = replace(posterior, notes=(*posterior.notes, *own))
+    if used is misfit:
+        posterior = reweighted(posterior, misfit, latents, rng=check_rng)
+    return _with_findings(posterior, misfit, latents, profile, check_rng)
+
+
+def _with_findings(posterior, misfit, latents, profile, rng):
+    """A posterior of latents and constants with what its reader must be told."""
+    n_c = len(misfit.constants)
+    posterior = replace(
         posterior,
-        notes=(*posterior.notes, *findings(misfit, latents, posterior, profile, rng=check_rng)),
+        priors=(*(item.prior for item in latents.items), *(None,) * n_c),
+        truth=np.concatenate([latents.truth, np.full(n_c, np.nan)]),
     )
+    found = findings(misfit, latents, posterior, profile, rng=rng)
+    return replace(posterior, notes=(*posterior.notes, *misfit.notes, *found))

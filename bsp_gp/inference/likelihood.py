@@ -11,11 +11,12 @@ from bsp_gp.inference.horizon import HorizonMisfit
 from bsp_gp.inference.misfit import MotionBank, misfit_of
 from bsp_gp.inference.profile import fit_profile
 from bsp_gp.inference.propagation import PropagatedBank
+from bsp_gp.inference.tracks import track_misfit
 from bsp_gp.physics.likelihood import build_regression
 
 __all__ = ["KINDS", "Likelihood"]
 
-KINDS = ("one_step", "gls", "propagated", "ahead")
+KINDS = ("one_step", "gls", "propagated", "track", "ahead")
 REFERENCES = 2
 """Times that the propagated covariance is found anew at the optimum under the last one."""
 UNSURE = 4.0
@@ -33,8 +34,9 @@ class Likelihood:
         errors that enter the motion, and for exact data. "gls": the same second differences with
         the covariance that position noise gives to them. "propagated": that, and what the noise
         of the states does to the forces (`bsp_gp.inference.propagation`), about the joint
-        optimum; for posteriors under measurement noise. "ahead": the paper's code, `n_ahead`
-        steps from every instant (`bsp_gp.inference.horizon`).
+        optimum. "track": whole tracks with their initial states free, linearised about the joint
+        optimum (`bsp_gp.inference.tracks`), however coarse the rows are. "ahead": the paper's
+        code, `n_ahead` steps from every instant (`bsp_gp.inference.horizon`).
     sigma : float
         Standard deviation of a position, metres; for "ahead" the protocol's noise level.
     n_ahead : int
@@ -50,6 +52,16 @@ class Likelihood:
         Declared vertical axis.
     sources : bool
         Whether laws may name other bodies.
+    is_estimated : bool
+        Whether `sigma` was estimated from the tracks alone; "track" estimates it anew under the
+        law.
+    is_quoted : bool
+        Whether "track" takes the errors that are quoted point by point, where there are any.
+    exact : float
+        Level of numerical noise, metres, where positions are exact; 0 where they have noise.
+        "track" takes what the law leaves for the noise, but no less.
+    reads_tracks : bool
+        Whether posteriors are read from whole tracks.
     """
 
     kind: str = "one_step"
@@ -59,6 +71,10 @@ class Likelihood:
     drops_unsure: bool = False
     up: str | None = None
     sources: bool = True
+    is_estimated: bool = False
+    is_quoted: bool = False
+    exact: float = 0.0
+    reads_tracks: bool = False
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -71,16 +87,15 @@ class Likelihood:
     @property
     def for_posterior(self):
         """The likelihood of a posterior that is read: noise propagated through the law."""
+        if self.reads_tracks:
+            return replace(self, kind="track")
         return replace(self, kind="propagated") if self.kind == "gls" else self
 
     @property
     def for_search(self):
         """The likelihood of the M-step: one step, independent errors, as searches score laws."""
         sigma = np.sqrt(self.sigma / 2) if self.kind == "ahead" else self.sigma
-        if self.kind in (
-            "gls",
-            "propagated",
-        ):  # a second difference of white noise has the variance 6 sigma^2
+        if self.is_gls:  # a second difference of white noise has the variance 6 sigma^2
             sigma = np.sqrt(6.0) * np.asarray(sigma)
         return replace(self, kind="one_step", sigma=sigma)
 
@@ -110,10 +125,20 @@ class Likelihood:
 
     @property
     def is_gls(self):
-        return self.kind in ("gls", "propagated")
+        """Whether errors are those of positions."""
+        return self.kind in ("gls", "propagated", "track")
 
-    def misfit(self, law, latents, scenes, bank=None):
+    def misfit(self, law, latents, scenes, bank=None, holds_constants=False):
         """The misfit of a law on scenes.
+
+        Parameters
+        ----------
+        law : ForceLaw
+        latents : Latents
+        scenes : sequence of Scene
+        bank : MotionBank, optional
+        holds_constants : bool
+            Whether the joint optimum about which tracks are linearised has the law's constants.
 
         Raises
         ------
@@ -124,6 +149,8 @@ class Likelihood:
             return HorizonMisfit(
                 law, latents, scenes, n_ahead=self.n_ahead, level=float(self.sigma), up=self.up
             )
+        if self.kind == "track":
+            return track_misfit(self, law, latents, scenes, holds_constants)
         if self.kind == "propagated" and bank is None:
             bank = self._propagated(law, latents, scenes)
         return misfit_of(law, latents, bank or self.bank(scenes))

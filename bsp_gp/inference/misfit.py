@@ -28,6 +28,11 @@ CHUNK_NUMBERS = 1 << 17
 class _Misfit:
     """Base: constants by position, sums by scene."""
 
+    reference = None
+    """Where whole tracks were linearised (`bsp_gp.inference.track_reference.Reference`)."""
+    notes = ()
+    """What a reader must know of how the tracks were compared."""
+
     def __init__(self, law, latents, scene_names, row_scene, rest):
         self.law = law
         self.latents = latents

@@ -16,8 +16,11 @@ __all__ = ["LatentProblem", "latent_problem", "stand_ins"]
 
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the positions count as exact."""
-ASSUMED = 1e-4
-"""Part of the range that is taken for the error of exact positions where none is given."""
+FLOOR = 1e-12
+"""Part of the range below which nothing is taken for noise."""
+NOMINAL = 1e-4
+"""Part of the range that sets the scale of searches on exact positions, and of samplers along what
+these leave free; posteriors that are read have what the law leaves of them for their error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,19 +132,17 @@ def _likelihood(dataset, kind, noise):
     chosen = kind if kind != "auto" else "one_step" if is_exact else "gls"
     is_given = is_declared_noisy(dataset) if noise is None else np.max(noise) > 0
     if is_exact and not is_given:
-        sigma = np.where(np.isfinite(sigma), ASSUMED * extent, sigma)
-        note = (
-            f"the positions are exact: posteriors are those of an assumed error of "
-            f"{ASSUMED * extent:.3g} m (one part in {1 / ASSUMED:,.0f} of the range); give "
-            "--noise for another"
-        )
+        sigma = np.where(np.isfinite(sigma), NOMINAL * extent, sigma)
+        note = f"the positions are exact; single steps are weighed by {NOMINAL * extent:.3g} m"
     else:
-        note = f"noise {np.nanmax(sigma):.3g} m ({source}), likelihood {chosen}"
+        note = f"noise {np.nanmax(sigma):.3g} m ({source})"
     if chosen == "ahead":
         sigma = float(np.nanmax(sigma))
     likelihood = Likelihood(
         chosen, sigma=sigma, velocities="backward" if touching else "central",
         drops_unsure=touching and chosen == "gls", up=dataset.up,
         sources=max(len(s.entities) for s in dataset.scenes) > 1,
+        is_estimated=source == "estimated" and not is_exact, is_quoted=source == "quoted",
+        exact=FLOOR * extent if is_exact else 0.0,
     )  # fmt: skip
     return likelihood, note

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["Profile", "fit_profile", "linear_constants"]
+__all__ = ["FixedConstants", "Profile", "fit_profile", "linear_constants"]
 
 MAX_ITERATIONS = 100
 STIFF = 1e3
@@ -96,6 +96,25 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
     if problem.is_discrete.any() and loss.min() <= give_up:  # fits no worse between its values
         x, loss = _on_values(problem, np.concatenate([x, first]), max_iterations)
     return problem.profile(x, loss)
+
+
+class FixedConstants:
+    """A misfit whose constants are not free."""
+
+    def __init__(self, misfit):
+        self.misfit = misfit
+        self.law, self.latents, self.constants = misfit.law, misfit.latents, ()
+        self.scene_names, self.row_scene = misfit.scene_names, misfit.row_scene
+        self.rest, self.n_rows = misfit.rest, misfit.n_rows
+
+    @property
+    def start(self):
+        """No constants."""
+        return np.zeros(0)
+
+    def residual(self, values, constants=None):
+        """With the constants of the law."""
+        return self.misfit.residual(values)
 
 
 def _descend(problem, x, max_iterations, give_up=np.inf):

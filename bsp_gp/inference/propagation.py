@@ -17,7 +17,7 @@ from bsp_gp.inference.misfit import DirectMisfit, MotionBank, averaged
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.regression import Regression
 
-__all__ = ["PropagatedBank"]
+__all__ = ["PropagatedBank", "compressed"]
 
 STEP = 1e-3
 """Finite-difference step, in sigma."""
@@ -75,7 +75,7 @@ class PropagatedBank(MotionBank):
                     spread[:, k, :, k] = np.swapaxes(columns[:, s, k], 1, 2)
                 matrix = whitener @ spread.reshape(n * r * d, r * p)[rows]
                 y = whitener @ batch.target[:, s].reshape(-1)[rows]
-                triangle, target, rest = _compressed(matrix, y)
+                triangle, target, rest = compressed(matrix, y)
                 triangles.append(triangle)
                 targets.append(target)
                 rests.append(rest)
@@ -108,7 +108,7 @@ class _Whitened(DirectMisfit):
         return np.concatenate(parts, axis=1)
 
 
-def _compressed(matrix, y):
+def compressed(matrix, y):
     """QR with as many rows as columns, whatever the number of rows of the scene."""
     p = matrix.shape[1]
     q, triangle = np.linalg.qr(matrix)
