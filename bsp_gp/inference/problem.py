@@ -16,8 +16,6 @@ __all__ = ["LatentProblem", "latent_problem", "stand_ins"]
 
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the positions count as exact."""
-FLOOR = 1e-12
-"""Part of the range below which nothing is taken for noise."""
 NOMINAL = 1e-4
 """Part of the range that sets the scale of searches on exact positions, and of samplers along what
 these leave free; posteriors that are read have what the law leaves of them for their error."""
