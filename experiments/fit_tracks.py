@@ -23,8 +23,8 @@ SI = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
 RTOL = 1e-12
 RTOL_COPIES = 1e-10
 """Copies share their steps, so that the errors of these cancel in differences."""
-STEP = 1e-5
-"""Of central differences, of a constant's size and of the tracks' extent."""
+STEP = 3e-7
+"""Of central differences, in sizes of constants and tracks; larger ones miss some bounds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,9 +131,12 @@ class Climb:
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
         points = self.first_points()
-        ends = self._grown(points) if self.is_coarse and not self.paper_steps else []
-        if not ends or not self._is_good(ends):
-            ends += self._climbed(points)
+        ways = [self._climbed] if self.paper_steps else [self._climbed, self._grown]
+        ends = []
+        for way in ways[:: -1 if self.is_coarse else 1]:
+            ends += way(points)
+            if self._is_good(ends) or self.run.is_over():
+                break
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
         return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
@@ -146,8 +149,9 @@ class Climb:
         best = min(ends, key=_height)
         seen = sum(noise.n_seen for noise in self.noises)
         is_allowed = best.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
-        enough = AGREE if self.run.is_noise_estimated else 1
-        return is_allowed and sum(_agree(m, best) for m in ends) >= enough
+        if self.run.is_noise_estimated:  # misfit or noise: starts that agree must do
+            return best.linearised is not None and sum(_agree(m, best) for m in ends) >= AGREE
+        return is_allowed
 
     def _grown(self, points):
         """Minima that tracks grown from their calmest rows lead to."""

@@ -67,7 +67,7 @@ class FitTolerances:
         typical size.
     """
 
-    step_error: float = 0.02
+    step_error: float = 0.002
     gap: float = 1e-3
     exact: float = 1e-9
     resolution: float = 1e-7

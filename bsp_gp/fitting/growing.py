@@ -30,6 +30,8 @@ ENOUGH = 2
 """Trials that follow their rows, after which no more are made."""
 CALM = 1.5
 """Chains whose piece turns up to so many times as much as the calmest find the constants first."""
+JOININGS = 3
+"""Descents with the nodes joined in between, where one does not converge."""
 COARSE = 0.01
 """Error of one interval on the way, in standard deviations of a position."""
 MAX_STEPS = 150
@@ -229,7 +231,13 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
     problem = problem.with_meshes(point)
     low, high = (values, values) if is_held else climb.box
-    minimum = minimise(problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over)
+    for _ in range(JOININGS):
+        minimum = minimise(
+            problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over
+        )
+        if minimum.code not in ("stalled", "limit") or minimum.linearised is None:
+            break
+        point = problem.settled(minimum.point, 2)  # gaps between nodes hold the descent up
     for full, new, chains, (first, stop) in zip(
         nodes, minimum.point.nodes, run.groups, places, strict=True
     ):
