@@ -176,7 +176,7 @@ def _numbered(path, k):
     return None if path is None else Path(path).with_suffix(f".{k}{Path(path).suffix}")
 
 
-def _run(strategy, objective, budget, entropy, callback, checkpoint, is_part):
+def _run(strategy, objective, budget, entropy, callback, checkpoint, is_part=False):
     # One thread: the last bits of a sum may not depend on how many there are.
     with threadpool_limits(limits=1, user_api="blas"), _patient_collector():
         _steps(strategy, objective, budget, entropy, callback, checkpoint, is_part)
