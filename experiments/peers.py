@@ -87,7 +87,7 @@ def ours(task, form, seed, seconds):
             result = run_search(
                 Genetic(population=30, offspring=30), objective, budget, keep=1,
                 rng=np.random.default_rng((seed, 5)),
-                callback=lambda _, o: best_loss(o) <= EXACT * o.total,
+                callback=lambda _, o: best_loss(o) <= EXACT * o.total, is_part=True,
             )  # fmt: skip
             candidate = result.best
         else:

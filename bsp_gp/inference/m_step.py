@@ -87,7 +87,9 @@ class WithSearch:
             objective = Objective(
                 regression, grammar, kind, beta=self.beta, target=target, nuisance=nuisance
             )
-            result = run_search(self.strategy, objective, self.budget, rng=stream, keep=self.keep)
+            result = run_search(
+                self.strategy, objective, self.budget, rng=stream, keep=self.keep, is_part=True
+            )
             out += result.candidates
             scored += result.n_evaluated
         return sorted(out, key=lambda c: c.loss), scored

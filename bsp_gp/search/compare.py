@@ -116,7 +116,9 @@ def run_one(objective, name, strategy, seed, budget, *, rng, is_done=None):
     objective = objective.fresh()
     started = time.process_time()
     watch = _Watch(started, is_done)
-    result = run_search(strategy, objective, budget, rng=rng, callback=watch, keep=1)
+    result = run_search(
+        strategy, objective, budget, rng=rng, callback=watch, keep=1, is_part=True
+    )
     watch(None, objective)
     return Outcome(
         name,

@@ -254,6 +254,9 @@ def _solve_linear(regression, law, names, x, nonlinear):
     jacobian = _jacobian(regression, law, names)[:, free]
     x = np.array(x, dtype=float)
     current = x[free]
-    residual = regression.residual(law) + jacobian @ current
+    with np.errstate(over="ignore", invalid="ignore"):
+        residual = regression.residual(law) + jacobian @ current
+    if not (np.isfinite(jacobian).all() and np.isfinite(residual).all()):
+        raise EvaluationError("accelerations under the law are beyond the range of numbers")
     x[free], _, _ = _least_squares(jacobian, residual)
     return x

@@ -85,6 +85,7 @@ def run_search(
     keep=40,
     trials=1,
     executor=None,
+    is_part=False,
 ):
     """Run a strategy until its budget is spent, a callback asks to stop, or Ctrl-C.
 
@@ -109,6 +110,9 @@ def run_search(
         Independent runs whose best laws are put together (the paper's ``ntrials``).
     executor : concurrent.futures.Executor, optional
         Where trials run; by default here, one after the other. The answer is the same.
+    is_part : bool
+        Of a larger work, which Ctrl-C is to end; by default it ends the search, and what was
+        found until then is the result.
 
     Returns
     -------
@@ -127,20 +131,22 @@ def run_search(
     started = time.perf_counter()
     if trials == 1 and executor is None:
         entropy = int(rng.integers(2**63))
-        _run(strategy, objective, budget, entropy, callback, checkpoint)
+        _run(strategy, objective, budget, entropy, callback, checkpoint, is_part)
         n_evaluated = objective.n_scored
     else:
         n_evaluated = _trials(
-            strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor
+            strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor, is_part
         )
     with threadpool_limits(limits=1, user_api="blas"):
         return _result(objective, keep, n_evaluated, time.perf_counter() - started)
 
 
-def _trials(strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor):
+def _trials(
+    strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor, is_part
+):  # fmt: skip
     """Run trials and score their best laws together; number of laws scored in all."""
     jobs = [
-        (strategy, objective, budget, int(entropy), _numbered(checkpoint, k), keep)
+        (strategy, objective, budget, int(entropy), _numbered(checkpoint, k), keep, is_part)
         for k, entropy in enumerate(rng.integers(2**63, size=trials), 1)
     ]
     outcomes = map(_trial, jobs) if executor is None else executor.map(_trial, jobs)
@@ -153,16 +159,16 @@ def _trials(strategy, objective, budget, rng, callback, checkpoint, keep, trials
             if callback is not None and callback(k, objective):
                 break
     except KeyboardInterrupt:
-        if not objective.best:
+        if is_part or not objective.best:
             raise
     return n_evaluated
 
 
 def _trial(job):
     """One trial on an objective of its own: its best expressions, and how many it scored."""
-    strategy, objective, budget, entropy, checkpoint, keep = job
+    strategy, objective, budget, entropy, checkpoint, keep, is_part = job
     objective = objective.fresh()
-    _run(strategy, objective, budget, entropy, None, checkpoint)
+    _run(strategy, objective, budget, entropy, None, checkpoint, is_part)
     return [e for e, _ in (*_ranked(objective, keep), *objective.front())], objective.n_scored
 
 
@@ -170,13 +176,13 @@ def _numbered(path, k):
     return None if path is None else Path(path).with_suffix(f".{k}{Path(path).suffix}")
 
 
-def _run(strategy, objective, budget, entropy, callback, checkpoint):
+def _run(strategy, objective, budget, entropy, callback, checkpoint, is_part=False):
     # One thread: the last bits of a sum may not depend on how many there are.
     with threadpool_limits(limits=1, user_api="blas"), _patient_collector():
-        _steps(strategy, objective, budget, entropy, callback, checkpoint)
+        _steps(strategy, objective, budget, entropy, callback, checkpoint, is_part)
 
 
-def _steps(strategy, objective, budget, entropy, callback, path):
+def _steps(strategy, objective, budget, entropy, callback, path, is_part):
     started = time.perf_counter()
     identity = [strategy.name, repr(strategy), objective.fingerprint, entropy]
     checkpoint = _Checkpoint(path, identity)
@@ -195,8 +201,8 @@ def _steps(strategy, objective, budget, entropy, callback, path):
             if callback is not None and callback(steps, objective):
                 break
     except KeyboardInterrupt:
-        if not objective.best:
-            raise  # nothing to keep yet
+        if is_part or not objective.best:
+            raise  # nothing to keep yet, or nobody to keep it for
     else:
         checkpoint.save(state, steps, objective, at_once=True)
 

@@ -1,5 +1,6 @@
 """Searches side by side: regret against the certified optimum, the same rows on any executor."""
 
+import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -64,6 +65,18 @@ def test_a_run_ends_when_it_is_told():
     assert outcome.n_trees < 400 * 50
     assert outcome.cost < optimum.cost + 5
     assert objective.n_trees == 0  # runs have objectives of their own
+
+
+def test_an_interrupt_ends_the_comparison_and_not_one_run_of_it():
+    def interrupt(tree, score):
+        signal.raise_signal(signal.SIGINT)
+
+    objective = Objective(regression_of(), grammar_of(MIXED), "pair")
+    with pytest.raises(KeyboardInterrupt):
+        run_one(
+            objective, "random", RandomSearch(50), 0, Budget(n_steps=9),
+            rng=np.random.default_rng(1), is_done=interrupt,
+        )  # fmt: skip
 
 
 def test_a_model_on_a_users_data():

@@ -73,6 +73,19 @@ def test_any_search_can_be_the_m_step(grammar):
     assert em.contenders and np.isfinite(em.best.loss)
 
 
+def test_an_interrupt_ends_the_iterations_and_not_one_search_of_them(grammar, monkeypatch):
+    def interrupt(*args):
+        raise KeyboardInterrupt
+
+    some, latents = scenes(1, noise=0.01), masses_of(scenes(1, noise=0.01))
+    draws = latents.sample(2, rng=np.random.default_rng(0))
+    regression = averaged_regression(some, latents, draws, np.full(2, 0.5), LIKELIHOOD)
+    m_step = WithSearch(CrossEntropy(population=60, elite=20), Budget(n_steps=2))
+    monkeypatch.setattr(CrossEntropy, "step", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        m_step.candidates(regression, grammar, ("pair",), None, np.random.default_rng(0))
+
+
 def test_em_alone_takes_the_m_steps_law_as_it_is(grammar):
     some = scenes(1)
     settings = EmSettings(
