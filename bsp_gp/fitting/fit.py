@@ -199,7 +199,9 @@ def fit(
     run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
-    with threadpool_limits(1, "blas"):  # faster on small matrices, and the same bits everywhere
+    # BLAS on one thread is faster on small matrices and gives the same bits everywhere; numbers that
+    # overflow on trial are refused by what they lead to, a point that is not finite.
+    with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         found = []
         for paper in run.step_kinds():
             found.append(run.fit(paper))
