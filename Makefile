@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fuzz slow quick lint bench neural clean
+.PHONY: help setup demo test fuzz slow quick lint bench neural clean faults
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -40,6 +40,9 @@ fuzz: $(VENV)/.ok  ## try made-up hostile inputs for MINUTES=5; what it finds is
 
 slow: $(VENV)/.ok  ## run the slower tests
 	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
+
+faults: $(VENV)/.ok  ## kill every command at every write, and fill its disk (an hour)
+	@$(BIN)/python -m pytest -n $(WORKERS) -m faults $(ARGS)
 
 EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 null_data power \
     undeclared_effects ball_drops

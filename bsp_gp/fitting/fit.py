@@ -199,8 +199,8 @@ def fit(
     run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
-    # BLAS on one thread is faster on small matrices and gives the same bits everywhere; numbers that
-    # overflow on trial are refused by what they lead to, a point that is not finite.
+    # BLAS on one thread is faster on small matrices and gives the same bits everywhere. Numbers that
+    # overflow on trial lead to points that are not finite, and those are refused.
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         found = []
         for paper in run.step_kinds():

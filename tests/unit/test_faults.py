@@ -21,32 +21,32 @@ def faults(command, mode, *words):
     return json.loads(run.stdout)
 
 
-def slow(names):
-    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
+def lasting(names):
+    return [pytest.param(name, marks=pytest.mark.faults) for name in names]
 
 
-@pytest.mark.parametrize("command", ["simulate", *slow((*SLOW, "study"))])
+@pytest.mark.parametrize("command", ["simulate", *lasting((*SLOW, "study"))])
 def test_a_kill_at_any_write_leaves_the_old_result_or_the_new(command):
     result = faults(command, "kill")
     assert result["bad"] == []
     assert result["old"] > 5 and result["new"] > 0
 
 
-@pytest.mark.parametrize("command", slow(("simulate", "make")))
+@pytest.mark.parametrize("command", lasting(("simulate", "make")))
 def test_so_it_is_after_the_next_run_where_names_cannot_be_exchanged(command):
     result = faults(command, "plain")
     assert result["bad"] == []
     assert result["old"] > 5 and result["new"] > 0
 
 
-@pytest.mark.parametrize("command", ["simulate", *slow(SLOW)])
+@pytest.mark.parametrize("command", ["simulate", *lasting(SLOW)])
 def test_a_full_disk_at_any_write_is_one_line_and_leaves_the_old_result(command):
     result = faults(command, "full")
     assert result["bad"] == []
     assert result["old"] > 5 and result["new"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 @pytest.mark.parametrize("command", KILLED)
 def test_a_kill_at_any_time_leaves_the_old_result_or_the_new(command):
     result = faults(command, "random", "100")
