@@ -199,7 +199,7 @@ def fit(
     run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
-    # BLAS on one thread is faster on small matrices and gives the same bits everywhere. Numbers that
+    # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         found = []
@@ -340,8 +340,11 @@ class _Run:
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:
                 tracks = _tracks_of(beside, other, found)
+                n_own = len(self.parameters)
+                # What a force does may differ from scene to scene, and is no noise either.
+                local = np.concatenate([tracks.local, tracks.shared[n_own:]])
                 return estimate(
-                    model, tracks.channels, tracks.residual, tracks.shared, tracks.local
+                    model, tracks.channels, tracks.residual, tracks.shared[:n_own], local
                 )
         return self.estimated(climb, minimum, model)
 

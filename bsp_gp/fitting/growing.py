@@ -227,10 +227,10 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         variance[~np.isfinite(cut.times)] = np.nan
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
-    point = TrackPoint(values, tuple(own))
+    low, high = (values, values) if is_held else climb.box
+    point = TrackPoint(np.clip(values, low, high), tuple(own))
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
     problem = problem.with_meshes(point)
-    low, high = (values, values) if is_held else climb.box
     for _ in range(JOININGS):
         minimum = minimise(
             problem, point, low=low, high=high, settings=LEADING, is_over=run.is_over

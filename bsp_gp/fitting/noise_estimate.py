@@ -20,6 +20,8 @@ from bsp_gp.fitting.student import fit_student
 __all__ = ["estimate"]
 
 _N_TIMES = 6
+NORMAL = 100.0
+"""Degrees of freedom from which on Student's t is the normal distribution."""
 _PROMISE = 0.5
 """A part is estimated where screening promises this much of the gain that it needs."""
 
@@ -71,6 +73,8 @@ def estimate(model, channels, residual, columns=None, local=None, tolerances=Non
         model = tried[best][0]
         model = model if math.isinf(model.degrees) else task.refit(model)
         parts.remove(best)
+    if NORMAL < model.degrees < math.inf:  # further parts have taken over what was told by tails
+        model = task.refit(replace(model, degrees=math.inf))
     return replace(model, findings=tuple(findings))
 
 
