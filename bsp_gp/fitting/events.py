@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.motion import Points
+from bsp_gp.fitting.motion import CREEP, Points
 
 __all__ = ["passed_over", "through_events", "up_to_events"]
 
@@ -17,20 +17,24 @@ MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
 WITHIN = tuple((k + 0.5) / 8 for k in range(8))
 """Parts of a step at which conditions are looked at when its length is chosen."""
+STOP = "stop"
+JUST_BEFORE = 1 - 1e-9
+SLOW = 1e-3
+"""Part of its speed at the start of a step below which a body that turned round had stopped."""
 BISECTIONS = 60
 CLOSE = 1e-14
 """Part of a step to which an instant is found."""
 
 
-def through_events(flow, scheme, points, end, h, modes, index, moved=None):
+def through_events(flow, scheme, stages, end, h, modes, index, moved=None):
     """Mend the steps within which conditions change.
 
     Parameters
     ----------
     flow : Flow
     scheme : Scheme
-    points : Points
-        Starts of the steps.
+    stages : list of Points
+        Of the steps, their starts first.
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.
     h : ndarray, shape (M,)
@@ -45,7 +49,9 @@ def through_events(flow, scheme, points, end, h, modes, index, moved=None):
     -------
     ndarray, shape (2, R, d, M)
     """
-    changed = _changed(flow, points, end, h) | passed_over(flow, points, end, h)
+    points = stages[0]
+    changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=0)
+    changed |= passed_over(flow, points, end, h)
     if not changed.any():
         return end
     end = end.copy()
@@ -79,33 +85,77 @@ def passed_over(flow, points, end, h):
     return passed
 
 
-def up_to_events(flow, scheme, points, end, h, modes, index, good):
+def up_to_events(flow, scheme, stages, end, h, modes, index, good):
     """Cut the steps that count where the first condition changes, and change its mode.
+
+    A step at whose end a body has turned round does not count by its own error, but may by that
+    of the part until the body stops: that part does.
 
     Parameters
     ----------
-    flow, scheme, points, end, h, modes, index, good
+    flow, scheme, stages, end, h, modes, index, good
         As of `through_events`.
 
     Returns
     -------
     end : ndarray, shape (2, R, d, M)
     h : ndarray, shape (M,)
+    good : ndarray of bool, shape (M,)
     """
-    changed = _changed(flow, points, end, h) & good
+    points, turned = stages[0], _turned(flow, stages, end).any(axis=0)
+    changed = (_changed(flow, points, end, h) & good) | turned
     if not changed.any():
-        return end, h
-    end, h = end.copy(), h.copy()
+        return end, h, good
+    end, h, good = end.copy(), h.copy(), good.copy()
     for m in np.flatnonzero(changed):
         start = points.pick([m])
         part, change = _next_change(flow, scheme, start, h[m])
         if change is None:
             continue
         state, _ = _part(flow, scheme, start, part, False)
-        end[..., m], h[m] = state[..., 0], part
-        program, mode, i, j = change
-        modes[program][mode, i, j, index[m]] = ~modes[program][mode, i, j, index[m]]
-    return end, h
+        h[m] = part
+        if change[0] == STOP:
+            there, _ = _stopped(flow, start, state, part, change[1])
+            state, good[m] = there.state, True
+        else:
+            program, mode, i, j = change
+            modes[program][mode, i, j, index[m]] = ~modes[program][mode, i, j, index[m]]
+        end[..., m] = state[..., 0]
+    return end, h, good
+
+
+def _turned(flow, stages, end):
+    """Bodies that friction may stop and whose velocity turns by over 90 degrees, (R, M)."""
+    if not flow.motion.has_stops:
+        return np.zeros((1, end.shape[-1]), dtype=bool)
+    return _headings(stages, end) < 0
+
+
+def _headings(stages, end):
+    """Least product of the velocity at the start of a step with those within it, (R, M)."""
+    first = stages[0].state[1]
+    later = [*(stage.state[1] for stage in stages[1:]), end[1]]
+    return np.min([(first * v).sum(axis=1) for v in later], axis=0)
+
+
+def _stopped(flow, start, state, part, body):
+    """The point behind a stop: the body is held at rest, or sets out the other way.
+
+    Returns
+    -------
+    there : Points
+    is_held : bool
+    """
+    state = state.copy()
+    state[1, body] = 0.0
+    there = flow.points(state, start.times + part, start.chain, start.modes)
+    is_held = bool(flow.motion.is_held(there)[body, 0])
+    if not is_held:
+        pull = flow.motion.acceleration(there)[body]
+        size = np.sqrt(np.square(pull).sum())
+        state[1, body] = CREEP * pull / (size if size > 0 else 1.0)
+        there = flow.points(state, start.times + part, start.chain, start.modes)
+    return there, is_held
 
 
 def _changed(flow, points, end, h):
@@ -129,6 +179,14 @@ def _through(flow, scheme, points, h, slopes):
         left -= part
         if change is None:
             return end, total, points.modes
+        if change[0] == STOP:
+            there, is_held = _stopped(flow, points, end, part, change[1])
+            if slopes:
+                total = _stop_jump(flow, points, end, part, there, change[1], is_held) @ total
+            points = there
+            if left <= CLOSE * h:
+                return there.state, total, points.modes
+            continue
         held = [mode.copy() for mode in points.modes]
         program, mode, i, j = change
         held[program][mode, i, j] = ~held[program][mode, i, j]
@@ -165,8 +223,15 @@ def _chain(total, moved, n):
 def _next_change(flow, scheme, points, h):
     """Length until the first condition changes, and which; the whole step and None if none."""
 
+    def ends(length):
+        return flow.step(scheme, points, np.array([length]))[0]
+
+    def headings(length):
+        end, stages, _ = flow.step(scheme, points, np.array([length]))
+        return _headings(stages, end)[:, 0]
+
     def margins(length):
-        end, _, _ = flow.step(scheme, points, np.array([length]))
+        end = ends(length)
         there = flow.points(end, points.times + length, points.chain, points.modes)
         return flow.motion.margins(there)
 
@@ -183,10 +248,42 @@ def _next_change(flow, scheme, points, h):
                 )  # fmt: skip
                 if which is None or abs(instant) < abs(first):
                     first, which = instant, key
+        for body in np.flatnonzero(headings(part * h) < 0) if flow.motion.has_stops else ():
+            # Just before it: behind it the last stages of a step would be pushed on by friction.
+            instant = JUST_BEFORE * _instant(
+                lambda x, body=body: headings(x)[body], low, part * h, True
+            )
+            speed = np.abs(ends(instant)[1, body]).max()
+            if speed <= SLOW * np.abs(points.state[1, body]).max() and abs(instant) < abs(first):
+                first, which = instant, (STOP, int(body))
+            elif which is None and speed <= SLOW * np.abs(points.state[1, body]).max():
+                first, which = instant, (STOP, int(body))
         if which is not None:
             return first, which
         low = first
     return h, None
+
+
+def _stop_jump(flow, start, end, part, there, body, is_held):
+    """How derivatives by the state jump where a body stops, (n, n)."""
+    n, n_dims = flow.n_state, flow.chains.n_dims
+    rows = n // 2 + body * n_dims + np.arange(n_dims)
+    jump = np.eye(n)
+    if is_held:
+        jump[rows] = 0.0
+        return jump
+    here = flow.points(end, start.times + part, start.chain, start.modes)
+    # Just before the stop the body creeps as it came.
+    creep = end.copy()
+    way = start.state[1, body, :, 0] / np.sqrt(np.square(start.state[1, body, :, 0]).sum())
+    creep[1, body, :, 0] = CREEP * way
+    here = flow.points(creep, here.times, here.chain, here.modes)
+    before = flow.motion.acceleration(here)[body, :, 0]
+    after = flow.motion.acceleration(there)[body, :, 0]
+    slowing = way @ before
+    if slowing != 0:
+        jump[np.ix_(rows, rows)] += np.outer(after - before, way) / slowing
+    return jump
 
 
 def _instant(margin, low, high, held):

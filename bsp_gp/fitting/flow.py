@@ -136,6 +136,11 @@ class Flow:
         self.n_constants = len(motion.parameters)
 
     @property
+    def has_events(self):
+        """Whether steps may have to end where a condition changes or a body stops."""
+        return self.motion.has_modes or self.motion.has_stops
+
+    @property
     def n_intervals(self):
         return len(self.row)
 
@@ -255,12 +260,14 @@ class Flow:
                 good = error <= 1.0
                 growth = SAFETY * np.where(error > 0, error, 1e-12) ** -scheme.exponent
             growth = np.where(np.isfinite(growth), growth, LEAST_FACTOR)
-            if self.motion.has_modes:
+            if self.has_events:
                 passed = passed_over(self, points, end, size) & (np.abs(size) > BRIEF * whole)
                 good, growth = good & ~passed, np.where(passed, LEAST_FACTOR, growth)
             h[open_] = np.abs(size) * np.clip(growth, LEAST_FACTOR, LARGEST_FACTOR)
-            if self.motion.has_modes:
-                end, size = up_to_events(self, scheme, points, end, size, modes, open_, good)
+            if self.has_events:
+                end, size, good = up_to_events(
+                    self, scheme, stages, end, size, modes, open_, good
+                )
             for k, length in zip(open_[good], size[good], strict=True):
                 steps[k].append(length)
             state[..., open_[good]] = end[..., good]
@@ -372,9 +379,9 @@ class Flow:
             )  # fmt: skip
             end, stages, _ = self.step(scheme, points, h)
             moved = self.step_slopes(scheme, stages, h) if slopes else None
-            if self.motion.has_modes:
+            if self.has_events:
                 end = through_events(
-                    self, scheme, points, end, h, modes, np.arange(n_open), moved
+                    self, scheme, stages, end, h, modes, np.arange(n_open), moved
                 )
             state[..., open_] = end
             if slopes:

@@ -57,6 +57,8 @@ class Lowering:
     Attributes
     ----------
     modes : list of Mode
+    has_stops : bool
+        Whether a force has the direction of a body's own velocity, and may bring it to rest.
     """
 
     def __init__(self, graph, n_dims, direction, vectors=()):
@@ -64,7 +66,7 @@ class Lowering:
         self.n_dims = n_dims
         self.direction = direction
         self.vectors = frozenset(vectors)
-        self.modes = []
+        self.modes, self.has_stops = [], False
         self._known = {}
         self._mode_of = {}
 
@@ -184,6 +186,8 @@ class Lowering:
         return self.graph.call("sqrt", self.graph.dot(a, a))
 
     def _normalize(self, a):
+        own = tuple(self.graph.input("v_i", k) for k in range(self.n_dims))
+        self.has_stops |= a == own
         return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
 
     def _dot(self, a, b):

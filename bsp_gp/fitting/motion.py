@@ -15,8 +15,10 @@ from bsp_gp.fitting.graph import Graph, Tape
 from bsp_gp.fitting.lowering import MOVING, Lowering
 from bsp_gp.language.inputs import property_of
 
-__all__ = ["Motion", "Points"]
+__all__ = ["CREEP", "Motion", "Points"]
 
+CREEP = 1e-12
+"""Speed at which it is asked which way friction acts on a body at rest, m/s."""
 STATE = ("p_i", "p_j", "v_i", "v_j")
 
 
@@ -67,7 +69,7 @@ class _Program:
             force = lowering.lower(term.acceleration_formula)
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
-        self.modes = lowering.modes
+        self.modes, self.has_stops = lowering.modes, lowering.has_stops
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
@@ -260,8 +262,50 @@ class Motion:
             with np.errstate(all="ignore"):
                 yield k, program, tape.run(prepared, self._inputs(program, k, points))
 
+    @property
+    def has_stops(self):
+        """Whether friction may bring a body to rest."""
+        return any(program.has_stops for program in self.programs)
+
     def acceleration(self, points):
-        """Accelerations, shape (R, d, M), m/s^2."""
+        """Accelerations, shape (R, d, M), m/s^2; 0 of a body at rest that friction holds there."""
+        total = self._acceleration(points)
+        if self.has_stops:
+            is_held, creeping = self._at_rest(points, total)
+            if creeping is not None:
+                still = ~points.state[1].any(axis=1)
+                total = np.where(still[:, None], creeping, total)
+                total = np.where(is_held[:, None], 0.0, total)
+        return total
+
+    def is_held(self, points):
+        """Bodies at rest that friction holds: whichever way they crept, it would stop them, (R, M).
+
+        Coulomb's rule, with one coefficient for rest and motion.
+        """
+        return self._at_rest(points, self._acceleration(points))[0]
+
+    def _at_rest(self, points, at_rest):
+        """Which bodies at rest are held, and accelerations of bodies that creep as they are pulled.
+
+        Parameters
+        ----------
+        at_rest : ndarray, shape (R, d, M)
+            Accelerations where a velocity of zero has no direction.
+        """
+        still = ~points.state[1].any(axis=1)
+        if not still.any():
+            return still, None
+        size = np.sqrt(np.square(at_rest).sum(axis=1, keepdims=True))
+        way = np.where(size > 0, at_rest / np.where(size > 0, size, 1.0), 0.0)
+        way[:, 0] = np.where(size[:, 0] > 0, way[:, 0], 1.0)  # nothing pulls: any way will do
+        creep = points.state.copy()
+        creep[1] += np.where(still[:, None], CREEP * way, 0.0)
+        moved = Points(creep, points.times, points.chain, points.driven, points.modes)
+        creeping = self._acceleration(moved)
+        return still & ((creeping * way).sum(axis=1) <= 0), creeping
+
+    def _acceleration(self, points):
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
         for _, program, outputs in self._run(0, points):
@@ -290,6 +334,7 @@ class Motion:
         n = n_own * n_dims
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
+        held = self.is_held(points) if self.has_stops else None
         for _, program, outputs in self._run(1, points):
             for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
                 self._add_slope(program, by_state, row, name, axis, value)
@@ -297,6 +342,9 @@ class Motion:
             for (row, name), value in zip(program.constant_of, rest, strict=True):
                 column = self._summed(program, value, n_points)
                 self._add_constant(by_constant[:, row], name, column, points.chain)
+        if held is not None:
+            by_state[np.broadcast_to(held[:, None, None, None, None], by_state.shape)] = 0.0
+            by_constant[np.broadcast_to(held[:, None, None], by_constant.shape)] = 0.0
         return (
             np.ascontiguousarray(np.moveaxis(by_state.reshape(n, 2 * n, n_points), -1, 0)),
             np.ascontiguousarray(np.moveaxis(by_constant.reshape(n, -1, n_points), -1, 0)),
