@@ -393,13 +393,13 @@ class Flow:
         chain, h = self.chain[index], self.length[index]
         points = self.points(nodes[..., self.row[index], chain], self.start[index], chain)
         p, v = points.state
-        v = v + self.motion.acceleration(points) * h
+        v = v + self.motion.acceleration(points, holds=False) * h
         end = np.stack([p + v * h, v])
         if not slopes:
             return end, None
         n, k = self.n_state, self.n_constants
         half = n // 2
-        by_state, by_constant = self.motion.slopes(points)
+        by_state, by_constant = self.motion.slopes(points, holds=False)
         moved = np.zeros((len(h), n, n + k))
         h = h[:, None, None]
         moved[:, half:, :n] = by_state * h

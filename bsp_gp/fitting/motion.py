@@ -267,10 +267,13 @@ class Motion:
         """Whether friction may bring a body to rest."""
         return any(program.has_stops for program in self.programs)
 
-    def acceleration(self, points):
-        """Accelerations, shape (R, d, M), m/s^2; 0 of a body at rest that friction holds there."""
+    def acceleration(self, points, holds=True):
+        """Accelerations, shape (R, d, M), m/s^2; 0 of a body at rest that friction holds there.
+
+        Without `holds` a body at rest has no direction, and feels no friction: the paper's rule.
+        """
         total = self._acceleration(points)
-        if self.has_stops:
+        if self.has_stops and holds:
             is_held, creeping = self._at_rest(points, total)
             if creeping is not None:
                 still = ~points.state[1].any(axis=1)
@@ -322,7 +325,7 @@ class Motion:
         shape = (*self.others.shape, n_points)
         return np.broadcast_to(value, shape).sum(axis=1)
 
-    def slopes(self, points):
+    def slopes(self, points, holds=True):
         """Derivatives of the accelerations by the state and by the constants.
 
         Returns
@@ -334,7 +337,7 @@ class Motion:
         n = n_own * n_dims
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
-        held = self.is_held(points) if self.has_stops else None
+        held = self.is_held(points) if self.has_stops and holds else None
         for _, program, outputs in self._run(1, points):
             for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
                 self._add_slope(program, by_state, row, name, axis, value)
