@@ -41,6 +41,9 @@ def _hold(out):
     try:
         _adopt(out)
         place = _HELD.enter_context(claim(out, "study", inputs=(data_root(),), overwrite=True))
+        if not (place.path / MARK).exists():
+            with place.fill("study"):  # marked before a file goes into a folder below it
+                pass
         for path in (*place.path.rglob(".*.bsp-gp-lock"), *place.path.rglob(".*.bsp-gp-part*")):
             path.unlink()  # of a killed run: nobody else writes here now
     except OutputError as error:
