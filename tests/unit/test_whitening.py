@@ -51,7 +51,10 @@ def test_whitening_is_that_of_the_dense_covariance(track, amplitude, memory, by_
         dense = covariance(times[rows, c], variance[rows, c], size, memory)
         lower = np.linalg.cholesky(dense)
         expected = solve_triangular(lower, errors[:, rows, c].T, lower=True).T
-        np.testing.assert_allclose(whitened[:, rows, c], expected, rtol=1e-10, atol=1e-10)
+        # The dense factorisation has no more digits than its condition leaves.
+        lost = np.finfo(float).eps * len(dense) * np.linalg.cond(dense) if rows.any() else 0.0
+        slack = max(1e-10, lost)
+        np.testing.assert_allclose(whitened[:, rows, c], expected, rtol=slack, atol=slack)
         expected = errors[:, rows, c] @ lower.T
         np.testing.assert_allclose(coloured[:, rows, c], expected, rtol=1e-10, atol=1e-10)
         expected = 2 * np.log(np.diag(lower)).sum()
