@@ -393,11 +393,8 @@ class Climb:
                 return True
         return False
 
-    def n_undetermined(self, minimum):
-        """States and constants that only priors determine."""
-        count = int(minimum.undetermined.sum())
-        if minimum.linearised is None:
-            return count
+    def _narrowings(self, minimum):
+        """How many times narrower than their prior the initial states are, (W, n) per group."""
         for shooting, parts in zip(
             self.problem.shootings, minimum.linearised.condensed, strict=True
         ):
@@ -405,7 +402,15 @@ class Climb:
             for group, part in zip(shooting.groups, parts, strict=True):
                 size = np.abs(np.diagonal(part.factor[:, :n, :n], axis1=1, axis2=2))
                 prior = shooting.prior[:, shooting.windows.chain[group]].T
-                count += int((size < 3 * prior).sum())
+                yield size / prior
+
+    def n_undetermined(self, minimum):
+        """States and constants that only priors determine."""
+        count = int(minimum.undetermined.sum())
+        if minimum.linearised is None:
+            return count
+        for narrowing in self._narrowings(minimum):
+            count += int((narrowing < 3).sum())
         return count
 
     def log_volume(self, minimum):
@@ -413,14 +418,8 @@ class Climb:
         if minimum.linearised is None:
             return -np.inf
         total = 0.0
-        for shooting, parts in zip(
-            self.problem.shootings, minimum.linearised.condensed, strict=True
-        ):
-            n = shooting.flow.n_state
-            for group, part in zip(shooting.groups, parts, strict=True):
-                size = np.abs(np.diagonal(part.factor[:, :n, :n], axis1=1, axis2=2))
-                prior = shooting.prior[:, shooting.windows.chain[group]].T
-                total -= float(np.log(np.maximum(size / prior, 1.0)).sum())
+        for narrowing in self._narrowings(minimum):
+            total -= float(np.log(np.maximum(narrowing, 1.0)).sum())
         width = self.run.tolerances.prior_width * self.typical_changes(
             minimum.point, minimum.point.nodes
         )

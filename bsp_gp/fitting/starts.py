@@ -17,8 +17,6 @@ SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
 EXPONENTS = (-2.0, 1.0, -1.0, 2.0, -3.0, 0.5, 3.0, 0.0, -4.0, 4.0)
 DECADES = (1.0, 0.1, 10.0, 0.01, 100.0)
-MOST_RATES = 6
-"""Peaks of a periodogram that are tried."""
 
 
 # --- nodes ------------------------------------------------------------------------------------

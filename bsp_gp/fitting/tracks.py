@@ -156,11 +156,6 @@ class TrackProblem:
             point = self.move(point, linearised, point.values, 1.0)
         return point
 
-    @property
-    def is_whole(self):
-        """Whether no track is cut."""
-        return all(len(s.windows.chain) == s.chains.n_chains for s in self.shootings)
-
     def is_as_fine_as(self, other):
         """Whether every interval has as many steps as in the same problem with other meshes."""
         return all(
