@@ -85,6 +85,25 @@ class Chains:
             return self.properties[name]
         return np.full((self.code.shape[0], self.n_chains), np.nan)
 
+    def pieces(self, chain, first, stop):
+        """Pieces of chains as chains of their own.
+
+        Parameters
+        ----------
+        chain, first, stop : ndarray of int, shape (W,)
+            Rows ``first:stop`` of a chain.
+        """
+        whole = replace(
+            self,
+            scenes=tuple(self.scenes[k] for k in chain),
+            bodies=tuple(self.bodies[k] for k in chain),
+            properties={name: values[:, chain] for name, values in self.properties.items()},
+            **{name: getattr(self, name)[:, chain] for name in ("code", "radius", "width", "height")},
+        )
+        tracks = ("times", "observed", "sigma", "velocities")
+        driven = ("driven_times", "driven", "driven_velocities")
+        return whole._cut(chain, first, stop, (*tracks, *driven))
+
     def cut(self, first, stop):
         """The same chains, each cut to its rows ``first:stop``.
 
@@ -92,10 +111,13 @@ class Chains:
         ----------
         first, stop : ndarray of int, shape (S,)
         """
+        chain = np.arange(self.n_chains)
+        return self._cut(chain, first, stop, ("times", "observed", "sigma", "velocities"))
+
+    def _cut(self, chain, first, stop, names):
         rows = first + np.arange(int((stop - first).max()))[:, None]
         inside = rows < stop
         rows = np.where(inside, rows, first)
-        chain = np.arange(self.n_chains)
 
         def taken(values):
             if values is None:
@@ -103,7 +125,6 @@ class Chains:
             kept = inside.reshape(*inside.shape, *(1,) * (values.ndim - 2))
             return np.where(kept, values[rows, chain], np.nan)
 
-        names = ("times", "observed", "sigma", "velocities")
         return replace(self, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
