@@ -413,13 +413,18 @@ class Climb:
             count += int((narrowing < 3).sum())
         return count
 
-    def log_volume(self, minimum):
-        """Logarithm of the part of the prior that the data leave: Occam's factor, nats."""
+    def state_volume(self, minimum):
+        """Logarithm of the part of the prior of initial states that the data leave, nats."""
         if minimum.linearised is None:
             return -np.inf
-        total = 0.0
-        for narrowing in self._narrowings(minimum):
-            total -= float(np.log(np.maximum(narrowing, 1.0)).sum())
+        narrowings = self._narrowings(minimum)
+        return -sum(float(np.log(np.maximum(n, 1.0)).sum()) for n in narrowings)
+
+    def log_volume(self, minimum):
+        """Logarithm of the part of the prior that the data leave: Occam's factor, nats."""
+        total = self.state_volume(minimum)
+        if minimum.linearised is None:
+            return total
         width = self.run.tolerances.prior_width * self.typical_changes(
             minimum.point, minimum.point.nodes
         )

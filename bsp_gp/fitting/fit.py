@@ -107,6 +107,8 @@ class Fit:
         Largest cosine between residual and the column of a constant, 0 at a minimum.
     log_likelihood, log_evidence : float, nats
         The evidence by Laplace's approximation over everything fitted, with proper priors.
+    state_volume : float, nats
+        Logarithm of the part of the prior of the initial states that the data leave.
     groups : tuple of Chains
     nodes : tuple of ndarray, shape (2, R, d, T, S)
         Fitted state at every row, per group.
@@ -118,6 +120,8 @@ class Fit:
         0 where nothing was seen.
     jacobian : ndarray, shape (m, k)
         Whitened, initial states eliminated (compressed to few rows per chain).
+    rows, row_scenes : ndarray, shape (m,); of float and of str
+        The whitened residual compressed in the same way, and which scene each row is of.
     local_columns, shared_columns : ndarray, shapes (n, T, C) and (k, T, C)
         Changes of the prediction by the initial state of its chain and by the constants.
     paper_steps : bool
@@ -141,12 +145,15 @@ class Fit:
     gradient: float
     log_likelihood: float
     log_evidence: float
+    state_volume: float
     groups: tuple = field(repr=False)
     nodes: tuple = field(repr=False)
     channels: Channels = field(repr=False)
     residual: np.ndarray = field(repr=False)
     whitened: np.ndarray = field(repr=False)
     jacobian: np.ndarray = field(repr=False)
+    rows: np.ndarray = field(repr=False)
+    row_scenes: np.ndarray = field(repr=False)
     local_columns: np.ndarray = field(repr=False)
     shared_columns: np.ndarray = field(repr=False)
     paper_steps: bool = False
@@ -432,8 +439,11 @@ class _Run:
             n_starts=minimum.n_starts, n_agree=minimum.n_agree, gradient=minimum.gradient,
             log_likelihood=float(likelihood),
             log_evidence=float(likelihood + climb.log_volume(minimum)),
+            state_volume=climb.state_volume(minimum),
             groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
             residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
+            rows=np.zeros(0) if minimum.linearised is None else minimum.linearised.residual,
+            row_scenes=_row_scenes(climb, minimum),
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
             message=minimum.code,
         )  # fmt: skip
@@ -492,12 +502,26 @@ def _tracks_of(run, climb, minimum: Minimum):
         variances.append(noise.variance)
         speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
     jacobian = np.zeros((0, len(run.parameters)))
-    if minimum.linearised is not None and len(run.parameters):
+    if minimum.linearised is not None:
         jacobian = -minimum.linearised.jacobian @ _inverse(slopes)
     return _Tracks(
         replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
         np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), jacobian, join(variances),
     )  # fmt: skip
+
+
+def _row_scenes(climb, minimum):
+    """Names of the scenes of the compressed rows."""
+    names = [np.zeros(0, dtype=str)]
+    if minimum.linearised is not None:
+        for shooting, parts in zip(
+            climb.problem.shootings, minimum.linearised.condensed, strict=True
+        ):
+            scenes, n = np.array(shooting.chains.scenes), shooting.flow.n_state
+            for group, part in zip(shooting.groups, parts, strict=True):
+                count = part.factor.shape[1] - n
+                names.append(np.repeat(scenes[shooting.windows.chain[group]], count))
+    return np.concatenate(names)
 
 
 def _inverse(slopes):

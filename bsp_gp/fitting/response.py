@@ -118,6 +118,14 @@ class Response:
         """Residual and columns, as searches take them."""
         return self.regression.target(), self.columns
 
+    def moments_of(self, law):
+        """Moments of a law with values, (n,)."""
+        parts = [
+            batch.whiten(checked(self.regression.predict(batch, law), batch)).ravel()
+            for batch in self.regression.batches
+        ]
+        return np.concatenate(parts)
+
 
 def respond(fit, dataset, scenes=None):
     """The response of a fit to forces beside its law.
