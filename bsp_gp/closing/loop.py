@@ -88,7 +88,7 @@ def run_rounds(hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds
 
 def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
     started = time.monotonic()
-    base = Row(0, "base", "", "", found.status, log_evidence(found), 0.0, found.chisqr, found.n_free)
+    base = Row(0, "base", "", "", found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
     fits, hypotheses, families, rows = {0: found}, {0: hypothesis}, [], [base]
     p_value = np.nan
     if base.is_fit:
@@ -99,7 +99,7 @@ def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
         p_value = _p_of_all(families, view)
         if p_value <= criteria.alpha:
             _fit_best(families, rows, fits, hypotheses, found, dataset, criteria, says)
-    table = HypothesisTable(tuple(rows), p_value).with_probabilities()
+    table = HypothesisTable(tuple(rows), p_value).without_repeats().with_probabilities()
     return Round(
         number, found, table, decide(table, criteria), fits, hypotheses, tuple(families),
         time.monotonic() - started,
@@ -136,7 +136,7 @@ def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
         fits[number], hypotheses[number] = new, proposal.hypothesis
         rows.append(
             Row(
-                number, proposal.code, proposal.text, name, new.status, log_evidence(new),
+                number, proposal.code, proposal.text, name, new.status, log_evidence(new, proposal.hypothesis),
                 proposal.log_prior, new.chisqr, new.n_free, held_out_gain(base, new),
                 ties=proposal.ties,
             )

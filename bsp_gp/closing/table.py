@@ -101,6 +101,15 @@ class HypothesisTable:
         able = [r for r in self.rows[1:] if r.is_fit and np.isfinite(r.log_posterior)]
         return sorted(able, key=lambda r: -r.log_posterior)
 
+    def without_repeats(self):
+        """The same without rows that are another descent of one hypothesis."""
+        best = {}
+        for row in self.rows:
+            key = row.code, row.text
+            if key not in best or _height(row) > _height(best[key]):
+                best[key] = row
+        return HypothesisTable(tuple(r for r in self.rows if best[r.code, r.text] is r), self.p_value)
+
     def with_probabilities(self):
         """The same with probabilities over all rows that can be compared."""
         heights = np.array([r.log_posterior if r.is_fit or r.status == "scored" else -np.inf
@@ -112,6 +121,10 @@ class HypothesisTable:
             replace(row, probability=float(w)) for row, w in zip(self.rows, weights, strict=True)
         )
         return HypothesisTable(rows, self.p_value)
+
+
+def _height(row):
+    return (row.is_fit, row.log_posterior)
 
 
 def held_out_gain(base, other):
