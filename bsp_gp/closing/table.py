@@ -50,6 +50,8 @@ class Row:
     p_value : float
         Selection counted.
     probability : float
+    key : tuple
+        Identity of what it adds.
     ties : tuple of str
     """
 
@@ -65,6 +67,7 @@ class Row:
     held_out: HeldOut = field(default_factory=HeldOut)
     p_value: float = math.nan
     probability: float = math.nan
+    key: tuple = ()
     ties: tuple = ()
 
     @property
@@ -105,10 +108,9 @@ class HypothesisTable:
         """The same without rows that are another descent of one hypothesis."""
         best = {}
         for row in self.rows:
-            key = row.code, row.text
-            if key not in best or _height(row) > _height(best[key]):
-                best[key] = row
-        return HypothesisTable(tuple(r for r in self.rows if best[r.code, r.text] is r), self.p_value)
+            if row.key not in best or _height(row) > _height(best[row.key]):
+                best[row.key] = row
+        return HypothesisTable(tuple(r for r in self.rows if best[r.key] is r), self.p_value)
 
     def with_probabilities(self):
         """The same with probabilities over all rows that can be compared."""
