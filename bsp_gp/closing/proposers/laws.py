@@ -13,7 +13,7 @@ from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
 
-MOST_NEAR, MOST_TIES = 400, 20
+MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
