@@ -311,3 +311,20 @@ def test_a_row_far_off_its_neighbours_is_left_out_and_told(noisy, fit):
     assert found.n_rows == fit.n_rows - 2 * 4
     (c1,), (before,) = found.constants, fit.constants
     assert c1.value == pytest.approx(before.value, abs=before.high - before.low)
+
+
+def test_a_row_far_off_its_neighbours_is_weighed_by_tails_where_noise_is_estimated(noisy):
+    scenes = list(noisy.scenes)
+    for k in range(len(scenes)):
+        positions = scenes[k].positions.copy()
+        positions[14, 0, 1] += 0.7
+        scenes[k] = replace(scenes[k], positions=positions)
+    dirty = replace(noisy, scenes=tuple(scenes), noise=None)
+    before = fit_law(replace(noisy, noise=None), [GRAVITY, DRAG])
+    found = fit_law(dirty, [GRAVITY, DRAG])
+    assert any("given little weight by the tails of the noise" in n for n in found.notes)
+    assert found.noise["tails"] is not None and before.noise["tails"] is None
+    assert found.n_rows == before.n_rows
+    assert found.constants[0].value == pytest.approx(
+        before.constants[0].value, abs=before.constants[0].high - before.constants[0].low
+    )
