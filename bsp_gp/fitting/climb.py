@@ -131,7 +131,8 @@ class Climb:
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
         points = self.first_points()
-        ways = [self._climbed] if self.paper_steps else [self._climbed, self._grown]
+        may_grow = not self.paper_steps and (self.is_coarse or not self.run.is_aside)
+        ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)

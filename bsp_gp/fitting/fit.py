@@ -230,6 +230,7 @@ class _Run:
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = lambda: False
+        self.is_aside = False  # for the noise alone: not worth every start
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
             raise DataError("nothing moves: no dynamic entity changes its position on any axis")
@@ -344,7 +345,8 @@ class _Run:
         if dataset is self.dataset:
             return self
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
-        led.low, led.high, led.is_over = self.low, self.high, self.is_over
+        led.low, led.high = self.low, self.high
+        led.is_over, led.is_aside = self.is_over, self.is_aside
         return led
 
     def has_misfit(self, minimum):
@@ -358,7 +360,7 @@ class _Run:
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
-            beside.is_over = self.is_over
+            beside.is_over, beside.is_aside = self.is_over, True
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:
                 tracks = _tracks_of(beside, other, found)
