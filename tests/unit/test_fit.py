@@ -399,7 +399,7 @@ def test_gross_errors_do_not_pull_on_a_fit_whose_noise_has_tails():
     assert found.n_rows == without.n_rows  # none is left out
     assert np.abs((found.values - without.values) / without.errors).max() < 2.0
     assert (found.errors < 1.5 * without.errors).all()
-    assert (np.abs(found.whitened[rows]) < 1.0).all()  # 30 standard deviations, weighed
+    assert (np.abs(found.whitened[rows]) < 3.0).all()  # of 30 and more
     assert np.abs(found.residual[rows]).min() > 0.5
 
 
