@@ -18,7 +18,13 @@ from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
+from bsp_gp.fitting.law_text import (
+    doubts,
+    fit_text,
+    how_it_ended,
+    strong_correlations,
+    without_prediction,
+)
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import is_exact, without_outliers
 from bsp_gp.fitting.weighing import bears_outliers
@@ -195,6 +201,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         notes=(
             *dataset.notes, *said.notes, *_about_outliers(found, train.scenes is scenes, far_off),
             *doubts(found, widening, bool(split.test)),
+            *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
         ),
     )  # fmt: skip
