@@ -131,7 +131,8 @@ class Climb:
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
         points = self.first_points()
-        ways = [self._climbed] if self.paper_steps else [self._climbed, self._grown]
+        may_grow = not self.paper_steps and (self.is_coarse or not self.run.is_aside)
+        ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
@@ -210,11 +211,19 @@ class Climb:
             return minimum
         return replace(minimum, linearised=None)
 
-    def again(self, minimum, meshes):
-        """Descend from a minimum under this noise, with the steps it was found with."""
-        self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
+    def again(self, minimum, meshes, is_last=True):
+        """Descend from a minimum under this noise, with the steps it was found with.
+
+        Unless it is the last time, those steps are kept.
+        """
+        self.problem = self.whole(meshes)
         new = self._minimise(self.problem, minimum.point, WHOLE)
-        return self._finish(replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree))
+        new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
+        return self._finish(new) if is_last else new
+
+    def whole(self, meshes):
+        """The problem of whole tracks with these steps."""
+        return TrackProblem(self._shootings(None), meshes, self.coordinates)
 
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""

@@ -1,5 +1,6 @@
 """A hypothesis fitted to whole tracks: values, errors, and what is said of them."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -373,3 +374,52 @@ def test_exact_data_are_fitted_to_rounding():
 def test_exact_data_that_two_kinds_of_steps_explain_are_continuous_motion():
     found = fitted(swing(sigma=0.0, noise=0.0), SPRING, DAMPING)
     np.testing.assert_allclose(found.values, [4.0, 0.3], rtol=1e-8)
+
+
+# --- tails ------------------------------------------------------------------------------------
+
+
+def with_gross_errors(dataset, seed, share=0.03, size=30.0):
+    """The same with errors of so many times the noise in a share of the rows, all to one side."""
+    (scene,) = dataset.scenes
+    rng = np.random.default_rng([seed, 9])
+    positions = scene.positions.copy()
+    rows = np.flatnonzero(rng.random(len(positions)) < share)
+    positions[rows, 0] += size * 0.02 * (1 + rng.random((len(rows), 2)))
+    return dataset_of([replace(scene, positions=positions)]), rows
+
+
+def test_gross_errors_do_not_pull_on_a_fit_whose_noise_has_tails():
+    clean = swing(times=np.linspace(0.0, 8.0, 161))
+    dirty, rows = with_gross_errors(clean, 0)
+    assert len(rows) >= 3
+    without, found = fitted(clean, SPRING, DAMPING), fitted(dirty, SPRING, DAMPING)
+    assert found.status == "converged"
+    assert "tails" in found.noise.describe()
+    assert found.n_rows == without.n_rows  # none is left out
+    assert np.abs((found.values - without.values) / without.errors).max() < 2.0
+    assert (found.errors < 1.5 * without.errors).all()
+    assert (np.abs(found.whitened[rows]) < 3.0).all()  # of 30 and more
+    assert np.abs(found.residual[rows]).min() > 0.5
+
+
+def test_errors_under_tails_are_those_of_students_information():
+    """z of both constants over a few draws is about one: the weights alone would say 1.5."""
+    times, z = np.linspace(0.0, 8.0, 161), []
+    for seed in range(12):
+        noise = 0.02 * np.random.default_rng([seed, 3]).standard_t(3.0, (len(times), 2))
+        (scene,) = swing(sigma=0.0, times=times).scenes
+        positions = scene.positions.copy()
+        positions[:, 0] += noise
+        found = fitted(dataset_of([replace(scene, positions=positions)]), SPRING, DAMPING)
+        assert np.isfinite(found.noise.degrees)
+        z.append((found.values - list(TRUE.values())) / found.errors)
+    spread = np.sqrt(np.mean(np.square(z)))
+    assert 0.7 < spread < 1.35
+
+
+def test_known_noise_has_no_tails():
+    dirty, _ = with_gross_errors(swing(times=np.linspace(0.0, 8.0, 161)), 0)
+    found = fitted(replace(dirty, noise=(0.02, 0.02)), SPRING, DAMPING)
+    assert found.status == "refuted"
+    assert np.isinf(found.noise.degrees)
