@@ -147,11 +147,18 @@ class Climb:
         Where the noise is declared, a track as near to the data as the truth is has been found.
         """
         best = min(ends, key=_height)
-        seen = sum(noise.n_seen for noise in self.noises)
-        is_allowed = best.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
         if self.run.is_noise_estimated:  # misfit or noise: starts that agree must do
             return best.linearised is not None and sum(_agree(m, best) for m in ends) >= AGREE
-        return is_allowed
+        return self._is_allowed(best)
+
+    def _is_allowed(self, minimum):
+        """Whether no more is left than the noise that is assumed."""
+        seen = sum(noise.n_seen for noise in self.noises)
+        return minimum.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
+
+    def _is_found(self, ends):
+        """Whether nothing better than the best can be hoped for."""
+        return self._is_good(ends) and self._is_allowed(min(ends, key=_height))
 
     def _grown(self, points):
         """Minima that tracks grown from their calmest rows lead to."""
@@ -167,18 +174,25 @@ class Climb:
     def _climbed(self, points):
         """Minima that ever longer pieces lead to; every start of the first level counts."""
         levels = self.levels()
-        firsts = self._firsts(levels[0], points)
+        firsts, known = [], {}
+        if not self.run.is_noise_estimated:
+            firsts = self._firsts(levels[0], points[:1])
+            if self._is_allowed(firsts[0]):  # it may be all that there is to find
+                known[id(firsts[0])] = end = self._up(levels, firsts[0])
+                if self._is_good([end]):
+                    return [end]
+        firsts = self._firsts(levels[0], points[len(firsts) :], firsts)
         ends = []
         for minimum in _distinct(firsts)[:KEPT]:
-            if ends and self.run.is_over():
+            if ends and (self.run.is_over() or self._is_found(ends)):
                 break
-            end = self._up(levels, minimum)
+            end = known.get(id(minimum)) or self._up(levels, minimum)
             ends += [end] * sum(_agree(other, minimum) for other in firsts)
         return ends or firsts
 
-    def _firsts(self, rows, points):
+    def _firsts(self, rows, points, firsts=()):
         """Minima of the first level, the best first; no more starts than it takes to agree."""
-        firsts = []
+        firsts = list(firsts)
         for point in points:
             if firsts and self.run.is_over():
                 break
