@@ -11,7 +11,7 @@ import numpy as np
 
 from bsp_gp.fitting.motion import CREEP, Points
 
-__all__ = ["passed_over", "through_events", "up_to_events"]
+__all__ = ["chained", "passed_over", "through_events", "up_to_events"]
 
 MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
@@ -26,7 +26,7 @@ CLOSE = 1e-14
 """Part of a step to which an instant is found."""
 
 
-def through_events(flow, scheme, stages, end, h, modes, index, moved=None):
+def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     """Mend the steps within which conditions change.
 
     Parameters
@@ -42,27 +42,29 @@ def through_events(flow, scheme, stages, end, h, modes, index, moved=None):
         Modes of all intervals; those at `index` are changed in place.
     index : ndarray of int, shape (M,)
         Place of each step's interval in `modes`.
-    moved : ndarray, shape (M, n, n + k), optional
-        Derivatives of the steps, changed in place.
+    slopes : bool
 
     Returns
     -------
-    ndarray, shape (2, R, d, M)
+    end : ndarray, shape (2, R, d, M)
+    moved : dict of int to ndarray, shape (n, n + k)
+        Derivatives of the mended steps by their starts and the constants.
     """
     points = stages[0]
     changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=0)
     changed |= passed_over(flow, points, end, h)
+    moved = {}
     if not changed.any():
-        return end
+        return end, moved
     end = end.copy()
     for m in np.flatnonzero(changed):
-        state, slopes, new = _through(flow, scheme, points.pick([m]), h[m], moved is not None)
+        state, own, new = _through(flow, scheme, points.pick([m]), h[m], slopes)
         end[..., m] = state[..., 0]
-        if moved is not None:
-            moved[m] = slopes
+        if slopes:
+            moved[m] = own
         for mode, held in zip(modes, new, strict=True):
             mode[..., index[m]] = held[..., 0]
-    return end
+    return end, moved
 
 
 def passed_over(flow, points, end, h):
@@ -174,7 +176,7 @@ def _through(flow, scheme, points, h, slopes):
     for _ in range(MAX_EVENTS):
         part, change = _next_change(flow, scheme, points, left)
         end, moved = _part(flow, scheme, points, part, slopes)
-        total = _chain(total, moved, flow.n_state)
+        total = chained(total, moved, flow.n_state)
         time = points.times + part
         left -= part
         if change is None:
@@ -200,16 +202,19 @@ def _through(flow, scheme, points, h, slopes):
         if left <= CLOSE * h:
             return end, total, points.modes
     end, moved = _part(flow, scheme, points, left, slopes)
-    return end, _chain(total, moved, flow.n_state), points.modes
+    return end, chained(total, moved, flow.n_state), points.modes
 
 
 def _part(flow, scheme, points, length, slopes):
     length = np.array([length])
     end, stages, _ = flow.step(scheme, points, length)
-    return end, flow.step_slopes(scheme, stages, length)[0] if slopes else None
+    if not slopes:
+        return end, None
+    moved = flow.step_slopes(scheme, stages, length)
+    return end, moved[..., 0] if flow.is_sparse else moved[0]
 
 
-def _chain(total, moved, n):
+def chained(total, moved, n):
     """Derivatives of steps one after the other, as square matrices over states and constants."""
     if moved is None:
         return None

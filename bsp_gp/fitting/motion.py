@@ -136,7 +136,12 @@ class Motion:
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
         self._static = [self._static_inputs(program) for program in self.programs]
-        self._ready = None
+        self._ready, self._picked = None, (None, {})
+        self.has_stops = any(program.has_stops for program in self.programs)
+        self.has_modes = any(program.modes for program in self.programs)
+        # Pairs of moving bodies: (receivers, their sources' places among `others`, the sources).
+        self._pairs = np.nonzero(self.others < n_own)
+        self._pairs += (self.others[self._pairs],)
 
     def on(self, chains, law):
         """The same formulas with other properties and constants.
@@ -149,7 +154,7 @@ class Motion:
             The same terms.
         """
         other = copy(self)
-        other.chains, other.law, other._ready = chains, law, None
+        other.chains, other.law, other._ready, other._picked = chains, law, None, (None, {})
         other._static = [other._static_inputs(program) for program in self.programs]
         return other
 
@@ -204,7 +209,7 @@ class Motion:
             known = {**self.law.constants, **shared}
         else:
             known = self.law.with_values(self.parameters, values).constants
-        self._ready = []
+        self._ready, self._picked = [], (None, {})
         for program, inputs in zip(self.programs, self._static, strict=True):
             constants = {
                 name: self._constant(known[name], program.kind)
@@ -232,8 +237,7 @@ class Motion:
         if program.kind == "field":
             own = other = state
         else:
-            whole = state if driven is None else np.concatenate([state, driven], axis=1)
-            own, other = state[:, :, None], whole
+            own, other = state[:, :, None], self._sources(state, driven)
 
         def value(name, axis):
             if name == "t":
@@ -245,27 +249,39 @@ class Motion:
                     held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
             part = 0 if name[0] == "p" else 1
-            if name[-1] == "i":
-                return own[part][..., axis, :]
-            return other[part][:, axis][self.others]
+            return (own if name[-1] == "i" else other)[part][..., axis, :]
 
         return value
+
+    def _sources(self, state, driven):
+        """Places and velocities of the sources of every receiver, (R, J, d, M) each."""
+        if len(self.others) == 1:
+            return driven[:, None]  # one receiver, and all others are driven
+        whole = state if driven is None else np.concatenate([state, driven], axis=1)
+        return _Picked(whole, self.others)
 
     def _run(self, which, points):
         """Outputs of one tape of every program: (program, arrays)."""
         names = ("value", "slopes", "margins", "margin_slopes")
-        n_chains = self.chains.n_chains
         for k, program in enumerate(self.programs):
-            prepared = self._ready[k][which]
-            prepared = {n: _at(v, points.chain, n_chains) for n, v in prepared.items()}
             tape = getattr(program, names[which])
             with np.errstate(all="ignore"):
+                prepared = self._prepared(k, which, points.chain)
                 yield k, program, tape.run(prepared, self._inputs(program, k, points))
 
-    @property
-    def has_stops(self):
-        """Whether friction may bring a body to rest."""
-        return any(program.has_stops for program in self.programs)
+    def _prepared(self, number, which, chain):
+        """What does not change along the tracks, for points of these chains.
+
+        Stages of a step share their chains: the last ones are kept.
+        """
+        if self._picked[0] is not chain:
+            self._picked = (chain, {})
+        kept = self._picked[1]
+        if (number, which) not in kept:
+            n_chains = self.chains.n_chains
+            ready = self._ready[number][which]
+            kept[number, which] = {n: _at(v, chain, n_chains) for n, v in ready.items()}
+        return kept[number, which]
 
     def acceleration(self, points, holds=True):
         """Accelerations, shape (R, d, M), m/s^2; 0 of a body at rest that friction holds there.
@@ -311,9 +327,13 @@ class Motion:
     def _acceleration(self, points):
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
-        for _, program, outputs in self._run(0, points):
+        for number, program, outputs in self._run(0, points):
             for axis, value in enumerate(outputs):
-                total[:, axis] += self._summed(program, value, n_points)
+                value = self._summed(program, value, n_points)
+                if number:
+                    total[:, axis] += value
+                else:
+                    total[:, axis] = value
         return total
 
     def _summed(self, program, value, n_points):
@@ -333,6 +353,11 @@ class Motion:
         by_state : ndarray, shape (M, R * d, 2 * R * d)
         by_constant : ndarray, shape (M, R * d, k)
         """
+        found = self.slope_rows(points, holds)
+        return tuple(np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in found)
+
+    def slope_rows(self, points, holds=True):
+        """The same with the points on the last axis."""
         _, n_own, n_dims, n_points = points.state.shape
         n = n_own * n_dims
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
@@ -348,10 +373,19 @@ class Motion:
         if held is not None:
             by_state[np.broadcast_to(held[:, None, None, None, None], by_state.shape)] = 0.0
             by_constant[np.broadcast_to(held[:, None, None], by_constant.shape)] = 0.0
-        return (
-            np.ascontiguousarray(np.moveaxis(by_state.reshape(n, 2 * n, n_points), -1, 0)),
-            np.ascontiguousarray(np.moveaxis(by_constant.reshape(n, -1, n_points), -1, 0)),
-        )
+        return by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
+
+    def slope_pattern(self):
+        """Which derivatives by the state may differ from zero: a list of (row, column)."""
+        n_own, n_dims = self.chains.n_moving, self.chains.n_dims
+        found = np.zeros((n_own, n_dims, 2, n_own, n_dims, 1))
+        for program in self.programs:
+            for row, name, axis in program.slope_of:
+                shape = self._shape(program, 1)
+                value = np.ones(shape if program.kind == "pair" else (n_own, 1))
+                self._add_slope(program, found, row, name, axis, value)
+        n = n_own * n_dims
+        return [tuple(pair) for pair in np.argwhere(found.reshape(n, 2 * n)).tolist()]
 
     def _add_slope(self, program, by_state, row, name, axis, value):
         part = 0 if name[0] == "p" else 1
@@ -362,10 +396,10 @@ class Motion:
                 program, value, by_state.shape[-1]
             )
             return
-        value = np.broadcast_to(value, (*self.others.shape, by_state.shape[-1]))
-        for i in range(n_own):
-            moving = self.others[i] < n_own
-            by_state[i, row, part, self.others[i][moving], axis] += value[i, moving]
+        if len(self._pairs[0]):
+            value = np.broadcast_to(value, (*self.others.shape, by_state.shape[-1]))
+            receiver, place, source = self._pairs
+            by_state[receiver, row, part, source, axis] += value[receiver, place]
 
     def _add_constant(self, by_constant, name, column, chain):
         """Add a derivative to the parameters of this name, (R, k, M)."""
@@ -384,10 +418,6 @@ class Motion:
         return np.logical_or(not entity, names == entity)[chain]
 
     # --- conditions ------------------------------------------------------------------------------
-
-    @property
-    def has_modes(self):
-        return any(program.modes for program in self.programs)
 
     def margins(self, points):
         """Margins of all conditions, per program (n_modes, R, J, M); field laws have J = 1."""
@@ -440,6 +470,18 @@ class Motion:
                     if body < n_own:
                         by_state[part, body, axis] += value
         return by_state.reshape(-1, n_points).T, by_time, by_constant.T
+
+
+class _Picked:
+    """The states of some bodies, places and velocities each taken when they are asked for."""
+
+    def __init__(self, whole, bodies):
+        self.whole, self.bodies, self.parts = whole, bodies, {}
+
+    def __getitem__(self, part):
+        if part not in self.parts:
+            self.parts[part] = self.whole[part][self.bodies]
+        return self.parts[part]
 
 
 def _lifted(program, value, shape):
