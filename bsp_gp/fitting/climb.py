@@ -63,7 +63,9 @@ class Climb:
         self.run, self.noises, self.scales = run, noises, scales
         self.paper_steps = paper_steps
         self.flows = [
-            Flow(motion, self.tolerance(motion.chains, noise), paper_steps)
+            Flow(
+                motion, self.tolerance(motion.chains, noise), paper_steps, is_over=run.is_over
+            )
             for motion, noise in zip(run.motions, noises, strict=True)
         ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
@@ -228,21 +230,34 @@ class Climb:
         """Descend from a minimum under this noise, with the steps it was found with."""
         self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
         new = self._minimise(self.problem, minimum.point, WHOLE)
+        if self.run.is_over() and new.linearised is None:
+            return self._stopped(minimum)
         return self._finish(replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree))
 
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
         for _ in range(3):
+            if self.run.is_over():
+                return self._stopped(minimum)
             finer = self.at(None, minimum.point, is_checked=True)
             if self.problem is not None and self.problem.is_as_fine_as(finer):
                 if minimum.linearised is not None:
                     break
             self.problem = finer
             new = self._minimise(finer, minimum.point, WHOLE)
+            if self.run.is_over() and new.linearised is None:
+                return self._stopped(minimum)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
             if minimum.linearised is None:
                 break
         return minimum
+
+    def _stopped(self, minimum):
+        """What was found when the time was over."""
+        if self.problem is None:  # whole tracks were not reached
+            self.problem = self.at(None, minimum.point)
+            minimum = replace(minimum, linearised=None)
+        return replace(minimum, status="unconverged", code="stopped")
 
     def _minimise(self, problem, start, settings):
         """Descend; whole tracks until their nodes join.

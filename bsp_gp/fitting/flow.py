@@ -128,13 +128,18 @@ class Flow:
         start.
     max_steps : int
         Steps within one interval beyond which an integration is given up.
+    is_over : callable, optional
+        Asked before every step; where it is true, meshes are not complete and ends are nan.
     """
 
-    def __init__(self, motion, tolerance, paper_steps=False, max_steps=MAX_STEPS):
+    def __init__(
+        self, motion, tolerance, paper_steps=False, max_steps=MAX_STEPS, is_over=None
+    ):  # fmt: skip
         chains = motion.chains
         self.motion, self.chains = motion, chains
         self.tolerance = np.asarray(tolerance, dtype=float)
         self.paper_steps, self.max_steps = paper_steps, max_steps
+        self.is_over = is_over or (lambda: False)
         with np.errstate(invalid="ignore"):
             running = np.isfinite(chains.times[1:]) & np.isfinite(chains.times[:-1])
         self.row, self.chain = np.nonzero(running)
@@ -307,7 +312,7 @@ class Flow:
         scale = factor * self._scales(nodes)
         modes = self.points(state, self.start, self.chain).modes
         for _ in range(self.max_steps):
-            if not len(open_):
+            if not len(open_) or self.is_over():
                 break
             points = self.points(
                 state[..., open_], self.start[open_] + done[open_], self.chain[open_],
@@ -434,6 +439,9 @@ class Flow:
             n_open = min(len(size) - block.start, len(index))
             if n_open <= 0:
                 break
+            if self.is_over():
+                state = np.full_like(state, np.nan)
+                break
             open_ = slice(0, n_open)
             h = size[block][:n_open]
             points = self.points(
@@ -455,7 +463,9 @@ class Flow:
                     at = (..., m) if self.is_sparse else m
                     total[at] = chained(before[at], moved, self.n_state)
             state[..., open_] = end
-        if slopes and self.is_sparse:
+        if slopes and total is None:
+            total = np.full((len(index), self.n_state, self.n_state + self.n_constants), np.nan)
+        elif slopes and self.is_sparse:
             total = np.moveaxis(total, -1, 0)
         return state, total
 
