@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.language.operators import GUARD
 
-__all__ = ["Graph", "Tape"]
+__all__ = ["LEAVES", "Graph", "Tape"]
 
 
 def _inverse_positive(x):

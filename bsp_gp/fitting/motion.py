@@ -69,7 +69,7 @@ class _Program:
             force = lowering.lower(term.acceleration_formula)
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
-        self.modes, self.has_stops = lowering.modes, lowering.has_stops
+        self.modes, self.stops = lowering.modes, lowering.stops
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
@@ -137,7 +137,8 @@ class Motion:
         ]
         self._static = [self._static_inputs(program) for program in self.programs]
         self._ready, self._picked = None, (None, {})
-        self.has_stops = any(program.has_stops for program in self.programs)
+        stops = [axes for program in self.programs for axes in program.stops]
+        self.stops = tuple(dict.fromkeys(stops))
         self.has_modes = any(program.modes for program in self.programs)
         # Pairs of moving bodies: (receivers, their sources' places among `others`, the sources).
         self._pairs = np.nonzero(self.others < n_own)
@@ -289,40 +290,60 @@ class Motion:
         Without `holds` a body at rest has no direction, and feels no friction: the paper's rule.
         """
         total = self._acceleration(points)
-        if self.has_stops and holds:
-            is_held, creeping = self._at_rest(points, total)
+        if not (self.stops and holds):
+            return total
+        out = total
+        for axes in self.stops:
+            still, is_held, creeping = self._at_rest(points, total, list(axes))
             if creeping is not None:
-                still = ~points.state[1].any(axis=1)
-                total = np.where(still[:, None], creeping, total)
-                total = np.where(is_held[:, None], 0.0, total)
-        return total
+                out = np.where(still, creeping, out)
+                out = np.where(is_held, 0.0, out)
+        return out
+
+    @property
+    def has_stops(self):
+        """Whether friction may bring a body to rest."""
+        return bool(self.stops)
 
     def is_held(self, points):
-        """Bodies at rest that friction holds: whichever way they crept, it would stop them, (R, M).
+        """Bodies at rest that friction holds, and along which axes, (R, d, M).
 
-        Coulomb's rule, with one coefficient for rest and motion.
+        Whichever way they crept, it would stop them: Coulomb's rule, with one coefficient for rest
+        and motion.
         """
-        return self._at_rest(points, self._acceleration(points))[0]
+        total = self._acceleration(points)
+        held = [self._at_rest(points, total, list(axes))[1] for axes in self.stops]
+        return np.any(held, axis=0)
 
-    def _at_rest(self, points, at_rest):
-        """Which bodies at rest are held, and accelerations of bodies that creep as they are pulled.
+    def _at_rest(self, points, at_rest, axes):
+        """Bodies at rest along some axes, those held there, and how they move when they creep.
 
         Parameters
         ----------
         at_rest : ndarray, shape (R, d, M)
             Accelerations where a velocity of zero has no direction.
+        axes : list of int
+
+        Returns
+        -------
+        still, is_held : ndarray of bool, shape (R, d, M)
+        creeping : ndarray, shape (R, d, M) or None
+            Accelerations of bodies that creep as they are pulled; None if none is at rest.
         """
-        still = ~points.state[1].any(axis=1)
+        still = np.zeros(at_rest.shape, dtype=bool)
+        still[:, axes] = ~points.state[1][:, axes].any(axis=1, keepdims=True)
         if not still.any():
-            return still, None
-        size = np.sqrt(np.square(at_rest).sum(axis=1, keepdims=True))
-        way = np.where(size > 0, at_rest / np.where(size > 0, size, 1.0), 0.0)
-        way[:, 0] = np.where(size[:, 0] > 0, way[:, 0], 1.0)  # nothing pulls: any way will do
+            return still, still, None
+        pull = np.where(still, at_rest, 0.0)
+        size = np.sqrt(np.square(pull).sum(axis=1, keepdims=True))
+        way = np.where(size > 0, pull / np.where(size > 0, size, 1.0), 0.0)
+        idle = still[:, axes[0]] & (size[:, 0] == 0)
+        way[:, axes[0]] = np.where(idle, 1.0, way[:, axes[0]])  # nothing pulls: any way will do
         creep = points.state.copy()
-        creep[1] += np.where(still[:, None], CREEP * way, 0.0)
+        creep[1] += CREEP * way
         moved = Points(creep, points.times, points.chain, points.driven, points.modes)
         creeping = self._acceleration(moved)
-        return still & ((creeping * way).sum(axis=1) <= 0), creeping
+        return still, still & ((creeping * way).sum(axis=1, keepdims=True) <= 0), creeping
 
     def _acceleration(self, points):
         _, n_own, n_dims, n_points = points.state.shape
@@ -371,8 +392,8 @@ class Motion:
                 column = self._summed(program, value, n_points)
                 self._add_constant(by_constant[:, row], name, column, points.chain)
         if held is not None:
-            by_state[np.broadcast_to(held[:, None, None, None, None], by_state.shape)] = 0.0
-            by_constant[np.broadcast_to(held[:, None, None], by_constant.shape)] = 0.0
+            by_state[np.broadcast_to(held[:, :, None, None, None], by_state.shape)] = 0.0
+            by_constant[np.broadcast_to(held[:, :, None], by_constant.shape)] = 0.0
         return by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
 
     def slope_pattern(self):
