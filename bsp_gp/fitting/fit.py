@@ -182,7 +182,7 @@ def fit(
     bounds : mapping of str to (float, float), optional
         Between which constants stay, SI.
     deadline : float, optional
-        Seconds after which no further start or pass is begun, and a descent is ended.
+        Seconds after which a fit ends with what it has, within an integration if need be.
     tolerances : FitTolerances, optional
 
     Returns
@@ -464,7 +464,7 @@ class _Run:
             groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
             residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
-            message=minimum.code,
+            message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
         )  # fmt: skip
         return replace(found, status=self.status(climb, minimum, found))
 
@@ -472,7 +472,7 @@ class _Run:
         """The first of `STATUSES` that applies."""
         finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
         if minimum.linearised is None or not finite:
-            return "nonfinite"
+            return "unconverged" if found.message == "stopped" else "nonfinite"
         is_minimum = minimum.status != "unconverged" or self.is_reproduced(found)
         if not is_minimum or not climb.is_joined(minimum):
             return "unconverged"

@@ -237,7 +237,8 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     ):
         cut = chains.cut(first, stop)
         coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
-        flow = Flow(Motion(run.law, cut, run.parameters), coarse, max_steps=MAX_STEPS)
+        motion = Motion(run.law, cut, run.parameters)
+        flow = Flow(motion, coarse, max_steps=MAX_STEPS, is_over=run.is_over)
         rows = first + np.arange(cut.times.shape[0])[:, None]
         rows = np.clip(rows, 0, np.maximum(stop - 1, 0))
         chain = np.arange(chains.n_chains)

@@ -11,7 +11,9 @@ from scipy.optimize import least_squares
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import FAILED, STATUSES, fit
+from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.hypothesis import Hypothesis, Part
+from bsp_gp.fitting.motion import Motion
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -423,3 +425,26 @@ def test_known_noise_has_no_tails():
     found = fitted(replace(dirty, noise=(0.02, 0.02)), SPRING, DAMPING)
     assert found.status == "refuted"
     assert np.isinf(found.noise.degrees)
+
+
+def test_the_time_is_looked_at_within_an_integration(monkeypatch):
+    """The limit comes while steps are chosen: no further step is taken."""
+    dataset = swing(noise=0.02)
+    clock = iter([0.0] * 3 + [1e9] * 10**6)
+    monkeypatch.setattr("bsp_gp.fitting.fit.time.monotonic", lambda: next(clock))
+    found = fitted(dataset, SPRING, DAMPING, deadline=1.0)
+    assert found.status == "unconverged" and found.message == "stopped"
+
+
+def test_a_flow_that_is_over_has_no_ends():
+    shown = ordinary()
+    (chains,), (nodes,) = shown.groups, shown.nodes
+    motion = Motion(shown.law, chains, shown.parameters)
+    motion.set_constants(shown.values)
+    flow = Flow(motion, np.full(chains.n_chains, 1e-9))
+    mesh = flow.mesh(nodes)
+    assert mesh.is_complete and np.isfinite(flow.run(nodes, mesh)[0]).all()
+    late = Flow(motion, flow.tolerance, is_over=lambda: True)
+    assert not late.mesh(nodes).is_complete
+    ends, transitions = late.run(nodes, mesh)
+    assert np.isnan(ends).all() and np.isnan(transitions).all()
