@@ -11,14 +11,23 @@ from numbers import Integral
 import numpy as np
 
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
+from bsp_gp.data.scene import CHECK
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
-from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.law_text import (
+    doubts,
+    fit_text,
+    how_it_ended,
+    strong_correlations,
+    without_prediction,
+)
+from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.outliers import is_exact, without_outliers
+from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
@@ -165,8 +174,10 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, _generator(rng))
     said = estimate_noise(dataset)
-    scenes, told = without_outliers(split.train, said.sigma)
-    train = replace(dataset, scenes=scenes, train=(), test=())
+    train = replace(dataset, scenes=split.train, train=(), test=())
+    scenes, far_off = without_outliers(split.train, said.sigma)
+    if not bears_outliers(NoiseModel.of(train), is_exact(split.train, said.sigma)):
+        train = replace(train, scenes=scenes)
     check_properties(stack(train.scenes, dataset.up), law)
     found = fit(
         Hypothesis.from_laws(train, _unset(law)), train, starts=starts, bounds=bounds,
@@ -188,10 +199,22 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
         notes=(
-            *dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test)),
+            *dataset.notes, *said.notes, *_about_outliers(found, train.scenes is scenes, far_off),
+            *doubts(found, widening, bool(split.test)),
+            *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
         ),
     )  # fmt: skip
+
+
+def _about_outliers(found, is_left_out, far_off):
+    """What became of rows that are far off their neighbours, a note or none."""
+    if not far_off:
+        return ()
+    how = "left out of the fit" if is_left_out else "weighed like all others"
+    if not is_left_out and math.isfinite(found.noise.degrees):
+        how = "given little weight by the tails of the noise"
+    return (f"{CHECK}far off their neighbours, and {how}: {far_off}",)
 
 
 # --- settings -------------------------------------------------------------------------------------
