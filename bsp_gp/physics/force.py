@@ -22,7 +22,7 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
-__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear"]
+__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear", "term_gradient"]
 
 _MASS = ("m_i", "mass_i")
 
