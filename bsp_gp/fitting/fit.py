@@ -24,7 +24,7 @@ from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.problem import Minimum
-from bsp_gp.fitting.seen import places_of, sight
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
@@ -493,7 +493,7 @@ def _tracks_of(run, climb, minimum: Minimum):
     ):  # fmt: skip
         chains = shooting.chains
         shooting.flow.motion.set_constants(constants)
-        left = chains.observed - places_of(nodes, sight(shooting.flow, nodes))
+        left = chains.observed - sight(shooting.flow, nodes).places
         left = np.where(np.isfinite(noise.variance), left, np.nan)
         residuals.append(left)
         rows = np.broadcast_to(np.arange(len(left))[:, None], left.shape[:2])

@@ -53,8 +53,6 @@ class Lowering:
         ``direction(name)`` gives the components of a lab axis.
     vectors : collection of str
         Names of property inputs that are vectors.
-    state : mapping of str to nodes, optional
-        What places, velocities and the time are, where they are not seen as they are.
 
     Attributes
     ----------
@@ -63,12 +61,11 @@ class Lowering:
         Whether a force has the direction of a body's own velocity, and may bring it to rest.
     """
 
-    def __init__(self, graph, n_dims, direction, vectors=(), state=None):
+    def __init__(self, graph, n_dims, direction, vectors=()):
         self.graph = graph
         self.n_dims = n_dims
         self.direction = direction
         self.vectors = frozenset(vectors)
-        self.state = state or {}
         self.modes, self.has_stops = [], False
         self._known = {}
         self._mode_of = {}
@@ -96,8 +93,7 @@ class Lowering:
 
     def _input(self, node):
         g, name = self.graph, node.name
-        if name in self.state:
-            return self.state[name]
+        axes = range(self.n_dims)
         if name in ("e_x", "e_y", "e_z", "up", "down"):
             return tuple(g.number(x) for x in self.direction(name))
         if name == "p_c":
@@ -105,20 +101,15 @@ class Lowering:
         if name == ORIGIN:
             return (g.zero,) * self.n_dims
         if node.type.shape in ("vector", "point") or name in self.vectors:
-            return self._vector(name)
+            return tuple(g.input(name, k) for k in axes)
         return g.input(name)
-
-    def _vector(self, name):
-        if name in self.state:
-            return self.state[name]
-        return tuple(self.graph.input(name, k) for k in range(self.n_dims))
 
     def _contact_point(self):
         """Centre of the other, or on a wall the foot point: free along the wall's longer side."""
         g = self.graph
-        point, own = list(self._vector("p_j")), self._vector("p_i")
+        point = [g.input("p_j", k) for k in range(self.n_dims)]
         for axis, side in enumerate(("wide_wall", "tall_wall")):
-            shift = g.sub(own[axis], point[axis])
+            shift = g.sub(g.input("p_i", axis), point[axis])
             point[axis] = g.add(point[axis], g.mul(g.input(side), shift))
         return tuple(point)
 
@@ -195,7 +186,8 @@ class Lowering:
         return self.graph.call("sqrt", self.graph.dot(a, a))
 
     def _normalize(self, a):
-        self.has_stops |= a == self._vector("v_i")
+        own = tuple(self.graph.input("v_i", k) for k in range(self.n_dims))
+        self.has_stops |= a == own
         return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
 
     def _dot(self, a, b):

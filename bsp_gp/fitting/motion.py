@@ -7,7 +7,7 @@ belongs to a chain and an instant; all points are computed at once.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,8 +64,7 @@ class _Program:
         self.terms = [term for term in law.terms if term.kind == kind]
         vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
         frame = Frame(g, law.frame, chains.n_dims, kind) if law.frame else None
-        state = frame and frame.state
-        lowering = Lowering(g, chains.n_dims, chains.direction, vectors, state)
+        lowering = Lowering(frame or g, chains.n_dims, chains.direction, vectors)
         total = [g.zero] * chains.n_dims
         for k, term in enumerate(self.terms):
             weight = g.input("weight", k)
@@ -73,9 +72,7 @@ class _Program:
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         if frame:
             total = frame.acceleration(total)
-        names = [n for t in self.terms for n in t.formula.constants]
-        names += [n for part in law.frame for n in part.names]
-        self.constants = tuple(dict.fromkeys(names))
+        self.constants = replace(law, terms=tuple(self.terms)).names
         self.modes, self.has_stops = lowering.modes, lowering.has_stops
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import Pieces, cut_pieces
-from bsp_gp.fitting.seen import places_of, sight
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
@@ -280,18 +280,13 @@ class _Group:
 
     def _white(self, changes):
         """Whitened changes and residuals of the rows, (W, L R d, F + n + k + 1)."""
-        half = self.n_own * self.n_dims
         at = changes[self.at_rows]
         n_rows, n_pieces = at.shape[:2]
         nodes = self.nodes[..., self.at_rows, :]
         seen = sight(self._flow(self.chains), nodes)
-        places = places_of(nodes, seen)
-        shape = places.shape
-        shown = at[:, :, :half]
-        if seen is not None:
-            index = np.arange(n_rows)[:, None], np.arange(n_pieces)
-            shown = seen.shown(at, *index, at.shape[-1] - 1 - len(self.fit.values))
-        left = self.chains.observed - places - shown[..., -1].reshape(shape)
+        shape, first = seen.places.shape, at.shape[-1] - 1 - len(self.fit.values)
+        shown = seen.shown(at, np.arange(n_rows)[:, None], np.arange(n_pieces), first)
+        left = self.chains.observed - seen.places - shown[..., -1].reshape(shape)
         moved = np.moveaxis(shown[..., :-1], -1, 0).reshape(-1, *shape)
         moved = np.where(np.isfinite(self.chains.observed), moved, np.nan)
         stacked = np.concatenate([moved, left[None]])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.fitting.seen import places_of, sight
+from bsp_gp.fitting.seen import sight
 
 __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 
@@ -161,11 +161,9 @@ class Shooting:
         condensed, residuals, jacobians = [], [], []
         for group in self.groups:
             columns = self._columns(group, transitions, gaps)
-            shown = columns[:, :, : n // 2]
-            if seen is not None:
-                rows, _ = self._rows(group, len(columns))
-                shown = seen.shown(columns, rows, self.windows.chain[group], n)
-            factor = self._factor(group, shown, places_of(nodes, seen))
+            rows, _ = self._rows(group, len(columns))
+            shown = seen.shown(columns, rows, self.windows.chain[group], n)
+            factor = self._factor(group, shown, seen.places)
             condensed.append(Condensed(columns, shown, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
             jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
@@ -286,8 +284,8 @@ class Shooting:
         local, shared = np.zeros((n_most, *shape)), np.zeros((k, *shape))
         for group, part in zip(self.groups, condensed, strict=False):
             rows, inside = self._rows(group, len(part.columns))
-            places = part.shown
-            places = np.moveaxis(places, -1, 0).reshape(n + k + 1, *places.shape[:2], *shape[2:])
+            places = np.moveaxis(part.shown, -1, 0)
+            places = places.reshape(n + k + 1, *places.shape[1:3], *shape[2:])
             at = np.nonzero(inside)
             chain = self.windows.chain[group][at[1]]
             local[:n, rows[at], chain] = places[:n][:, at[0], at[1]]

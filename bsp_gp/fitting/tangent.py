@@ -8,7 +8,7 @@ from ``C'QC`` (LOOP §3). Forces have columns through `bsp_gp.fitting.response`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,6 @@ from scipy import stats
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
-from bsp_gp.fitting.seen import superposed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 
@@ -112,24 +111,15 @@ class Tangent:
         return score_of(rows, self.residual, size, self.noise_dof)
 
 
-def instrument_columns(fit, parts):
-    """What errors of the measurement would change of the tracks of a fit, per unit of each number.
-
-    Parameters
-    ----------
-    fit : Fit
-    parts : sequence of Instrument
-
-    Returns
-    -------
-    ndarray, shape (c, T, C)
-    """
-    law = superposed(fit.law, parts)
-    names = [(name, "") for part in parts for name in part.names]
-    values = np.concatenate([fit.values, np.zeros(len(names))])
+def instrument_columns(fit, part):
+    """What a part changes of the tracks of a fit per unit of each of its numbers, (c, T, C)."""
+    zero = dict.fromkeys(part.names, 0.0)
+    law = replace(fit.law, frame=(*fit.law.frame, part), constants={**fit.law.constants, **zero})
+    parameters = (*fit.parameters, *((name, "") for name in part.names))
+    values = np.concatenate([fit.values, np.zeros(len(part.names))])
     level, out = STEP_ERROR * np.nanmin(fit.noise.levels), []
     for chains, nodes in zip(fit.groups, fit.nodes, strict=True):
-        motion = Motion(law, chains, (*fit.parameters, *names))
+        motion = Motion(law, chains, parameters)
         motion.set_constants(values)
         flow = Flow(motion, level / np.maximum(chains.lengths, 1), fit.paper_steps)
         plain = ChainNoise(chains.times, np.ones(chains.observed.shape))

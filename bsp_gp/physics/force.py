@@ -140,8 +140,7 @@ class ForceLaw:
 
     def plus(self, term, constants=None):
         """The law with one more term."""
-        constants = {**self.constants, **(constants or {})}
-        return replace(self, terms=(*self.terms, term), constants=constants)
+        return replace(self.with_constants(constants or {}), terms=(*self.terms, term))
 
     def without(self, index):
         """The law without its term number `index`; constants that nothing names are dropped."""

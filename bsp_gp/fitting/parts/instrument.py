@@ -1,28 +1,31 @@
-"""What a measurement may do to places and times: parts of a hypothesis, one class each.
+"""What a measurement may do to places and times: parts of a hypothesis, one function each.
 
-A part says how what is seen is undone, as an expression: the law is then moved to seen coordinates
-with exact derivatives (`bsp_gp.fitting.seen`). The last part of a hypothesis is undone first.
-Numbers are 0 where the measurement is as declared.
+A function says how what is seen (x, t) is undone, as an expression: the law is then moved to seen
+coordinates with exact derivatives (`bsp_gp.fitting.seen`). The last part is undone first. Numbers
+are 0 where the measurement is as declared.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
-
-import numpy as np
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = [
-    "Clock", "Delay", "Drift", "Exposure", "Instrument", "Lens", "Offset", "Perspective", "Scale",
-    "Slant", "Tilt",
-]  # fmt: skip
+__all__ = ["LARGE", "Instrument"]
 
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
+UNITS = {"drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2}
+TEXTS = {
+    "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",
+    "slant": "X - M = (1 + {}) (x - M) along the axis",
+    "perspective": "X - M = (1 + {} u) (x - M)", "lens": "X - M = (1 + {} r^2) (x - M)",
+    "drift": "x = X + ({}) t of moving bodies", "offset": "x = X + ({}) of fixed bodies",
+    "delay": "x(t) = X(t - {})", "exposure": "x = X + {} / 2 X''",
+}  # fmt: skip
+"""What is seen of the true X and T; u and r are ways from the middle M in its sizes."""
 
 
 @dataclass(frozen=True)
@@ -31,274 +34,115 @@ class Instrument(Part):
 
     Attributes
     ----------
+    code : str
+        Of `TEXTS`.
     axes : tuple of int
         Along which it acts.
     limit : float
         The largest value that is believed, SI.
     values : tuple of float
         Where a fit begins; none = at zero.
+    whose : tuple of str
+        The body of a delay; the scenes of a drift that differs between them.
+    middle, size : tuple of float, float, metres
+        Of the picture; half its width.
+    epoch : float, s
+        When what drifts is where it should be.
     """
 
+    code: str
     axes: tuple = ()
     limit: float = LARGE
     values: tuple = ()
+    whose: tuple = ()
+    middle: tuple = ()
+    size: float = 1.0
+    epoch: float = 0.0
     kind = "instrument"
-    code: ClassVar[str] = ""
-    unit: ClassVar[Unit] = DIMENSIONLESS
-    text: ClassVar[str] = ""
-    """What is seen (x, t) of the true (X, T)."""
 
     @property
     def names(self):
-        """Of its parameters."""
-        return (f"{self.code}_{'xyz'[self.axes[0]]}",) if self.axes else (f"{self.code}_error",)
+        """Of its numbers: offsets and drifts have one per axis."""
+        axes = ["xyz"[k] for k in self.axes]
+        marks = axes if self.code in ("drift", "offset") else ["".join(axes)]
+        return tuple(
+            "_".join(filter(None, (self.code, mark, who)))
+            for who in self.whose or ("",) for mark in marks
+        )  # fmt: skip
+
+    @property
+    def lowest(self):
+        """The least value that is believed; an exposure is a variance of times."""
+        return 0.0 if self.code == "exposure" else -self.limit
 
     @property
     def parameters(self):
         """One per name."""
-        values = self.values or (0.0,) * len(self.names)
+        unit, values = UNITS.get(self.code, DIMENSIONLESS), self.values or (0.0,) * len(self.names)
         return tuple(
-            Parameter(name, "", self.unit, self.lowest, self.limit, float(value))
+            Parameter(name, "", unit, self.lowest, self.limit, float(value))
             for name, value in zip(self.names, values, strict=True)
         )
-
-    @property
-    def lowest(self):
-        """The least value that is believed."""
-        return -self.limit
 
     def at(self, values):
         """The part at other values, mapping of name to number."""
         return replace(self, values=tuple(float(values[name]) for name in self.names))
 
     def undo(self, g, place, time, is_driven):
-        """True place and time of a body from what is seen of it.
-
-        Parameters
-        ----------
-        g : Graph
-        place : tuple of int
-            Nodes, one per axis.
-        time, is_driven : int
-            Nodes; whether forces do not move the body.
-        """
-        return place, time
+        """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""
+        numbers = [g.constant(name) for name in self.names]
+        if self.code == "clock":
+            return place, g.div(time, g.add(g.one, numbers[0]))
+        if self.code in _UNDO:
+            place = _UNDO[self.code](self, g, place, time, is_driven, numbers)
+        return tuple(place), time
 
     def describe(self):
         """Formula-like."""
-        return self.text.format(*self.names)
+        each = " in each scene" if len(self.whose) > 1 else ""
+        shown = self.names[: len(self.axes)] if each else self.names
+        return TEXTS[self.code].format(", ".join(shown)) + each
 
 
-class Scale(Instrument):
-    """Lengths, about the origin."""
-
-    code, text = "scale", "x = (1 + {}) X"
-
-    def undo(self, g, place, time, is_driven):
-        """Divided by the factor."""
-        return tuple(g.div(x, _more(g, self.names[0])) for x in place), time
+def _scale(part, g, place, time, is_driven, c):
+    return [g.div(x, g.add(g.one, c[0])) for x in place]
 
 
-class Clock(Instrument):
-    """Times."""
-
-    code, text = "clock", "t = (1 + {}) T"
-
-    def undo(self, g, place, time, is_driven):
-        """Divided by the factor."""
-        return place, g.div(time, _more(g, self.names[0]))
-
-
-class Tilt(Instrument):
-    """Both axes turned about the origin; an angle."""
-
-    code, text = "tilt", "x = R({}) X"
-
-    @property
-    def names(self):
-        """Named by the plane."""
-        return (f"tilt_{''.join('xyz'[k] for k in self.axes)}",)
-
-    def undo(self, g, place, time, is_driven):
-        """Turned back."""
-        angle = g.constant(self.names[0])
-        c, s = g.call("cos", angle), g.call("sin", angle)
-        a, b = (place[k] for k in self.axes)
-        true = list(place)
-        true[self.axes[0]] = g.add(g.mul(c, a), g.mul(s, b))
-        true[self.axes[1]] = g.sub(g.mul(c, b), g.mul(s, a))
-        return tuple(true), time
+def _tilt(part, g, place, time, is_driven, c):
+    first, second = part.axes
+    cos, sin, place = g.call("cos", c[0]), g.call("sin", c[0]), list(place)
+    x, y = place[first], place[second]
+    place[first] = g.add(g.mul(cos, x), g.mul(sin, y))
+    place[second] = g.sub(g.mul(cos, y), g.mul(sin, x))
+    return place
 
 
-@dataclass(frozen=True)
-class Picture(Instrument):
-    """What is told about the middle of the picture.
-
-    Attributes
-    ----------
-    middle : tuple of float, metres
-    size : float, metres
-        Half its width.
-    """
-
-    middle: tuple = ()
-    size: float = 1.0
-
-    def _away(self, g, place):
-        """From the middle, in sizes."""
-        size = g.number(self.size)
-        return [g.div(g.sub(x, g.number(m)), size) for x, m in zip(place, self.middle, strict=True)]
-
-    def _grown(self, g, place, axes, strength, growth):
-        """The place with the distances along axes from the middle times 1 + strength * growth."""
-        factor = g.mul(g.constant(strength), growth)
-        away = self._away(g, place)
-        by = g.mul(factor, g.number(self.size))
-        return tuple(
-            g.add(x, g.mul(by, away[k])) if k in axes else x for k, x in enumerate(place)
-        )
+def _picture(part, g, place, time, is_driven, c):
+    """Distances from the middle grow by a number, and across the picture or away from there."""
+    away = [g.sub(x, g.number(m)) for x, m in zip(place, part.middle, strict=True)]
+    sizes = [g.div(away[k], g.number(part.size)) for k in part.axes]
+    growth = {"slant": g.one, "perspective": sizes[0], "lens": g.dot(sizes, sizes)}[part.code]
+    by, axes = g.mul(c[0], growth), range(len(place)) if part.code == "perspective" else part.axes
+    return [g.add(x, g.mul(by, away[k])) if k in axes else x for k, x in enumerate(place)]
 
 
-class Slant(Picture):
-    """One axis is foreshortened: lengths along it differ from those along the others."""
-
-    code, text = "slant", "X - M = (1 + {}) (x - M) along one axis"
-
-    def undo(self, g, place, time, is_driven):
-        """Stretched."""
-        return self._grown(g, place, self.axes[:1], self.names[0], g.one), time
-
-
-class Perspective(Picture):
-    """The scale grows in proportion to the way across the picture."""
-
-    code, text = "perspective", "X - M = (1 + {} u) (x - M)"
-
-    def undo(self, g, place, time, is_driven):
-        """Stretched by where it is along the axis."""
-        along = self._away(g, place)[self.axes[0]]
-        return self._grown(g, place, range(len(place)), self.names[0], along), time
+def _drift(part, g, place, time, is_driven, c):
+    late = g.mul(g.sub(g.one, is_driven), g.sub(time, g.number(part.epoch)))
+    place, n = list(place), len(part.axes)
+    for k, number in enumerate(c):
+        way = g.mul(number, late)
+        if part.whose:
+            way = g.mul(way, g.input("is_scene", part.whose[k // n]))
+        place[part.axes[k % n]] = g.sub(place[part.axes[k % n]], way)
+    return place
 
 
-class Lens(Picture):
-    """Radial distortion about the middle, in the plane of the axes."""
-
-    code, text = "lens", "X - M = (1 + {} r^2) (x - M)"
-
-    @property
-    def names(self):
-        """One for all axes."""
-        return ("lens_error",)
-
-    def undo(self, g, place, time, is_driven):
-        """Stretched by the distance from the middle."""
-        away = self._away(g, place)
-        distance = g.sum(g.call("square", away[k]) for k in self.axes)
-        return self._grown(g, place, self.axes, self.names[0], distance), time
+def _offset(part, g, place, time, is_driven, c):
+    by = dict(zip(part.axes, c, strict=True))
+    return [g.sub(x, g.mul(is_driven, by[k])) if k in by else x for k, x in enumerate(place)]
 
 
-@dataclass(frozen=True)
-class Drift(Instrument):
-    """The origin of moving bodies moves; with `scenes`, differently in each.
-
-    Attributes
-    ----------
-    epoch : float, s
-        When it is at rest where it should be.
-    scenes : tuple of str
-    """
-
-    epoch: float = 0.0
-    scenes: tuple = ()
-    code: ClassVar[str] = "drift"
-    unit: ClassVar[Unit] = LENGTH / TIME
-
-    @property
-    def names(self):
-        """Per axis and scene."""
-        letters = ["xyz"[k] for k in self.axes]
-        if not self.scenes:
-            return tuple(f"drift_{k}" for k in letters)
-        return tuple(f"drift_{k} of {scene}" for scene in self.scenes for k in letters)
-
-    def undo(self, g, place, time, is_driven):
-        """Moved back."""
-        late = g.mul(g.sub(g.one, is_driven), g.sub(time, g.number(self.epoch)))
-        true = list(place)
-        for n, name in enumerate(self.names):
-            axis = self.axes[n % len(self.axes)]
-            way = g.mul(g.constant(name), late)
-            if self.scenes:
-                way = g.mul(way, g.input("is_scene", self.scenes[n // len(self.axes)]))
-            true[axis] = g.sub(true[axis], way)
-        return tuple(true), time
-
-    def describe(self):
-        """Formula-like."""
-        return "x = X + u t of moving bodies" + (", u of each scene" if self.scenes else "")
-
-
-class Offset(Instrument):
-    """Where bodies that forces do not move are, against those that they do."""
-
-    code, unit = "offset", LENGTH
-
-    @property
-    def names(self):
-        """Per axis."""
-        return tuple(f"offset_{'xyz'[k]}" for k in self.axes)
-
-    def undo(self, g, place, time, is_driven):
-        """Moved back."""
-        true = list(place)
-        for axis, name in zip(self.axes, self.names, strict=True):
-            true[axis] = g.sub(true[axis], g.mul(is_driven, g.constant(name)))
-        return tuple(true), time
-
-    def describe(self):
-        """Formula-like."""
-        return "x = X + a of fixed bodies"
-
-
-@dataclass(frozen=True)
-class Delay(Instrument):
-    """One body is seen late.
-
-    Attributes
-    ----------
-    body : str
-    """
-
-    body: str = ""
-    code: ClassVar[str] = "delay"
-    unit: ClassVar[Unit] = TIME
-    text: ClassVar[str] = "x(t) = X(t - {})"
-
-    @property
-    def names(self):
-        """Named by the body."""
-        return (f"delay_{self.body}",)
-
-    def is_late(self, chains):
-        """Which bodies are, (R, S)."""
-        return np.array([[name == self.body for name in row] for row in chains.bodies]).T
-
-
-class Exposure(Instrument):
-    """Places are averages over a while; the variance of the times of which they are."""
-
-    code, unit, text = "exposure", TIME**2, "x = X + {} / 2 X''"
-
-    @property
-    def names(self):
-        """One for all."""
-        return ("exposure",)
-
-    @property
-    def lowest(self):
-        """A variance."""
-        return 0.0
-
-
-def _more(g, name):
-    return g.add(g.one, g.constant(name))
+_UNDO = {
+    "scale": _scale, "tilt": _tilt, "slant": _picture, "perspective": _picture, "lens": _picture,
+    "drift": _drift, "offset": _offset,
+}  # fmt: skip
