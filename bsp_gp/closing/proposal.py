@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
-from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.language.formula import Call, Constant
 from bsp_gp.physics.force import ForceLaw
 
@@ -101,7 +100,7 @@ def continued(hypothesis, fit):
         if isinstance(part, Forces):
             known = {name: fit.law.constants[name] for name in part.law.names}
             part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
-        elif isinstance(part, Instrument):
+        elif part.kind == "instrument" and part.parameters:
             part = part.at(fit.law.constants)
         parts.append(part)
     return Hypothesis(tuple(parts))

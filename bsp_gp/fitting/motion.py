@@ -211,7 +211,6 @@ class Motion:
             known = {**self.law.constants, **shared}
         else:
             known = self.law.with_values(self.parameters, values).constants
-        self.values = known
         self._ready = []
         for program, inputs in zip(self.programs, self._static, strict=True):
             constants = {
@@ -226,6 +225,7 @@ class Motion:
                     )
                 ]
             )  # fmt: skip
+        self.values = known
 
     def _constant(self, value, kind):
         if not hasattr(value, "items"):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from bsp_gp.closing.proposal import Family, Near, Proposal
+from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.closing.view import gains
 from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
@@ -58,9 +58,7 @@ class Measurement:
         null = stats.chi2.isf(chances, best.rank)
         proposals = sorted((p for p, _, _ in tried), key=lambda p: -p.promise)
         return Family(
-            self.name, tuple(proposals), best.statistic, best.rank, null,
-            tuple(Near(p.code, p.text, p.gain, p.log_prior) for p in proposals if p.rank == 1),
-            n_tried=len(tried),
+            self.name, tuple(proposals), best.statistic, best.rank, null, n_tried=len(tried)
         )  # fmt: skip
 
 
