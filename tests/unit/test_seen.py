@@ -8,6 +8,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, Positions
 from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.rolling import roll
@@ -135,6 +136,21 @@ def test_derivatives_are_differences(names):
     np.testing.assert_allclose(transitions, expected, rtol=1e-6, atol=2e-7)
     n = flow.n_state
     assert np.abs(expected[..., n:]).max(axis=(0, 1))[: len(KINDS[names[0]][1])].max() > 1e-3
+
+
+def test_derivatives_are_differences_in_three_dimensions():
+    law = law_of("-b * (p_i - p_j)", "-c * norm(v_i) * v_i", n_dims=3, b=1.3, c=0.2)
+    picture = {"middle": (0.1, 0.2, -0.3), "size": 2.0}
+    law = through(
+        law, (Instrument("perspective", (2,), **picture), (0.15,)),
+        (Instrument("tilt", (0, 2)), (0.3,)), (Instrument("lens", (0, 1), **picture), (0.1,)),
+    )  # fmt: skip
+    flow = flow_of(law, [scene_of(TIMES, CREW, 0.5 * np.eye(3))])
+    nodes = np.random.default_rng(0).uniform(-1, 1, (2, 2, 3, len(TIMES), 1))
+    mesh = flow.mesh(nodes)
+    expected = differences(flow, nodes, mesh)
+    np.testing.assert_allclose(flow.run(nodes, mesh)[1], expected, rtol=1e-6, atol=2e-7)
+    assert (np.abs(expected[..., flow.n_state :]).max(axis=(0, 1)) > 1e-3).all()
 
 
 def test_contacts_are_where_bodies_truly_are():
@@ -312,6 +328,17 @@ def test_a_delay_and_an_exposure_are_found_on_an_orbit():
     )
     found = fit(Hypothesis.from_laws(data, [text]) + parts, data)
     check_found(found, delay_a=0.01, exposure=width**2)
+
+
+def test_held_out_tracks_are_foreseen_as_they_are_seen():
+    data = photographed(throws(n=8), lambda t, x: (t, turned(0.05, x)))
+    train = replace(data, scenes=data.scenes[:5])
+    plain = Hypothesis.from_laws(data, [WEIGHT])
+    errors = [
+        held_out_errors(fit(h, train), data, data.scenes[5:]).rollout_rmse
+        for h in (plain, plain + Instrument("tilt", (0, 1)))
+    ]
+    assert errors[1] < 0.3 * errors[0]
 
 
 def test_bounds_of_a_part_hold():
