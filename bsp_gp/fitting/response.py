@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import Pieces, cut_pieces
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
@@ -298,13 +299,14 @@ class _Group:
 
     def _white(self, changes):
         """Whitened changes and residuals of the rows, (W, L R d, F + n + k + 1)."""
-        half = self.n_own * self.n_dims
         at = changes[self.at_rows]
         n_rows, n_pieces = at.shape[:2]
-        places = np.moveaxis(self.nodes[0][..., self.at_rows, :], (-2, -1), (0, 1))
-        shape = places.shape
-        left = self.chains.observed - places - at[:, :, :half, -1].reshape(shape)
-        moved = np.moveaxis(at[:, :, :half, :-1], -1, 0).reshape(-1, *shape)
+        nodes = self.nodes[..., self.at_rows, :]
+        seen = sight(self._flow(self.chains), nodes)
+        shape, first = seen.places.shape, at.shape[-1] - 1 - len(self.fit.values)
+        shown = seen.shown(at, np.arange(n_rows)[:, None], np.arange(n_pieces), first)
+        left = self.chains.observed - seen.places - shown[..., -1].reshape(shape)
+        moved = np.moveaxis(shown[..., :-1], -1, 0).reshape(-1, *shape)
         moved = np.where(np.isfinite(self.chains.observed), moved, np.nan)
         stacked = np.concatenate([moved, left[None]])
         rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
