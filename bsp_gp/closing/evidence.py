@@ -24,16 +24,20 @@ LEAST = 2.0
 TURN = 2.0 * math.pi
 
 
-def log_evidence(fit):
+def log_evidence(fit, hypothesis=None):
     """Log-evidence of a fit, nats; -inf of a failed one.
 
     Parameters
     ----------
     fit : Fit
+    hypothesis : Hypothesis, optional
+        That was fitted, where some part of it leaves rows out.
     """
     if fit.is_failed:
         return -math.inf
     total = fit.log_likelihood + fit.state_volume
+    if hypothesis is not None:
+        total += hypothesis.log_density
     if not len(fit.values):
         return total
     covariance = fit.covariance

@@ -88,7 +88,10 @@ def run_rounds(hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds
 
 def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
     started = time.monotonic()
-    base = Row(0, "base", "", "", found.status, log_evidence(found), 0.0, found.chisqr, found.n_free)
+    base = Row(
+        0, "base", "", "", found.status, log_evidence(found, hypothesis), 0.0, found.chisqr,
+        found.n_free,
+    )  # fmt: skip
     fits, hypotheses, families, rows = {0: found}, {0: hypothesis}, [], [base]
     p_value = np.nan
     if base.is_fit:
@@ -136,7 +139,8 @@ def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
         fits[number], hypotheses[number] = new, proposal.hypothesis
         rows.append(
             Row(
-                number, proposal.code, proposal.text, name, new.status, log_evidence(new),
+                number, proposal.code, proposal.text, name, new.status,
+                log_evidence(new, proposal.hypothesis),
                 proposal.log_prior, new.chisqr, new.n_free, held_out_gain(base, new),
                 ties=proposal.ties,
             )

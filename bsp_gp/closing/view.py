@@ -29,7 +29,7 @@ class View:
     """
 
     def __init__(self, fit, hypothesis, dataset, rng):
-        self.fit, self.hypothesis, self.dataset = fit, hypothesis, dataset
+        self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self._rows_rng, self._moments_rng = rng.spawn(2)
 
     @cached_property

@@ -203,7 +203,7 @@ def fit(
     """
     began = time.monotonic()
     tolerances = tolerances or FitTolerances()
-    run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
+    run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that

@@ -50,11 +50,17 @@ class Part:
     """
 
     kind = ""
+    log_density = 0.0
+    """Of what it leaves unexplained of the rows, nats."""
 
     @property
     def parameters(self):
         """What of it is fitted, tuple of Parameter."""
         return ()
+
+    def seen(self, dataset):
+        """The rows as the rest of the hypothesis has to explain them."""
+        return dataset
 
     def describe(self):
         """One sentence for people."""
@@ -196,6 +202,22 @@ class Hypothesis:
     def parameters(self):
         """Everything that is fitted and is no noise, tuple of Parameter."""
         return tuple(p for part in self.parts if part.kind != "noise" for p in part.parameters)
+
+    @property
+    def log_density(self):
+        """Of all that its parts leave unexplained of the rows, nats."""
+        return sum(part.log_density for part in self.parts)
+
+    def seen(self, dataset):
+        """The rows with all edits of the parts, one after the other.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        """
+        for part in self.parts:
+            dataset = part.seen(dataset)
+        return dataset
 
     def describe(self):
         """One line per part."""

@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy import stats
+from scipy.special import gammaln
 
-__all__ = ["Score", "Tangent", "p_of_gain"]
+__all__ = ["Score", "Tangent", "as_pair", "p_of_gain"]
 
 INDEPENDENT = 1e-9
 """Part of the length of a column, squared, that must lie beyond all that is free."""
@@ -52,7 +53,11 @@ class Tangent:
     Attributes
     ----------
     residual : ndarray, shape (n,)
-        Whitened, everything free projected out.
+        Whitened, everything free projected out; chain by chain, rows (T, channels of the chain).
+    chains : list of ndarray of int
+        Channels of each chain.
+    own : list of ndarray, shape (q, n of the chain)
+        Orthonormal whitened changes by its initial states.
     """
 
     def __init__(self, fit):
@@ -61,7 +66,8 @@ class Tangent:
         self.whitener = fit.noise.whitener(channels)
         self.chains = [np.flatnonzero(channels.chain == c) for c in np.unique(channels.chain)]
         own = self._whitened(fit.local_columns)
-        self._own = [_basis(own[:, :, index].reshape(len(own), own.shape[1] * len(index))) for index in self.chains]
+        rows = [own[:, :, index] for index in self.chains]
+        self.own = [_basis(r.reshape(len(own), r[0].size)) for r in rows]
         self._shared = _basis(self._less_own(self._whitened(fit.shared_columns)))
         whole = np.where(np.isfinite(fit.residual), fit.residual, 0.0)
         self.residual = self.projected(whole[None])[0]
@@ -73,7 +79,7 @@ class Tangent:
     def _less_own(self, white):
         """Whitened columns (c, T, C) less what initial states can take up, (c, n)."""
         parts = []
-        for index, basis in zip(self.chains, self._own, strict=True):
+        for index, basis in zip(self.chains, self.own, strict=True):
             part = white[:, :, index].reshape(len(white), white.shape[1] * len(index))
             parts.append(part - (part @ basis.T) @ basis)
         return np.concatenate(parts, axis=1)
@@ -136,6 +142,22 @@ def p_of_gain(gain, rank, noise_dof=np.inf):
     if np.isfinite(noise_dof):
         return stats.f.sf(np.asarray(gain) / rank, rank, noise_dof)
     return stats.chi2.sf(gain, rank)
+
+
+def as_pair(gain, rank):
+    """The gain in two directions that is as unlikely as this one in `rank` of them.
+
+    Parameters
+    ----------
+    gain, rank : float or ndarray
+    """
+    gain, half = np.asarray(gain, dtype=float), np.asarray(rank) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = stats.chi2.logsf(gain, rank)
+        # Where the chance itself is no longer a number: the upper incomplete gamma far out.
+        x = gain / 2
+        far = half * np.log(x) - x - np.log(x - half + 1) - gammaln(half)
+        return np.where(np.isfinite(near), -2 * near, -2 * far)
 
 
 def _basis(rows):
