@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CAUSES", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria"]
+__all__ = ["CAUSES", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria"]
 
 VERDICTS = (
     "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",
@@ -23,6 +23,11 @@ CAUSES = (
     "hidden_body", "contact", "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
+NOISE_FINDINGS = (
+    "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
+    "grid", "row",
+)  # fmt: skip
+"""In what noise may not be as assumed."""
 
 
 @dataclass(frozen=True)

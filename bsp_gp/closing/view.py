@@ -71,6 +71,12 @@ class View:
         """Moments that the constants leave, (n,)."""
         return self._moments[0]
 
+    @property
+    def n_left(self):
+        """Independent moments beside the constants."""
+        kept = sum(int(b.kept.sum()) for b in self.response.regression.batches)
+        return kept - self._moments[1].shape[1]
+
     def beside(self, columns):
         """Moments (n, c) beside what the constants of the law can take up."""
         q = self._moments[1]

@@ -67,7 +67,7 @@ class Tangent:
         self.chains = [np.flatnonzero(channels.chain == c) for c in np.unique(channels.chain)]
         own = self._whitened(fit.local_columns)
         rows = [own[:, :, index] for index in self.chains]
-        self.own = [_basis(r.reshape(len(own), r[0].size)) for r in rows]
+        self.own = [_basis(r.reshape(len(r), r.shape[1] * r.shape[2])) for r in rows]
         self._shared = _basis(self._less_own(self._whitened(fit.shared_columns)))
         whole = np.where(np.isfinite(fit.residual), fit.residual, 0.0)
         self.residual = self.projected(whole[None])[0]

@@ -1,7 +1,7 @@
 """Defects: swapped or lost tracks, single rows that are off, frames missing or repeated.
 
 All but swaps are read off the residual by deletion: how much chi-squared falls if rows are left
-out and the initial states of their chain are fitted again. What is left out is paid for (`LeftOut`).
+out and the initial states of their chain are fitted again. What is left out is paid for.
 """
 
 from __future__ import annotations
