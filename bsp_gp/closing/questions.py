@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
+from bsp_gp.closing.trace import moments_of
 from bsp_gp.fitting.tangent import p_of_gain
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["Finding", "HiddenBound", "hidden_bound", "noise_findings"]
 
-MOST_COSINES = 8
+MOST_FUNCTIONS = 8
 ROWS_EACH = 4
 """Rows for each of the smooth functions, at the least."""
 LEAST_LEFT = 0.05
@@ -133,7 +134,9 @@ class _PureError:
         both = self.used[1:] & self.used[:-1]
         mean = square.sum(axis=(1, 2)) / self.used.sum()
         lagged = (self.z[:, 1:] * self.z[:, :-1] * both).sum(axis=(1, 2)) / mean
-        heavy = np.log((square * square).sum(axis=(1, 2))) - 2 * np.log(mean)
+        # Without the greatest of each: one row is a finding of its own. Upturned: nearly normal.
+        rest = np.where(square < square.max(axis=(1, 2), keepdims=True), square, 0.0)
+        heavy = -np.square(rest.sum(axis=(1, 2))) / np.square(rest).sum(axis=(1, 2))
         yield Finding("autocorrelation", _p_beside(lagged))
         yield Finding("tails", _p_beside(heavy, is_upper=True))
         speed = channels.speed
@@ -166,17 +169,19 @@ class _PureError:
             return
         ratio = size / np.maximum(dof, 1e-9) / ((size.sum() - size) / np.maximum(others, 1e-9))
         chance = 2 * np.minimum(stats.f.sf(ratio, dof, others), stats.f.cdf(ratio, dof, others))
-        k = able[np.argmin(chance[able])]
+        least = chance[able] <= 2 * chance[able].min()  # of two, either; the louder is told
+        k = able[least][np.argmax(ratio[able][least])]
         yield Finding(code, min(float(chance[k]) * len(able), 1.0), **{place: names[k]})
 
 
 def _smooth(whitener, channels, seen):
-    """Whitened cosines of time, orthonormal channel by channel, (K, T, C)."""
+    """Whitened polynomials of time, orthonormal channel by channel, (K, T, C)."""
     counts = seen.sum(axis=0)
-    n = int(np.clip(counts[counts > 0].min(initial=1) // ROWS_EACH, 1, MOST_COSINES))
+    n = int(np.clip(counts[counts > 0].min() // ROWS_EACH, 1, MOST_FUNCTIONS))
     low, high = (f(np.where(seen, channels.times, np.nan), axis=0) for f in (np.nanmin, np.nanmax))
     share = (channels.times - low) / (high - low)
-    waves = np.cos(np.pi * np.arange(n)[:, None, None] * np.where(seen, share, 0.0)) * seen
+    angle = np.arccos(np.clip(2 * np.where(seen, share, 0.0) - 1, -1, 1))
+    waves = np.cos(np.arange(n)[:, None, None] * angle) * seen
     q, _ = np.linalg.qr(np.moveaxis(whitener.whiten(waves), (0, 1, 2), (2, 1, 0)))
     return np.moveaxis(q, (0, 1, 2), (2, 1, 0)) * seen
 
@@ -240,14 +245,11 @@ def hidden_bound(view):
     z = stats.norm.ppf(LEVEL)
     worst = 0.0
     for axis in np.flatnonzero(np.isfinite(view.fit.noise.levels)):
-        parts = []
-        for batch, mass in zip(batches, masses, strict=True):
-            push = np.zeros(batch.valid.shape)
-            push[..., axis] = typical / mass
-            parts.append(batch.whiten(push).ravel())
-        score = view.score_forces(np.concatenate(parts)[:, None])
-        scale = np.sqrt(max(score.statistic / score.errors[0] ** -2, 0.0)) if score.rank else 0.0
-        worst = max(worst, scale + z * float(score.errors[0]))
+        pushes = [np.zeros((*b.valid.shape[:3], 1, b.valid.shape[3])) for b in batches]
+        for push, mass in zip(pushes, masses, strict=True):
+            push[..., 0, axis] = typical / mass
+        score = view.score_forces(moments_of(view, pushes))
+        worst = max(worst, float(abs(score.amplitudes[0]) + z * score.errors[0]))
     force = worst * typical if is_known else np.nan
     declared = _declared_force(view, masses) if is_known else np.nan
     share = force / declared if declared > 0 else np.nan
