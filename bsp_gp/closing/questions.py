@@ -24,6 +24,7 @@ ROWS_EACH = 4
 LEAST_LEFT = 0.05
 """Part of its variance that a row must have left to be looked at."""
 LEVEL = 0.95
+Z = float(stats.norm.ppf(LEVEL))
 PARTS = {
     "correlation": "autocorrelation", "scenes": "level_of_scene", "bodies": "level_of_body",
     "speed": "level_with_speed", "tails": "tails",
@@ -226,32 +227,19 @@ class HiddenBound:
 
 
 def hidden_bound(view):
-    """How much could still be hidden beside a fit.
-
-    Parameters
-    ----------
-    view : View
-
-    Returns
-    -------
-    HiddenBound
-    """
+    """How much could still be hidden beside the fit of a View."""
     batches = view.response.regression.batches
-    masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
-    is_known = all(np.isfinite(m).all() for m in masses)
-    if not is_known:
-        masses = [np.ones_like(m) for m in masses]
+    masses = view.masses or [np.ones(b.valid.shape[1:3]) for b in batches]
     typical = float(np.median(np.concatenate([m.ravel() for m in masses])))
-    z = stats.norm.ppf(LEVEL)
     worst = 0.0
     for axis in np.flatnonzero(np.isfinite(view.fit.noise.levels)):
         pushes = [np.zeros((*b.valid.shape[:3], 1, b.valid.shape[3])) for b in batches]
         for push, mass in zip(pushes, masses, strict=True):
             push[..., 0, axis] = typical / mass
         score = view.score_forces(moments_of(view, pushes))
-        worst = max(worst, float(abs(score.amplitudes[0]) + z * score.errors[0]))
-    force = worst * typical if is_known else np.nan
-    declared = _declared_force(view, masses) if is_known else np.nan
+        worst = max(worst, float(abs(score.amplitudes[0]) + Z * score.errors[0]))
+    force = np.nan if view.masses is None else worst * typical
+    declared = _declared_force(view, masses)
     share = force / declared if declared > 0 else np.nan
     return HiddenBound(_snr_bound(view), worst, force, share)
 
@@ -260,11 +248,11 @@ def _snr_bound(view):
     """Upper bound on the SNR of what the moments hold, never below what noise alone allows."""
     rank, size = view.n_left, float(view.left @ view.left)
     if np.isfinite(view.noise_dof):  # the level may have been estimated too high
-        size *= 1 + stats.norm.ppf(LEVEL) * np.sqrt(2 / view.noise_dof)
+        size *= 1 + Z * np.sqrt(2 / view.noise_dof)
     if rank < 1 or not np.isfinite(size):
         return np.nan
     if size > 1e4 + 10 * rank:
-        return float(np.sqrt(size - rank) + stats.norm.ppf(LEVEL))
+        return float(np.sqrt(size - rank) + Z)
     whole = stats.chi2.cdf(size, rank)
 
     def excess(square):

@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.tangent import INDEPENDENT
 
-__all__ = ["Channel", "Profile", "Trace", "moments_of", "trace"]
+__all__ = ["Channel", "Trace", "moments_of", "trace"]
 
 COUNTS = (2, 4, 8)
 """Cosines beside a constant; that of the greatest evidence is told."""
@@ -52,43 +52,27 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Profile:
-    """The strength of a push against its variable.
+class Trace:
+    """Where the residual force of a fit is.
 
     Attributes
     ----------
-    direction, variable : str
+    channels : tuple of Channel
+        The best first.
     at : tuple of float, or of str
-        Values in SI, or names of bodies or scenes.
+        Values, SI, of the variable of the best, or names of bodies or scenes.
     values, errors : tuple of float, m/s^2
+        The push there.
     """
 
-    direction: str
-    variable: str
-    at: tuple
-    values: tuple
-    errors: tuple
-
-
-@dataclass(frozen=True)
-class Trace:
-    """All channels, the best first, and the profile of the best; None where nothing was scored."""
-
-    channels: tuple[Channel, ...]
-    profile: Profile | None
+    channels: tuple[Channel, ...] = ()
+    at: tuple = ()
+    values: tuple = ()
+    errors: tuple = ()
 
 
 def trace(view):
-    """Say where the residual force of a fit is, and on what it depends.
-
-    Parameters
-    ----------
-    view : View
-
-    Returns
-    -------
-    Trace
-    """
+    """The trace of a View."""
     fields = [_Field(batch) for batch in view.response.regression.batches]
     size, n = float(view.left @ view.left), view.n_left
     found = []
@@ -104,12 +88,12 @@ def trace(view):
                     direction, basis.variable, count, score.rank, score.statistic,
                     float(score.p_value), float(share), float(evidence),
                 )  # fmt: skip
-                tried.append((channel, basis, columns[:, :count]))
+                tried.append((channel, (basis, count, score)))
             found.append(max(tried, key=lambda entry: entry[0].evidence))
     found = [entry for entry in found if entry[0].rank]
     found.sort(key=lambda entry: -entry[0].evidence)
-    profile = _profile(view, *found[0]) if found else None
-    return Trace(tuple(channel for channel, *_ in found), profile)
+    profile = _profile(*found[0][1]) if found else ()
+    return Trace(tuple(channel for channel, _ in found), *map(tuple, profile))
 
 
 def moments_of(view, pushes):
@@ -226,23 +210,12 @@ def _bases(fields, direction):
             yield _Basis(variable, known, tuple(1 + k for k in COUNTS))
 
 
-def _profile(view, channel, basis, columns):
-    """The strength that scores give, at the nodes of the variable."""
-    rows = view.beside(columns)
-    size = np.sqrt(np.square(columns).sum(axis=0))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh((rows / size).T @ (rows / size))
-    used = values > INDEPENDENT
-    vectors, lost = vectors[:, used], vectors[:, ~used]
-    covariance = (vectors / values[used]) @ vectors.T
-    at = np.stack(list(basis.functions(basis.nodes)), axis=1)[:, : len(size)] / size
-    errors = np.sqrt(np.einsum("ni,ij,nj->n", at, covariance, at))
-    errors[np.square(at @ lost).sum(axis=1) > INDEPENDENT * np.square(at).sum(axis=1)] = np.inf
-    strength = at @ covariance @ ((rows / size).T @ view.left)
-    return Profile(
-        channel.direction, channel.variable, tuple(basis.nodes.tolist()),
-        tuple(strength.tolist()), tuple(errors.tolist()),
-    )  # fmt: skip
+def _profile(basis, count, score):
+    """Where a push is told, and its value and error there."""
+    at = np.stack(list(basis.functions(basis.nodes)), axis=1)[:, :count]
+    errors = np.sqrt(np.einsum("ni,ij,nj->n", at, score.covariance, at))
+    errors[(at != 0) @ np.isinf(score.errors)] = np.inf
+    return basis.nodes.tolist(), (at @ score.amplitudes).tolist(), errors.tolist()
 
 
 def _unit(vectors):

@@ -55,6 +55,13 @@ class View:
         kept = np.concatenate([b.kept.ravel() for b in self.response.regression.batches])
         return self._moments_rng.standard_normal((len(kept), N_DRAWS)) * kept[:, None]
 
+    @cached_property
+    def masses(self):
+        """Masses of receivers, (S, R) per batch of the response; None where one is not known."""
+        batches = self.response.regression.batches
+        masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
+        return masses if all(np.isfinite(m).all() for m in masses) else None
+
     # --- forces ----------------------------------------------------------------------------------
 
     @cached_property

@@ -34,6 +34,8 @@ class Score:
         inf errors where the data determine nothing.
     p_value : float
         Of these columns alone.
+    covariance : ndarray, shape (c, c)
+        Of the amplitudes, as far as the data determine them.
     """
 
     statistic: float
@@ -41,6 +43,7 @@ class Score:
     amplitudes: np.ndarray
     errors: np.ndarray
     p_value: float
+    covariance: np.ndarray
 
 
 class Tangent:
@@ -118,12 +121,13 @@ def score_of(rows, residual, size, noise_dof=np.inf):
     turned = vectors[:, used].T @ (unit @ residual)
     statistic = float(np.square(turned) @ (1 / values[used])) if used.any() else 0.0
     amplitudes = vectors[:, used] @ (turned / values[used]) / length
-    errors = np.sqrt(np.square(vectors[:, used]) @ (1 / values[used])) / length
+    covariance = (vectors[:, used] / values[used]) @ vectors[:, used].T / np.outer(length, length)
+    errors = np.sqrt(np.diag(covariance))
     lost = np.square(vectors[:, ~used]).sum(axis=1) > 1e-6
     rank = int(used.sum())
     return Score(
         statistic, rank, amplitudes, np.where(lost, np.inf, errors),
-        p_of_gain(statistic, rank, noise_dof),
+        p_of_gain(statistic, rank, noise_dof), covariance,
     )  # fmt: skip
 
 

@@ -15,9 +15,8 @@ SIGMA = 0.005
 def smallest(noise=None, *, n_bodies=2, n_rows=80, change=None, **more):
     """The most striking finding about some noise."""
     rng = np.random.default_rng(7)
-    data = throws(
-        rng, n_bodies=n_bodies, n_rows=n_rows, noise=noise and (lambda s, z: noise(rng, s, z)), **more
-    )
+    made = noise and (lambda s, z: noise(rng, s, z))
+    data = throws(rng, n_bodies=n_bodies, n_rows=n_rows, noise=made, **more)
     if change is not None:
         data = edited(data, change)
     return noise_findings(view_of(data))[0]

@@ -21,7 +21,7 @@ def test_a_push_in_time_is_traced_to_its_axis_and_the_clock():
     assert (best.direction, best.variable) == ("e_x", "time")
     assert best.p_value < 1e-12
     assert best.share == pytest.approx(1, abs=0.1)
-    at, values, errors = (np.array(v) for v in (found.profile.at, found.profile.values, found.profile.errors))
+    at, values, errors = map(np.array, (found.at, found.values, found.errors))
     inner = slice(1, -1)
     off = (values - 0.3 * np.sin(2 * np.pi * at))[inner] / np.hypot(errors[inner], 0.02)
     assert np.abs(off).max() < 4
@@ -36,8 +36,8 @@ def test_a_push_that_differs_from_body_to_body_is_told_for_each():
     found = trace_of(push, n_bodies=2)
     best = found.channels[0]
     assert (best.direction, best.variable) == ("e_y", "body")
-    assert found.profile.at == ("1", "2")
-    assert found.profile.values == pytest.approx((0.4, -0.4), abs=0.05)
+    assert found.at == ("1", "2")
+    assert found.values == pytest.approx((0.4, -0.4), abs=0.05)
     assert best.rank == 2
 
 
@@ -48,8 +48,8 @@ def test_a_constant_push_needs_no_variable():
     found = trace_of(push)
     best = found.channels[0]
     assert (best.direction, best.variable, best.n_functions) == ("e_x", "", 1)
-    assert np.allclose(found.profile.values, 0.1, atol=0.02)
-    assert np.all(np.array(found.profile.errors) < 0.02)
+    assert np.allclose(found.values, 0.1, atol=0.02)
+    assert np.all(np.array(found.errors) < 0.02)
 
 
 def test_noise_alone_leaves_no_channel_with_evidence():

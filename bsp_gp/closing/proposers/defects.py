@@ -55,9 +55,14 @@ class Defects:
         for *_, gains in moved:
             even = np.maximum(even, gains)
         n_tried = sum(len(w.first) for w, _ in windows) + sum(len(m[0].times) for m in moved)
-        proposals, gain = swaps(view)
-        proposals += [*_rows(view, windows, n_tried), *_lost(view, windows, n_tried)]
-        proposals += _frames(view, moved, n_tried)
+        parts, excess, gain, n_swaps = swaps(view)
+        kinds = [
+            ("swapped_tracks", parts, excess, n_swaps),
+            ("bad_row", *_rows(windows, n_tried), n_tried),
+            ("lost_track", *_lost(windows), n_tried),
+            ("bad_row", *_frames(moved), n_tried),
+        ]
+        proposals = [_proposal(view, *kind) for kind in kinds if kind[1]]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), gain)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_tried)
@@ -215,14 +220,10 @@ def _later(values):
 
 def _proposal(view, code, parts, gain, n_tried):
     """Parts at once; `gain` less what the rows that they leave out cost."""
-    hypothesis = view.hypothesis
-    for part in parts:
-        hypothesis = hypothesis + part
+    hypothesis = sum(parts, view.hypothesis)
     log_prior = LOG_PRIOR - len(parts) * float(np.log(n_tried))
-    return Proposal(
-        code, "; ".join(p.describe() for p in parts), hypothesis, log_prior, float(gain),
-        rank=len(parts),
-    )  # fmt: skip
+    text = "; ".join(part.describe() for part in parts)
+    return Proposal(code, text, hypothesis, log_prior, float(gain), len(parts))
 
 
 def _paid(window, gains):
@@ -230,8 +231,8 @@ def _paid(window, gains):
     return np.where(window.is_able, gains - 2 * window.price, -np.inf)
 
 
-def _rows(view, windows, n_tried):
-    """All single rows that pay for being left out, at once; or the best one.
+def _rows(windows, n_tried):
+    """All single rows that pay for being left out, or else the best one, and their gain.
 
     What a row gains more than those beside it is its own: what is missing elsewhere is smooth.
     """
@@ -249,30 +250,23 @@ def _rows(view, windows, n_tried):
             break
         if not places & taken:
             chosen, taken, total = [*chosen, window.part(k)], taken | places, total + paid
-    if chosen:
-        yield _proposal(view, "bad_row", chosen, total, n_tried)
+    return chosen, total
 
 
-def _lost(view, windows, n_tried):
-    """The track that gains most by leaving out its end, or its beginning."""
-    found = []
+def _lost(windows):
+    """The track that gains most by leaving out its end, or its beginning, and its gain."""
+    best, parts = -np.inf, []
     for window, gains in windows:
-        if window.kind == "part":
-            paid = _paid(window, gains)
-            found.append((float(paid.max()), int(paid.argmax()), window))
-    paid, k, window = max(found, key=lambda entry: entry[0], default=(-np.inf, 0, None))
-    if np.isfinite(paid):
-        yield _proposal(view, "lost_track", [window.part(k)], paid, n_tried)
+        paid = _paid(window, gains)
+        if window.kind == "part" and paid.max() > best:
+            best, parts = paid.max(), [window.part(int(paid.argmax()))]
+    return parts, best
 
 
-def _frames(view, moved, n_tried):
-    """The scene in which missing or repeated frames gain most."""
+def _frames(moved):
+    """Missing or repeated frames in the scene in which they gain most, and their gain."""
     scene, row, seconds, chains, gains = max(moved, key=lambda m: m[-1][0])
-    if not seconds:
-        return
-    count, chain = 0, chains[0]
-    if seconds < 0:
-        lost = scene.times[row:] + seconds <= scene.times[row - 1 : row + 1].mean()
-        count = sum(int(c.seen[row : row + int(lost.sum())].sum()) for c in chains)
-    part = Shifted(scene.name, row, seconds, n_left_out=count, extent=chain.extent)
-    yield _proposal(view, "bad_row", [part], gains[0], n_tried)
+    lost = max(round(-seconds / float(np.median(np.diff(scene.times)))), 0)
+    count = sum(int(chain.seen[row : row + lost].sum()) for chain in chains)
+    part = Shifted(scene.name, row, seconds, n_left_out=count, extent=chains[0].extent)
+    return [part] if seconds else [], gains[0]

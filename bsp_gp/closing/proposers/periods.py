@@ -60,15 +60,7 @@ class Periods:
 
 
 class _Scan:
-    """Gains of sines and cosines of many rates on the moments left and on noise.
-
-    Parameters
-    ----------
-    view : View
-    rates : ndarray, shape (F,), rad/s
-    targets : ndarray, shape (n, 1 + B)
-        Beside the constants of the law.
-    """
+    """Gains of cosines and sines of many rates on targets (n, 1 + B): the data, and noise."""
 
     def __init__(self, view, rates, targets):
         self.view, self.rates, self.targets = view, rates, targets
@@ -127,32 +119,28 @@ def _rates(view):
 
 def _variants(view):
     """The push as a force and in proportion to the mass: (has mass, weights per batch, ties)."""
-    batches = view.response.regression.batches
-    masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
-    known = np.concatenate([m.ravel() for m in masses])
-    even = [np.ones_like(m) for m in masses]
-    if not np.isfinite(known).all():
-        yield True, even, False
-        return
-    is_one = bool(np.ptp(known) <= 1e-9 * known.max())
-    yield False, [1 / m for m in masses], is_one
+    batches, masses = view.response.regression.batches, view.masses
+    is_one = masses is not None and np.ptp(np.concatenate([m.ravel() for m in masses])) == 0
+    if masses is not None:
+        yield False, [1 / m for m in masses], is_one
     if not is_one:
-        yield True, even, False
+        yield True, [np.ones(b.valid.shape[1:3]) for b in batches], False
 
 
 def _proposal(view, rates, k, axes, has_mass, gain, ties):
     terms, constants = _push(view, axes, has_mass)
-    rate_name = next(reversed(constants))
-    constants[rate_name] = rate = float(rates[k])
-    law = ForceLaw(terms, constants)
-    log_prior = LOG_PRIOR + (MASS if has_mass else 0.0)
-    other = _push(view, axes, True)[0] if ties else ()
+    name = next(reversed(constants))
+    constants[name] = rate = float(rates[k])
+    other = [_text(_push(view, axes, True)[0])] if ties else []
     return Proposal(
-        "period", " + ".join(to_text(t.formula) for t in terms),
-        view.hypothesis + Forces(law), log_prior, float(gain), 2 * len(axes) + 1,
-        starts={rate_name: rate}, bounds={rate_name: (float(rates[0]), float(rates[-1]))},
-        ties=(" + ".join(to_text(t.formula) for t in other),) if other else (),
+        "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
+        LOG_PRIOR + (MASS if has_mass else 0.0), float(gain), 2 * len(axes) + 1,
+        {name: rate}, {name: (float(rates[0]), float(rates[-1]))}, ties=tuple(other),
     )  # fmt: skip
+
+
+def _text(terms):
+    return " + ".join(to_text(term.formula) for term in terms)
 
 
 def _push(view, axes, has_mass):

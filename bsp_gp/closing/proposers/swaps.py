@@ -10,13 +10,11 @@ from itertools import combinations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Proposal
 from bsp_gp.fitting.parts.defects import Swapped
 from bsp_gp.fitting.tangent import as_pair
 
 __all__ = ["swaps"]
 
-LOG_PRIOR = -3.0
 WINDOW = 4
 """Rows before and after a swap through which a cubic is put."""
 MOST_BODIES = 12
@@ -26,21 +24,10 @@ MOST_SWAPS = 4
 
 
 def swaps(view):
-    """Every swap that pays, in one proposal, and the greatest gain of any as of two numbers.
-
-    Parameters
-    ----------
-    view : View
-
-    Returns
-    -------
-    proposals : list of Proposal
-    gain : float
-    """
+    """Every swap that pays: parts, their gain, the greatest one as of two numbers, choices."""
     levels, scenes = np.array(view.fit.noise.levels), view.dataset.scenes
     n_tried = sum(len(s.times) * len(s.dynamic) * (len(s.dynamic) - 1) // 2 for s in scenes)
-    choice = float(np.log(max(n_tried, 1)))
-    hypothesis, parts, excess, best = view.hypothesis, [], 0.0, 0.0
+    choice, parts, excess, best = float(np.log(max(n_tried, 1))), [], 0.0, 0.0
     for scene in scenes:
         found = list(_swaps(scene, levels, choice))
         left, dof = _left(view.fit, scene.name) if found else (0.0, 1)
@@ -49,16 +36,7 @@ def swaps(view):
             best = max(best, gain - 2 * choice)  # chance of a wrong name: exp(-gain / 2) each
             parts += [part for _, part in found]
             excess += left - dof
-    if not parts:
-        return [], 0.0
-    for part in parts:
-        hypothesis = hypothesis + part
-    return [
-        Proposal(
-            "swapped_tracks", "; ".join(p.describe() for p in parts), hypothesis,
-            LOG_PRIOR - len(parts) * choice, excess, rank=len(parts),
-        )
-    ], best  # fmt: skip
+    return parts, excess, best, n_tried
 
 
 def _left(fit, name):
