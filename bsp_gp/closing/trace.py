@@ -161,9 +161,12 @@ class _Field:
     def pushes(self, direction, basis):
         """Accelerations of every function of a basis, (n, S, R, F, d)."""
         nothing = np.zeros((*self.own.shape[:3], 1, self.own.shape[3]))
-        vectors = self.directions.get(direction, nothing)
-        values = self.variables[basis.variable] if basis.variable else np.zeros(vectors.shape[:-1])
-        one = [np.nan_to_num(vectors * f[..., None]).sum(axis=3) for f in basis.functions(values)]
+        vectors = np.nan_to_num(self.directions.get(direction, nothing))
+        values = self.variables[basis.variable] if basis.variable else np.zeros((1, 1, 1, 1))
+        if values.shape[3] == 1:  # the same for all other bodies
+            vectors = vectors.sum(axis=3, keepdims=True)
+        functions = (np.nan_to_num(f)[..., None] for f in basis.functions(values))
+        one = [(vectors * f).sum(axis=3) for f in functions]
         return np.stack(one, axis=3)
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import stats
-from scipy.special import gammaln
+from scipy.special import chdtrc, gammaln
 
 __all__ = ["Score", "Tangent", "as_pair", "p_of_gain"]
 
@@ -157,7 +157,7 @@ def as_pair(gain, rank):
     """
     gain, half = np.asarray(gain, dtype=float), np.asarray(rank) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        near = stats.chi2.logsf(gain, rank)
+        near = np.log(chdtrc(rank, gain))
         # Where the chance itself is no longer a number: the upper incomplete gamma far out.
         x = gain / 2
         far = half * np.log(x) - x - np.log(x - half + 1) - gammaln(half)

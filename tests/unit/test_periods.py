@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.closing.proposers.defects import Defects
 from bsp_gp.closing.proposers.periods import Periods
 from bsp_gp.closing.view import selected
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.tangent import as_pair
 from tests.closing_views import throws, view_of
 
 RATE = 4 * np.pi
@@ -84,3 +86,12 @@ def test_noise_alone_is_called_missing_as_often_as_is_said():
         # Four standard deviations of a count of 200.
         assert np.sum(values < 0.05) <= 22, name
         assert 72 <= np.sum(values < 0.5) <= 128, name
+
+
+def test_gains_of_many_numbers_are_told_as_of_two():
+    gain = np.array([0.0, 3.0, 30.0, 400.0])
+    for rank in (1, 2, 5, 40):
+        assert stats.chi2.sf(as_pair(gain, rank), 2) == pytest.approx(stats.chi2.sf(gain, rank))
+    # Beyond what a chance can be as a number: of four, exp(-x/2) (1 + x/2).
+    assert as_pair(5000.0, 4) == pytest.approx(5000 - 2 * np.log(2501), abs=1e-3)
+    assert as_pair(5000.0, 2) == pytest.approx(5000)
