@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -90,7 +90,10 @@ def run_rounds(hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds
 
 def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
     started = time.monotonic()
-    base = Row(0, "base", "", "", found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
+    base = Row(
+        0, "base", "", "", found.status, log_evidence(found, hypothesis), 0.0, found.chisqr,
+        found.n_free,
+    )  # fmt: skip
     fits, hypotheses, families, rows = {0: found}, {0: hypothesis}, [], [base]
     p_value = np.nan
     if base.is_fit:
@@ -156,15 +159,18 @@ def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
 
 
 def _chosen(every, criteria):
-    """The proposals that are fitted: those near the best, and the first of every family."""
+    """The proposals that are fitted: those near the best, and the first of other families.
+
+    A family's first may be a part of the best's promise behind: promises are linear.
+    """
     top = every[0][1].promise if every else 0.0
+    near, far = top - criteria.fitted_nats, (1 - criteria.nonlinear) * top - criteria.fitted_nats
     chosen, families, keys = [], set(), set()
     for name, proposal in every:
         if len(chosen) == criteria.most_fits:
             break
-        is_near = proposal.promise > top - criteria.fitted_nats
-        is_first = name not in families and proposal.promise > 0
-        if (is_near or is_first) and (proposal.key not in keys or proposal.starts):
+        is_near = proposal.promise > (near if name in families else far)
+        if is_near and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             families.add(name)
             keys.add(proposal.key)
