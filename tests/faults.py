@@ -147,9 +147,11 @@ class Bench:
         jobs = null_data.jobs_of
         null_data.jobs_of = lambda *args: jobs(*args)[:2]
         sys.argv = ["null_data.py", *words[:-1], "1"]
-        null_data.main()
-        common._HELD.close()  # as at the end of the process
-        null_data.jobs_of = jobs
+        try:
+            null_data.main()
+        finally:
+            common._HELD.close()  # as at the end of the process
+            null_data.jobs_of = jobs
         return 0
 
     def child(self, act):
