@@ -104,8 +104,10 @@ def find_reference(world, starts, constants=None):
         If the law has no finite value along the tracks, or conditions on continuous motion: what
         it does at a contact hangs on when that begins, which a frozen track does not know.
     """
-    run = _Climb(world, np.atleast_2d(np.asarray(starts, dtype=float)), constants)
-    return run.result()
+    # As in a fit, numbers that overflow on trial lead to points that are not finite: refused.
+    with np.errstate(all="ignore"):
+        run = _Climb(world, np.atleast_2d(np.asarray(starts, dtype=float)), constants)
+        return run.result()
 
 
 class _Climb:
