@@ -35,16 +35,16 @@ COARSE = 4
 TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
+"""Starts that go on beyond the first level."""
 JOININGS = 6
 GROWN = 4
 """Trials from which whole tracks are grown."""
 AGREE = 2
 """Starts that lead to one minimum before it is believed in, where the noise is estimated."""
-ALLOWED = 10.0
+ALLOWED = 2.0
 """Standard deviations above its mean up to which chi-squared may be that of noise."""
 ENOUGH = 2
 """Starts that agree, after which no more are asked."""
-"""Starts that go on beyond the first level."""
 
 
 class Climb:
