@@ -12,7 +12,10 @@ from tests.fuzz.run import table
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="bounds on the memory of a forked child"
 )
-SLOW = ("an_infer_that_took_minutes",)
+SLOW = (
+    "an_infer_that_took_minutes",
+    "a_fit_with_stops_that_takes_minutes",
+)
 SOUND = b"t,x,y\n" + b"".join(b"%.2f,%.3f,1\n" % (k / 20, k * k / 9) for k in range(8))
 
 
