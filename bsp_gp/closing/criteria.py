@@ -52,6 +52,8 @@ class Criteria:
         Proposals that are fitted in a round at the most.
     tie_nats : float
         Odds within which an error of the measurement and a force are not told apart.
+    noise_nats : float
+        Odds by which a cause must be likelier than noise of another kind.
     promise : float
         Part of the gain that a hypothesis promises for held-out tracks, which it must keep.
     """
@@ -64,4 +66,5 @@ class Criteria:
     nonlinear: float = 0.2
     most_fits: int = 12
     tie_nats: float = 2.0
+    noise_nats: float = 4.0
     promise: float = 0.3

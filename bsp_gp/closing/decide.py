@@ -61,6 +61,9 @@ def decide(table, criteria=None):
     if not candidates:
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
+    noise = next((row for row in candidates if row.code == "noise"), None)
+    if noise is not None and best.log_posterior - noise.log_posterior < criteria.noise_nats:
+        return Decision("the noise is not as assumed", "noise_explains", noise, True)
     rivals = tuple(
         row for row in _comparable(table)
         if row.id != best.id and _is_rival(row, best, criteria)
@@ -74,8 +77,6 @@ def decide(table, criteria=None):
         if kind_of(row) != kind_of(best)
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
-    if best.code == "noise":
-        return Decision("the noise is not as assumed", "noise_explains", best, True, rivals)
     is_fact = not any(abs(row.chisqr - best.chisqr) < criteria.separation for row in rivals)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)

@@ -15,7 +15,6 @@ from bsp_gp.closing.proposal import continued
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
-from bsp_gp.language.render import to_text
 
 __all__ = ["Round", "run_rounds"]
 
@@ -127,7 +126,8 @@ def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
         ((f.name, p) for f in families for p in f.proposals), key=lambda pair: -pair[1].promise
     )
     offset = -math.inf
-    for name, proposal in _chosen(every, criteria):
+    controls = [(f.name, p) for f in families if f.is_control for p in f.proposals[:1]]
+    for name, proposal in [*controls, *(c for c in _chosen(every, criteria) if c not in controls)]:
         says(f"fitting {proposal.text}")
         new = fit(proposal.hypothesis, dataset, starts=proposal.starts, bounds=proposal.bounds)
         number = len(rows)
@@ -139,7 +139,8 @@ def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
                 held_out_gain(base, new),
             )
         )  # fmt: skip
-        offset = max(offset, evidence + proposal.log_prior - proposal.promise)
+        if (name, proposal) not in controls:
+            offset = max(offset, evidence + proposal.log_prior - proposal.promise)
     if not math.isfinite(offset):
         return
     # What was scored only is told in the terms of what was fitted.
@@ -180,5 +181,5 @@ def _chosen(every, criteria):
 def _row(number, source, proposal, status, evidence, chisqr, n_free, held_out):
     return Row(
         number, proposal.code, proposal.text, source, status, evidence, proposal.log_prior, chisqr,
-        n_free, held_out, key=proposal.key, ties=tuple(map(to_text, proposal.ties)),
+        n_free, held_out, key=proposal.key, ties=proposal.texts_of_ties,
     )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["Family", "Proposal", "continued", "fresh_name", "renamed", "with_term"]
@@ -36,7 +37,7 @@ class Proposal:
         For the fit.
     formula : Formula or None
         Of a law: the term that is added.
-    ties : tuple of Formula
+    ties : tuple of Formula or str
         What would be the same on these data.
     """
 
@@ -55,6 +56,11 @@ class Proposal:
     def key(self):
         """Its identity: laws that are equal up to algebra have one."""
         return self.code, self.text if self.formula is None else canonical_key(self.formula)
+
+    @property
+    def texts_of_ties(self):
+        """The ties as texts."""
+        return tuple(tie if isinstance(tie, str) else to_text(tie) for tie in self.ties)
 
     @property
     def promise(self):
@@ -76,6 +82,8 @@ class Family:
     null : ndarray, shape (B,)
         The greatest gains on simulated noise.
     certificate : str
+    is_control : bool
+        Whether its best is fitted whatever it promises: what others must be better than.
     n_tried : int
     """
 
@@ -85,6 +93,7 @@ class Family:
     rank: int = 0
     null: np.ndarray = field(default_factory=lambda: np.zeros(0))
     certificate: str = ""
+    is_control: bool = False
     n_tried: int = 0
 
 

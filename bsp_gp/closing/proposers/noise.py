@@ -13,8 +13,8 @@ __all__ = ["Noise"]
 
 LOG_PRIOR = -1.0
 """Of a memory, where the level is estimated: many trackers have one."""
-TIMES = (1.5, 6.0)
-"""Correlation times to begin with, in median steps."""
+TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.5, 0.9)
+"""Correlation times, in median steps, and shares of the variance to begin with."""
 
 
 class Noise:
@@ -38,18 +38,17 @@ class Noise:
             return Family(self.name)
         step = np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes]))
         plain = model.plain()
-        proposals = []
-        for time in TIMES:
-            remembered = replace(plain, correlated=0.8, correlation_time=float(time * step))
-            proposals.append(
-                Proposal(
-                    "noise", "a memory of the noise",
-                    view.hypothesis + TrackNoise(remembered, is_given=True), LOG_PRIOR,
-                    _gain(view, remembered),
-                )
-            )  # fmt: skip
-        best = max(proposals, key=lambda p: p.gain)
-        return Family(self.name, (best,) if best.gain > 0 else ())
+        models = [
+            replace(plain, correlated=share, correlation_time=float(time * step))
+            for time in TIMES for share in SHARES
+        ]  # fmt: skip
+        gains = [_gain(view, remembered) for remembered in models]
+        best = int(np.argmax(gains))
+        noise = TrackNoise(models[best], is_given=True)
+        proposal = Proposal(
+            "noise", "a memory of the noise", view.hypothesis + noise, LOG_PRIOR, gains[best], 2
+        )
+        return Family(self.name, (proposal,), is_control=True)
 
 
 def _gain(view, model):
