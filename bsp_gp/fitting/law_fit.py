@@ -25,7 +25,7 @@ from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.units import Unit
 
-__all__ = ["SCHEMA", "LawFit", "fit_law"]
+__all__ = ["SCHEMA", "LawFit", "about_noise", "constant_estimates", "fit_law", "widening_of"]
 
 SCHEMA = "bsp_gp/fit/2"
 MISFIT = 1.5
@@ -176,9 +176,9 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     if time_limit is not None:
         left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
     errors = held_out_errors(found, dataset, split.test, deadline=left)
-    widening = _widening(found)
-    constants = _constants(found, dataset, bounds or {}, widening)
-    noise_told = _about_noise(found.noise, said, dataset.units)
+    widening = widening_of(found)
+    constants = constant_estimates(found, dataset, bounds)
+    noise_told = about_noise(found.noise, said, dataset.units)
     return LawFit(
         dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
         constants=constants, correlation=_correlation(found.covariance), errors=errors,
@@ -235,7 +235,7 @@ def _unset(law):
 # --- what is told ---------------------------------------------------------------------------------
 
 
-def _widening(found):
+def widening_of(found):
     """Factor on standard errors: misfit beyond the noise counts against the constants.
 
     With as many independent rows as the autocorrelation of the residual leaves.
@@ -252,9 +252,23 @@ def _widening(found):
     return math.sqrt(misfit)
 
 
-def _constants(found, dataset, bounds, widening):
-    """The constants with 90 % intervals; Student's t where the noise was estimated."""
+def constant_estimates(found, dataset, bounds=None):
+    """The constants of a fit with 90 % intervals; Student's t where the noise was estimated.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+        For its units.
+    bounds : dict of str to (float, float), optional
+
+    Returns
+    -------
+    tuple of ConstantEstimate
+    """
     from scipy.stats import t as student_t  # a slow import
+
+    bounds, widening = bounds or {}, widening_of(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
     units = {}
@@ -298,7 +312,7 @@ def _bic(found):
     return float((found.n_free + n_noise) * math.log(found.n_rows) - 2 * found.log_likelihood)
 
 
-def _about_noise(model, said, units):
+def about_noise(model, said, units):
     """What is known of the noise, or was estimated under the law."""
     is_estimated = bool(model.is_free.any())
     has_memory = model.correlated > 0
