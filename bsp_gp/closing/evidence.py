@@ -24,12 +24,14 @@ LEAST = 2.0
 TURN = 2.0 * math.pi
 
 
-def log_evidence(fit):
+def log_evidence(fit, hypothesis):
     """Log-evidence of a fit, nats; -inf of a failed one.
 
     Parameters
     ----------
     fit : Fit
+    hypothesis : Hypothesis
+        That was fitted; its parameters may have priors of their own.
     """
     if fit.is_failed:
         return -math.inf
@@ -44,9 +46,14 @@ def log_evidence(fit):
     total += 0.5 * (volume + len(size) * math.log(TURN))
     roles = roles_of(fit.law)
     values = fit.values[known]
-    names = [name for (name, _), is_known in zip(fit.parameters, known, strict=True) if is_known]
-    for name, value, error in zip(names, values, size, strict=True):
-        total += math.log(error) + _log_prior(roles[name], abs(float(value)), float(error))
+    numbers = [p for p, is_known in zip(hypothesis.parameters, known, strict=True) if is_known]
+    for number, value, error in zip(numbers, values.tolist(), size.tolist(), strict=True):
+        total += math.log(error)
+        if number.prior is None:
+            total += _log_prior(roles[number.name], abs(value), error)
+        else:
+            centre, scale = number.prior
+            total -= math.log(math.pi * scale * (1 + ((value - centre) / scale) ** 2))
     return float(total)
 
 

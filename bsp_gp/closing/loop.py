@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from bsp_gp.closing.proposal import continued
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
+from bsp_gp.language.render import to_text
 
 __all__ = ["Round", "run_rounds"]
 
@@ -88,7 +90,7 @@ def run_rounds(hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds
 
 def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
     started = time.monotonic()
-    base = Row(0, "base", "", "", found.status, log_evidence(found), 0.0, found.chisqr, found.n_free)
+    base = Row(0, "base", "", "", found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
     fits, hypotheses, families, rows = {0: found}, {0: hypothesis}, [], [base]
     p_value = np.nan
     if base.is_fit:
@@ -99,7 +101,7 @@ def _round(number, hypothesis, found, dataset, proposers, rng, criteria, says):
         p_value = _p_of_all(families, view)
         if p_value <= criteria.alpha:
             _fit_best(families, rows, fits, hypotheses, found, dataset, criteria, says)
-    table = HypothesisTable(tuple(rows), p_value).with_probabilities()
+    table = HypothesisTable(tuple(rows), p_value).without_repeats().with_probabilities()
     return Round(
         number, found, table, decide(table, criteria), fits, hypotheses, tuple(families),
         time.monotonic() - started,
@@ -118,46 +120,59 @@ def _p_of_all(families, view):
 
 def _fit_best(families, rows, fits, hypotheses, base, dataset, criteria, says):
     """Fit the likeliest proposals of all families, and put them and what lies near into rows."""
-    every = [(f.name, p) for f in families for p in f.proposals]
-    every.sort(key=lambda pair: -pair[1].promise)
-    top = every[0][1].promise if every else 0.0
-    chosen, per_family = [], {}
-    for name, proposal in every:
-        is_near = proposal.promise > top - criteria.fitted_nats
-        is_first = name not in per_family and proposal.promise > 0
-        if (is_near or is_first) and len(chosen) < criteria.most_fits:
-            chosen.append((name, proposal))
-            per_family[name] = True
-    offset = None
-    for name, proposal in chosen:
+    every = sorted(
+        ((f.name, p) for f in families for p in f.proposals), key=lambda pair: -pair[1].promise
+    )
+    offset = -math.inf
+    for name, proposal in _chosen(every, criteria):
         says(f"fitting {proposal.text}")
         new = fit(proposal.hypothesis, dataset, starts=proposal.starts, bounds=proposal.bounds)
         number = len(rows)
         fits[number], hypotheses[number] = new, proposal.hypothesis
+        evidence = log_evidence(new, proposal.hypothesis)
         rows.append(
-            Row(
-                number, proposal.code, proposal.text, name, new.status, log_evidence(new),
-                proposal.log_prior, new.chisqr, new.n_free, held_out_gain(base, new),
-                ties=proposal.ties,
+            _row(
+                number, name, proposal, new.status, evidence, new.chisqr, new.n_free,
+                held_out_gain(base, new),
             )
         )  # fmt: skip
-        if not new.is_failed:
-            gap = rows[-1].log_evidence + proposal.log_prior - proposal.promise
-            offset = gap if offset is None else max(offset, gap)
-    fitted = {row.text for row in rows}
-    if offset is not None:
-        _add_near(families, rows, fitted, base, offset)
+        offset = max(offset, evidence + proposal.log_prior - proposal.promise)
+    if not math.isfinite(offset):
+        return
+    # What was scored only is told in the terms of what was fitted.
+    least = max(row.log_posterior for row in rows[1:]) - offset - criteria.class_nats
+    known = {row.key for row in rows}
+    for name, proposal in every:
+        if proposal.promise < least:
+            break
+        if proposal.key not in known:
+            known.add(proposal.key)
+            rows.append(
+                _row(
+                    len(rows), name, proposal, "scored", offset + 0.5 * proposal.gain,
+                    base.chisqr - proposal.gain, base.n_free + proposal.rank, HeldOut(),
+                )
+            )  # fmt: skip
 
 
-def _add_near(families, rows, fitted, base, offset):
-    """Rows of what was scored and not fitted, told in the terms of those that were."""
-    for family in families:
-        for near in family.near:
-            if near.text not in fitted:
-                rows.append(
-                    Row(
-                        len(rows), near.code, near.text, family.name, "scored",
-                        offset + 0.5 * near.gain, near.log_prior, base.chisqr - near.gain,
-                        base.n_free + 1, HeldOut(),
-                    )
-                )  # fmt: skip
+def _chosen(every, criteria):
+    """The proposals that are fitted: those near the best, and the first of every family."""
+    top = every[0][1].promise if every else 0.0
+    chosen, families, keys = [], set(), set()
+    for name, proposal in every:
+        if len(chosen) == criteria.most_fits:
+            break
+        is_near = proposal.promise > top - criteria.fitted_nats
+        is_first = name not in families and proposal.promise > 0
+        if (is_near or is_first) and (proposal.key not in keys or proposal.starts):
+            chosen.append((name, proposal))
+            families.add(name)
+            keys.add(proposal.key)
+    return chosen
+
+
+def _row(number, source, proposal, status, evidence, chisqr, n_free, held_out):
+    return Row(
+        number, proposal.code, proposal.text, source, status, evidence, proposal.log_prior, chisqr,
+        n_free, held_out, key=proposal.key, ties=tuple(map(to_text, proposal.ties)),
+    )  # fmt: skip

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import Call, Constant
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Family", "Near", "Proposal", "continued", "fresh_name", "renamed", "with_term"]
+__all__ = ["Family", "Proposal", "continued", "fresh_name", "renamed", "with_term"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class Proposal:
         For the fit.
     formula : Formula or None
         Of a law: the term that is added.
-    ties : tuple of str
+    ties : tuple of Formula
         What would be the same on these data.
     """
 
@@ -49,20 +51,15 @@ class Proposal:
     formula: object = None
     ties: tuple = ()
 
+    @cached_property
+    def key(self):
+        """Its identity: laws that are equal up to algebra have one."""
+        return self.code, self.text if self.formula is None else canonical_key(self.formula)
+
     @property
     def promise(self):
         """Log posterior beside the law as it is, nats, up to what all proposals share."""
         return 0.5 * self.gain + self.log_prior
-
-
-@dataclass(frozen=True)
-class Near:
-    """A cause that was scored and not fitted."""
-
-    code: str
-    text: str
-    gain: float
-    log_prior: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +75,6 @@ class Family:
         The greatest gain of all that was tried, and its free numbers.
     null : ndarray, shape (B,)
         The greatest gains on simulated noise.
-    near : tuple of Near
     certificate : str
     n_tried : int
     """
@@ -88,7 +84,6 @@ class Family:
     gain: float = 0.0
     rank: int = 0
     null: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    near: tuple = ()
     certificate: str = ""
     n_tried: int = 0
 

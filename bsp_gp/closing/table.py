@@ -50,6 +50,8 @@ class Row:
     p_value : float
         Selection counted.
     probability : float
+    key : tuple
+        Identity of what it adds.
     ties : tuple of str
     """
 
@@ -65,6 +67,7 @@ class Row:
     held_out: HeldOut = field(default_factory=HeldOut)
     p_value: float = math.nan
     probability: float = math.nan
+    key: tuple = ()
     ties: tuple = ()
 
     @property
@@ -101,6 +104,14 @@ class HypothesisTable:
         able = [r for r in self.rows[1:] if r.is_fit and np.isfinite(r.log_posterior)]
         return sorted(able, key=lambda r: -r.log_posterior)
 
+    def without_repeats(self):
+        """The same without rows that are another descent of one hypothesis."""
+        best = {}
+        for row in self.rows:
+            if row.key not in best or _height(row) > _height(best[row.key]):
+                best[row.key] = row
+        return HypothesisTable(tuple(r for r in self.rows if best[r.key] is r), self.p_value)
+
     def with_probabilities(self):
         """The same with probabilities over all rows that can be compared."""
         heights = np.array([r.log_posterior if r.is_fit or r.status == "scored" else -np.inf
@@ -112,6 +123,10 @@ class HypothesisTable:
             replace(row, probability=float(w)) for row, w in zip(self.rows, weights, strict=True)
         )
         return HypothesisTable(rows, self.p_value)
+
+
+def _height(row):
+    return (row.is_fit, row.log_posterior)
 
 
 def held_out_gain(base, other):

@@ -13,7 +13,7 @@ from bsp_gp.physics.force import Term
 
 __all__ = ["View", "selected"]
 
-N_DRAWS = 99
+N_DRAWS = 49
 """Simulated residuals behind the effective number of things that were tried."""
 
 

@@ -31,6 +31,8 @@ class Parameter:
         Bounds, SI.
     start : float
         Where a fit begins, SI; nan = found from the data.
+    prior : tuple of float or None
+        Centre and scale of where it is likely (Cauchy); None: by what it does in the law.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     start: float = math.nan
+    prior: tuple | None = None
 
 
 @dataclass(frozen=True)

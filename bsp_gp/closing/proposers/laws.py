@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Near, Proposal, fresh_name, renamed, with_term
+from bsp_gp.closing.proposal import Family, Proposal, fresh_name, renamed, with_term
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
@@ -13,7 +13,8 @@ from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
 
-MOST_NEAR = 400
+MOST_NEAR, MOST_TIES = 400, 20
+"""Laws that are kept beside the best, and that are named with each as equal to it."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
 
@@ -65,6 +66,7 @@ class Laws:
                 regression, self.grammar, kind=kind, target=target,
                 nuisance=columns if columns.size else None, max_levels=self.max_levels,
                 missing_inputs=self.missing, null_targets=view.moment_draws,
+                max_ties=MOST_TIES,
             )  # fmt: skip
             draws = view.beside(view.moment_draws)
             null = np.maximum(null, np.array(result.null_gains) * np.square(draws).sum(axis=0))
@@ -75,13 +77,12 @@ class Laws:
         declared = self._declared(view)
         proposals = [
             self._proposal(view, candidate, total)
-            for candidate in found
+            for candidate in found[:MOST_NEAR]
             if not _is_parallel(view, candidate, declared)
         ]
         best = max((p.gain for p in proposals), default=0.0)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
-            tuple(Near("law", p.text, p.gain, p.log_prior) for p in proposals[:MOST_NEAR]),
             "\n".join(certificates), n_tried,
         )  # fmt: skip
 
@@ -107,8 +108,7 @@ class Laws:
         term = Term(formula, candidate.kind)
         return Proposal(
             "law", to_text(candidate.formula), with_term(view.hypothesis, term, {name: value}),
-            -candidate.complexity, candidate.share * total, formula=formula,
-            ties=tuple(to_text(tie) for tie in candidate.ties),
+            -candidate.complexity, candidate.share * total, formula=formula, ties=candidate.ties,
         )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Parts of hypotheses beyond the forces of a law, one short file each."""
