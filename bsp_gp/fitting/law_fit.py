@@ -25,7 +25,7 @@ from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.units import Unit
 
-__all__ = ["SCHEMA", "LawFit", "about_noise", "constant_estimates", "fit_law", "widening_of"]
+__all__ = ["SCHEMA", "LawFit", "about_noise", "constant_estimates", "fit_law", "unset"]
 
 SCHEMA = "bsp_gp/fit/2"
 MISFIT = 1.5
@@ -169,14 +169,14 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     train = replace(dataset, scenes=scenes, train=(), test=())
     check_properties(stack(train.scenes, dataset.up), law)
     found = fit(
-        Hypothesis.from_laws(train, _unset(law)), train, starts=starts, bounds=bounds,
+        Hypothesis.from_laws(train, unset(law)), train, starts=starts, bounds=bounds,
         deadline=time_limit,
     )  # fmt: skip
     left = None
     if time_limit is not None:
         left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
     errors = held_out_errors(found, dataset, split.test, deadline=left)
-    widening = widening_of(found)
+    widening = _widening(found)
     constants = constant_estimates(found, dataset, bounds)
     noise_told = about_noise(found.noise, said, dataset.units)
     return LawFit(
@@ -226,7 +226,7 @@ def _generator(rng):
     return rng
 
 
-def _unset(law):
+def unset(law):
     """The law without values of constants that are one for all: a fit finds its own starts."""
     shared = [n for n in law.names if not hasattr(law.constants.get(n), "items")]
     return law.with_constants(dict.fromkeys(shared, math.nan))
@@ -235,7 +235,7 @@ def _unset(law):
 # --- what is told ---------------------------------------------------------------------------------
 
 
-def widening_of(found):
+def _widening(found):
     """Factor on standard errors: misfit beyond the noise counts against the constants.
 
     With as many independent rows as the autocorrelation of the residual leaves.
@@ -268,7 +268,7 @@ def constant_estimates(found, dataset, bounds=None):
     """
     from scipy.stats import t as student_t  # a slow import
 
-    bounds, widening = bounds or {}, widening_of(found)
+    bounds, widening = bounds or {}, _widening(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
     units = {}

@@ -1,0 +1,241 @@
+"""From rounds to a report: what is told of each, of the data, and of the tracks held out."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from bsp_gp.closing.accounts import Ratio
+from bsp_gp.closing.decide import INSTRUMENT
+from bsp_gp.closing.outcome import Effect, Missing, Overlay, ResidualTable, RoundRecord
+from bsp_gp.fitting.held_out import regression_of
+from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.units import ACCELERATION
+
+__all__ = ["about_data", "overlays", "record_of", "residual_table", "versions"]
+
+PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
+MOST_OVERLAYS = 12
+
+
+def record_of(done, scored, accounts, dataset, bounds, is_removed):
+    """The record of a round.
+
+    Parameters
+    ----------
+    done : Round
+    scored : tuple of int or None
+        Which fits of the accounts entered the round, and came out of it (None: none).
+    accounts : Accounts
+    dataset : Dataset
+        Training scenes.
+    bounds : dict
+    is_removed : bool
+        Whether backward removal has taken back what it adopted.
+
+    Returns
+    -------
+    RoundRecord
+    """
+    decision, (before, after) = done.decision, scored
+    verdict, reason = decision.verdict, decision.reason
+    if is_removed:
+        verdict, reason = "seen, not adopted", "superseded"
+    return RoundRecord(
+        number=done.number,
+        missing=Missing(
+            done.entering.chi2_red, done.table.p_value, done.detectable,
+            dataset.units.text(ACCELERATION),
+        ),
+        effect=None if decision.best is None else _effect(done, dataset, bounds),
+        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in done.table.rows),
+        adopted=decision.is_adopted and not is_removed,
+        verdict=verdict,
+        reason=reason,
+        before=accounts.errors(before),
+        after=None if after is None else accounts.errors(after),
+        floor=accounts.floor,
+        ratio=Ratio() if after is None else accounts.ratio(before, after),
+        held_out=() if after is None else tuple(accounts.by_scene(before, after)),
+        varies_with=tuple(done.varies_with),
+        noise_findings=tuple(done.noise_findings),
+        hidden_bound=done.hidden_bound,
+        certificate="\n".join(f.certificate for f in done.families if f.certificate),
+        seconds=done.seconds,
+        trace=done.trace,
+    )  # fmt: skip
+
+
+def _hypothesis(row, p_value):
+    """One row of a table; what was fitted shares the p-value of the selection."""
+    return {
+        "id": row.id, "code": row.code, "law": row.text, "source": row.source,
+        "status": row.status, "log_evidence": row.log_evidence,
+        "held_out": asdict(row.held_out),
+        "p_value": p_value if math.isnan(row.p_value) and row.id else row.p_value,
+        "probability": row.probability,
+    }  # fmt: skip
+
+
+def _effect(done, dataset, bounds):
+    """The likeliest cause of a round."""
+    best, proposal = done.decision.best, done.proposals[done.decision.best.id]
+    fit = done.fits[best.id]
+    old = {name for name, _ in done.entering.parameters}
+    formula = proposal.formula
+    others = dict.fromkeys(row.text for row in done.decision.rivals)
+    return Effect(
+        name=best.text,
+        code=best.code,
+        kind=_kind(best.code, fit.law),
+        law="" if formula is None else to_text(formula),
+        latex="" if formula is None else to_latex(formula),
+        entities=tuple(
+            dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
+        ),
+        constants=tuple(c for c in constant_estimates(fit, dataset, bounds) if c.name not in old),
+        p_value=done.table.p_value,
+        probability=best.probability,
+        equivalents=tuple(dict.fromkeys((*best.ties, *others))),
+        is_fact=done.decision.is_fact,
+        formula=formula,
+    )  # fmt: skip
+
+
+def _kind(code, law):
+    """What kind of thing a cause is."""
+    if code in INSTRUMENT:
+        return "measurement"
+    if code in ("exponent", "number"):
+        return "declared_term_change"
+    return code if code in ("hidden_body", "noise") else law.terms[-1].kind
+
+
+def about_data(dataset, split, notes):
+    """What the report says of the data.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    split : Split
+    notes : tuple of str
+        What was found when the data were made ready.
+    """
+    digest = hashlib.sha256()
+    for scene in dataset.scenes:
+        digest.update(scene.name.encode())
+        digest.update(scene.times.tobytes())
+        digest.update(scene.positions.tobytes())
+    return {
+        "name": dataset.name,
+        "n_scenes": len(dataset.scenes),
+        "n_rows": int(sum(np.isfinite(s.positions).all(axis=-1).sum() for s in dataset.scenes)),
+        "n_entities": len({n for s in dataset.scenes for n in s.names}),
+        "n_dims": dataset.n_dims,
+        "train": [s.name for s in split.train],
+        "test": [s.name for s in split.test],
+        "split": split.note,
+        "units": dict(dataset.units.declared),
+        "symbols": dict(dataset.units.symbols),
+        "up": dataset.up,
+        "provenance": dict(dataset.provenance),
+        "fingerprint": digest.hexdigest(),
+        "notes": [*dataset.notes, *notes],
+    }
+
+
+def versions():
+    """Versions of what the numbers come from."""
+    out = {}
+    for package in PACKAGES:
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:  # running from a source tree
+            out[package] = "source"
+    return out
+
+
+def overlays(accounts):
+    """Held-out tracks as observed and as the first and the last fit foresee them.
+
+    Parameters
+    ----------
+    accounts : Accounts
+
+    Returns
+    -------
+    tuple of Overlay
+    """
+    out = []
+    for scene, first, last in zip(
+        accounts.scenes, accounts.rows[0], accounts.rows[-1], strict=False
+    ):
+        for r, index in enumerate(scene.dynamic):
+            if len(out) < MOST_OVERLAYS:
+                out.append(
+                    Overlay(
+                        scene.name, scene.names[index], scene.times, scene.positions[:, index],
+                        first["foreseen"][:, r], last["foreseen"][:, r], first["n_initial"],
+                    )
+                )  # fmt: skip
+    return tuple(out)
+
+
+def residual_table(first, last, dataset, split):
+    """Residual accelerations under two laws, row by row.
+
+    Parameters
+    ----------
+    first, last : Fit
+    dataset : Dataset
+    split : Split
+
+    Returns
+    -------
+    ResidualTable or None
+        None where a law has no finite constants.
+    """
+    if not (np.isfinite(first.values).all() and np.isfinite(last.values).all()):
+        return None
+    labels, numbers = [], []
+    for name, scenes in (("train", split.train), ("test", split.test)):
+        if not scenes:
+            continue
+        regression = regression_of(last, dataset, scenes)
+        with np.errstate(all="ignore"):
+            parts = zip(
+                regression.batches, regression.raw_residuals(first.law),
+                regression.raw_residuals(last.law), strict=True,
+            )  # fmt: skip
+            for batch, before, after in parts:
+                for s in range(len(batch.scene_names)):
+                    for r in range(len(batch.bodies.receivers)):
+                        values, label = _track_rows(batch, before, after, s, r)
+                        numbers.append(values)
+                        labels.append(np.array([[*label, name]] * values.shape[1], dtype=object))
+    rows = np.concatenate(labels).reshape(-1, 3).T
+    columns = np.concatenate(numbers, axis=1)
+    return ResidualTable(*rows, *columns)
+
+
+def _track_rows(batch, before, after, s, r):
+    """Numbers (7, n) of one body in one scene, and whose they are."""
+    index = batch.bodies.receivers[r]
+    seen = batch.valid[:, s, r].any(axis=-1)
+    v = batch.velocities[seen, s, index]
+    speed = np.linalg.norm(v, axis=-1)
+    unit = v / np.where(speed > 0, speed, 1.0)[:, None]
+    places = batch.positions[seen, s]
+    gaps = np.linalg.norm(np.delete(places, index, axis=1) - places[:, index, None], axis=-1)
+    distance = gaps.min(axis=1) if gaps.shape[1] else np.full(len(speed), np.nan)
+    b, a = np.nan_to_num(before[seen, s, r]), np.nan_to_num(after[seen, s, r])
+    values = (
+        batch.times[seen, s], speed, distance, np.linalg.norm(b, axis=-1),
+        np.linalg.norm(a, axis=-1), (b * unit).sum(axis=-1), (a * unit).sum(axis=-1),
+    )  # fmt: skip
+    return np.array(values), (batch.scene_names[s], batch.bodies.names[s][index])
