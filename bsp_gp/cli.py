@@ -219,6 +219,8 @@ def _close(args):
 
 def _run_loop(args, progress):
     """The report of the loop, and the settings that it ran with."""
+    if getattr(args, "loop", 1) == 2:
+        return _run_closing(args, progress)
     from bsp_gp.language.grammar import load_grammar
 
     grammar = load_grammar(args.grammar)
@@ -258,6 +260,29 @@ def _run_loop(args, progress):
         "workers": args.workers,
         **settings,
     }
+
+
+def _run_closing(args, progress):
+    """The same on hypotheses."""
+    import numpy as np
+
+    from bsp_gp.closing.close import close_loop
+    from bsp_gp.language.grammar import load_grammar
+
+    grammar = load_grammar(args.grammar)
+    dataset = read_dataset(args)
+    settings = {
+        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
+        "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),
+        "seed": args.seed, **read_fit_settings(args),
+    }  # fmt: skip
+    if args.bootstrap is not None:
+        settings["n_bootstrap"] = args.bootstrap
+    report = close_loop(
+        dataset, read_laws(args), rng=np.random.default_rng(args.seed), grammar=grammar,
+        progress=progress, **settings,
+    )  # fmt: skip
+    return report, {"grammar": args.grammar, **settings}
 
 
 def _fit(args):
