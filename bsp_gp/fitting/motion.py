@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering
+from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.language.inputs import property_of
 
 __all__ = ["CREEP", "Motion", "Points"]
@@ -69,7 +69,10 @@ class _Program:
             force = lowering.lower(term.acceleration_formula)
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
-        self.modes, self.has_stops = lowering.modes, lowering.has_stops
+        self.modes = lowering.modes
+        # Drag that fades with the speed brings nothing to rest.
+        lasting = (t for t in self.terms if not fades_at_rest(t.formula))
+        self.has_stops = lowering.has_stops and any("v_i" in t.formula.inputs for t in lasting)
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
