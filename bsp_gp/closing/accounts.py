@@ -55,7 +55,7 @@ class Accounts:
     Parameters
     ----------
     fits : sequence of Fit
-        The declared model first, what was adopted in the end last.
+        The last one makes the copies.
     dataset : Dataset
     scenes : sequence of Scene
         Held out.

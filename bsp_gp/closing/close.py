@@ -1,4 +1,4 @@
-"""Closing the loop on a data set: made ready, rounds, what is superfluous taken back, written up."""
+"""Closing the loop on a data set: made ready, rounds, removal of what is superfluous, report."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
+from bsp_gp.physics.metrics import METRICS
 
 __all__ = ["close_loop"]
 
@@ -158,42 +159,54 @@ class _Ready:
 def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
-    fits = list({id(f): f for f in (*(r.entering for r in rounds), rounds[-1].after, last)}.values())
-    best = rounds[-1].decision.best
-    if best is not None and not rounds[-1].decision.is_adopted:  # seen: what it would change
-        fits.insert(len(fits) - 1, rounds[-1].fits[best.id])
     left_out = ["intervals"] if n_copies and clock.is_over else []
-    accounts = Accounts(
-        fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies
-    )
+    fits = _scored(rounds, last)
+    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies)
     at = {id(f): k for k, f in enumerate(fits)}
     records = [
-        writing_up.record_of(done, _fits_of(done, at), accounts, dataset, bounds,
-                             done.number in pruned.removed)
+        writing_up.record_of(
+            done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed
+        )
         for done in rounds
-    ]  # fmt: skip
+    ]
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
-    effects = [r.effect for r in records if r.verdict == verdict and r.effect is not None]
-    begin, end = at[id(first)], at[id(last)]
+    effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
     units = {c.name: c.unit for c in constants if not c.entity}
-    metrics = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint")
     aliases = aliasing_notes(last.law, dataset.scenes, dataset.units)
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, (*ready.notes, *aliases)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
         "rounds": tuple(records), "law": last.law, "law_text": last.law.text(units=units),
         "law_latex": last.law.latex(units=units), "constants": constants,
-        "total": {
-            "before": accounts.errors(begin), "after": accounts.errors(end),
-            "floor": accounts.floor, "ratio": accounts.ratio(begin, end),
-            "ratios": {m: accounts.ratio(begin, end, m) for m in metrics},
-        },
-        "verdict": verdict, "probability": effects[0].probability if effects else math.nan,
-        "equivalents": effects[0].equivalents if effects else (),
-        "overlays": writing_up.overlays(accounts),
+        "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
+        "probability": math.nan if effect is None else effect.probability,
+        "equivalents": () if effect is None else effect.equivalents,
+        "overlays": writing_up.overlays(accounts, at[id(first)]),
         "residuals": writing_up.residual_table(first, last, ready.dataset, ready.split),
         "fit": last, "hypothesis": pruned.hypothesis, "left_out": left_out,
+    }  # fmt: skip
+
+
+def _scored(rounds, last):
+    """Fits that are scored on held-out scenes, the last one last.
+
+    What was seen in the last round and not adopted is among them.
+    """
+    fits = [done.entering for done in rounds]
+    end = rounds[-1]
+    if end.decision.best is not None:
+        fits.append(end.fits[end.decision.best.id])
+    others = {id(f): f for f in fits if f is not last}
+    return [*others.values(), last]
+
+
+def _total(accounts, begin, end):
+    """Errors of the declared and the final law."""
+    return {
+        "before": accounts.errors(begin), "after": accounts.errors(end), "floor": accounts.floor,
+        "ratio": accounts.ratio(begin, end),
+        "ratios": {metric: accounts.ratio(begin, end, metric) for metric in METRICS},
     }  # fmt: skip
 
 
@@ -234,9 +247,9 @@ def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, 
         raise SettingsError(f"alpha must be between 0 and 1, got {criteria.alpha!r}")
     if search not in SEARCHES:
         raise SettingsError(f"search must be one of {', '.join(SEARCHES)}, got {search!r}")
-    for name, value, least in (
-        ("max_rounds", max_rounds, 1), ("max_levels", max_levels, 1), ("n_bootstrap", n_bootstrap, 0),
-    ):  # fmt: skip
+    numbers = {"max_rounds": max_rounds, "max_levels": max_levels, "n_bootstrap": n_bootstrap}
+    for name, value in numbers.items():
+        least = 0 if name == "n_bootstrap" else 1
         if value < least:
             raise SettingsError(f"{name} must be at least {least}, got {value!r}")
     if time_limit is not None and not 0 < time_limit < math.inf:

@@ -149,9 +149,8 @@ class _Run:
         table = table.without_repeats().with_probabilities()
         decision = decide(table, self.criteria)
         if turn.left_out:  # what was not looked at might have changed it
-            decision = replace(
-                decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
-            )
+            nothing = {"is_adopted": False, "is_fact": False}
+            decision = replace(decision, verdict="cannot tell", reason="time_is_up", **nothing)
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
             turn.proposals, time.monotonic() - started, tuple(turn.left_out), detectable,
@@ -163,8 +162,8 @@ class _Turn:
 
     def __init__(self, run, found, hypothesis):
         self.run, self.base = run, found
-        evidence = log_evidence(found, hypothesis)
-        self.rows = [Row(0, "base", "", "", found.status, evidence, 0.0, found.chisqr, found.n_free)]
+        base = (found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
+        self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value = [], [], np.nan
 

@@ -160,21 +160,22 @@ def versions():
     return out
 
 
-def overlays(accounts):
-    """Held-out tracks as observed and as the first and the last fit foresee them.
+def overlays(accounts, begin):
+    """Held-out tracks as observed and as the declared and the last fit foresee them.
 
     Parameters
     ----------
     accounts : Accounts
+    begin : int
+        Which of its fits is the declared one.
 
     Returns
     -------
     tuple of Overlay
     """
     out = []
-    for scene, first, last in zip(
-        accounts.scenes, accounts.rows[0], accounts.rows[-1], strict=False
-    ):
+    rows = zip(accounts.scenes, accounts.rows[begin], accounts.rows[-1], strict=False)
+    for scene, first, last in rows:
         for r, index in enumerate(scene.dynamic):
             if len(out) < MOST_OVERLAYS:
                 out.append(

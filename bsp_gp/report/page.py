@@ -23,7 +23,7 @@ _CAUSES = {
     "noise": "noise that is not as assumed",
 }  # fmt: skip
 _REASONS = {
-    "adopted": "it is significant, likelier than all else, and scenes that were left out bear it out",
+    "adopted": "it is significant, likelier than all else, and borne out by scenes left out",
     "not_significant": "noise alone shows as much as the best of everything that was tried",
     "no_better_than_before": "it is no likelier than the model without it",
     "kinds_tie": "a cause of another kind is as likely",
@@ -43,7 +43,7 @@ _STOPS = {
 }
 _LEFT_OUT = {
     "proposers": "some kinds of causes were not looked for",
-    "fits": "some causes were not fitted", "rounds": "further rounds",
+    "fits": "some causes were not fitted",
     "removal": "what became superfluous was not taken back",
     "intervals": "neither the noise floor nor all intervals were found out",
 }  # fmt: skip
