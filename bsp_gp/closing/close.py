@@ -20,8 +20,13 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.law_fit import about_noise, constant_estimates, unset
-from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.law_fit import (
+    about_noise,
+    about_outliers,
+    constant_estimates,
+    training_part,
+    unset,
+)
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.aliasing import aliasing_notes
@@ -138,9 +143,10 @@ class _Ready:
         The declared one.
     split : Split
     train : Dataset
-        What is learned from, gross errors left out.
+        What is learned from.
+    far_off : str
+        Rows in it that are far off their neighbours.
     noise : NoiseEstimate
-    notes : tuple of str
     """
 
     def __init__(self, dataset, declared, rng):
@@ -150,10 +156,16 @@ class _Ready:
         self.dataset = with_usable_masses(dataset)
         self.split = choose_split(self.dataset, rng)
         self.noise = estimate_noise(self.dataset)
-        scenes, told = without_outliers(self.split.train, self.noise.sigma)
-        self.train = replace(self.dataset, scenes=scenes, train=(), test=())
-        self.notes = (*self.noise.notes, *told)
+        self.train, self.far_off = training_part(self.dataset, self.split.train, self.noise)
         check_properties(stack(self.train.scenes, dataset.up), self.law)
+
+    def notes(self, found):
+        """What is known of the data beside a law that was fitted to them."""
+        is_left_out = self.train.scenes is not self.split.train
+        return (
+            *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
+            *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
+        )  # fmt: skip
 
 
 def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
@@ -173,9 +185,8 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
     effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
     units = {c.name: c.unit for c in constants if not c.entity}
-    aliases = aliasing_notes(last.law, dataset.scenes, dataset.units)
     return {
-        "dataset": writing_up.about_data(ready.dataset, ready.split, (*ready.notes, *aliases)),
+        "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
         "rounds": tuple(records), "law": last.law, "law_text": last.law.text(units=units),
         "law_latex": last.law.latex(units=units), "constants": constants,

@@ -40,8 +40,8 @@ class Criteria:
         Chi-squared by which a rival form must lie above the best for the best to be a fact: four
         standard deviations. A rule that keeps 95 % of true forms would state a form that is one
         standard deviation away as a fact in 83 % of its sets.
-    class_nats : float
-        Rivals less likely than the best by more than this are not told.
+    class_nats, equal_nats : float
+        Rivals are told whose log posterior, or log evidence, is within this of the best.
     fitted_nats : float
         Proposals whose promise is within this of the best are fitted to whole tracks.
     most_fits : int
@@ -55,6 +55,7 @@ class Criteria:
     alpha: float = 0.01
     separation: float = 16.0
     class_nats: float = 8.0
+    equal_nats: float = 4.0
     fitted_nats: float = 8.0
     most_fits: int = 12
     tie_nats: float = 2.0

@@ -93,8 +93,10 @@ def _comparable(table):
 
 
 def _is_rival(row, best, criteria):
-    near = row.chisqr - best.chisqr < criteria.separation
-    return near and best.log_posterior - row.log_posterior < criteria.class_nats
+    likely = best.log_posterior - row.log_posterior < criteria.class_nats
+    # What is unlikely beforehand, and explains the data as well, is not ruled out either.
+    equal = best.log_evidence - row.log_evidence < criteria.equal_nats
+    return row.chisqr - best.chisqr < criteria.separation and (likely or equal)
 
 
 def _is_refused(best, criteria):

@@ -201,11 +201,11 @@ class _Turn:
             return
         # What was scored only is told in the terms of what was fitted.
         least = max(row.log_posterior for row in self.rows[1:]) - offset - criteria.class_nats
+        equal = max(row.log_evidence for row in self.rows[1:]) - offset - criteria.equal_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            if proposal.promise < least:
-                break
-            if proposal.key not in known:
+            is_near = proposal.promise > least or 0.5 * proposal.gain > equal
+            if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
                     source, proposal, "scored", offset + 0.5 * proposal.gain,

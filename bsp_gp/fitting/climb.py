@@ -63,7 +63,9 @@ class Climb:
         self.run, self.noises, self.scales = run, noises, scales
         self.paper_steps = paper_steps
         self.flows = [
-            Flow(motion, self.tolerance(motion.chains, noise), paper_steps)
+            Flow(
+                motion, self.tolerance(motion.chains, noise), paper_steps, is_over=run.is_over
+            )
             for motion, noise in zip(run.motions, noises, strict=True)
         ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
@@ -131,7 +133,8 @@ class Climb:
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
         points = self.first_points()
-        ways = [self._climbed] if self.paper_steps else [self._climbed, self._grown]
+        may_grow = not self.paper_steps and (self.is_coarse or not self.run.is_aside)
+        ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
@@ -154,11 +157,18 @@ class Climb:
         Where the noise is declared, a track as near to the data as the truth is has been found.
         """
         best = min(ends, key=_height)
-        seen = sum(noise.n_seen for noise in self.noises)
-        is_allowed = best.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
         if self.run.is_noise_estimated:  # misfit or noise: starts that agree must do
             return best.linearised is not None and sum(_agree(m, best) for m in ends) >= AGREE
-        return is_allowed
+        return self._is_allowed(best)
+
+    def _is_allowed(self, minimum):
+        """Whether no more is left than the noise that is assumed."""
+        seen = sum(noise.n_seen for noise in self.noises)
+        return minimum.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
+
+    def _is_found(self, ends):
+        """Whether nothing better than the best can be hoped for."""
+        return self._is_good(ends) and self._is_allowed(min(ends, key=_height))
 
     def _grown(self, points):
         """Minima that tracks grown from their calmest rows lead to."""
@@ -166,6 +176,10 @@ class Climb:
         for _, point, rank in tried(self, points, range(RANKS))[:GROWN]:
             if ends and (self.run.is_over() or self._is_enough(ends)):
                 break
+            if not self.run.is_noise_estimated:  # with such constants pieces may do as well
+                end = self._vouched(self.levels(), point)
+                if end is not None:
+                    return [end]
             grown = grow(self, point, rank)
             problem = self.at(None, grown)
             ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
@@ -174,18 +188,33 @@ class Climb:
     def _climbed(self, points):
         """Minima that ever longer pieces lead to; every start of the first level counts."""
         levels = self.levels()
-        firsts = self._firsts(levels[0], points)
+        firsts, known = [], {}
+        if not self.run.is_noise_estimated:
+            firsts = self._firsts(levels[0], points[:1])
+            if self._is_allowed(firsts[0]):  # it may be all that there is to find
+                known[id(firsts[0])] = end = self._up(levels, firsts[0])
+                if self._is_good([end]):
+                    return [end]
+        firsts = self._firsts(levels[0], points[len(firsts) :], firsts)
         ends = []
         for minimum in _distinct(firsts)[:KEPT]:
-            if ends and self.run.is_over():
+            if ends and (self.run.is_over() or self._is_found(ends)):
                 break
-            end = self._up(levels, minimum)
+            end = known.get(id(minimum)) or self._up(levels, minimum)
             ends += [end] * sum(_agree(other, minimum) for other in firsts)
         return ends or firsts
 
-    def _firsts(self, rows, points):
+    def _vouched(self, levels, point):
+        """The minimum that a point leads to if declared noise allows it, level by level."""
+        (first,) = self._firsts(levels[0], [point])
+        if not self._is_allowed(first):
+            return None
+        end = self._up(levels, first)
+        return end if self._is_good([end]) else None
+
+    def _firsts(self, rows, points, firsts=()):
         """Minima of the first level, the best first; no more starts than it takes to agree."""
-        firsts = []
+        firsts = list(firsts)
         for point in points:
             if firsts and self.run.is_over():
                 break
@@ -217,25 +246,46 @@ class Climb:
             return minimum
         return replace(minimum, linearised=None)
 
-    def again(self, minimum, meshes):
-        """Descend from a minimum under this noise, with the steps it was found with."""
-        self.problem = TrackProblem(self._shootings(None), meshes, self.coordinates)
+    def again(self, minimum, meshes, is_last=True):
+        """Descend from a minimum under this noise, with the steps it was found with.
+
+        Unless it is the last time, those steps are kept.
+        """
+        self.problem = self.whole(meshes)
         new = self._minimise(self.problem, minimum.point, WHOLE)
-        return self._finish(replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree))
+        if self.run.is_over() and new.linearised is None:
+            return self._stopped(minimum)
+        new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
+        return self._finish(new) if is_last else new
+
+    def whole(self, meshes):
+        """The problem of whole tracks with these steps."""
+        return TrackProblem(self._shootings(None), meshes, self.coordinates)
 
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
         for _ in range(3):
+            if self.run.is_over():
+                return self._stopped(minimum)
             finer = self.at(None, minimum.point, is_checked=True)
             if self.problem is not None and self.problem.is_as_fine_as(finer):
                 if minimum.linearised is not None:
                     break
             self.problem = finer
             new = self._minimise(finer, minimum.point, WHOLE)
+            if self.run.is_over() and new.linearised is None:
+                return self._stopped(minimum)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
             if minimum.linearised is None:
                 break
         return minimum
+
+    def _stopped(self, minimum):
+        """What was found when the time was over."""
+        if self.problem is None:  # whole tracks were not reached
+            self.problem = self.at(None, minimum.point)
+            minimum = replace(minimum, linearised=None)
+        return replace(minimum, status="unconverged", code="stopped")
 
     def _minimise(self, problem, start, settings):
         """Descend; whole tracks until their nodes join.

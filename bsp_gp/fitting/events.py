@@ -11,13 +11,16 @@ import numpy as np
 
 from bsp_gp.fitting.motion import CREEP, Points
 
-__all__ = ["passed_over", "through_events", "up_to_events"]
+__all__ = ["chained", "passed_over", "through_events", "up_to_events"]
 
 MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
 WITHIN = tuple((k + 0.5) / 8 for k in range(8))
 """Parts of a step at which conditions are looked at when its length is chosen."""
-STOP = "stop"
+STOP, CUT = -1, -2
+"""In the place of a program: a body stops; a step is taken in parts."""
+NEARER = 0.75
+"""Part of the way to where a body has turned round after which its step is begun anew."""
 JUST_BEFORE = 1 - 1e-9
 SLOW = 1e-3
 """Part of its speed at the start of a step below which a body that turned round had stopped."""
@@ -26,7 +29,7 @@ CLOSE = 1e-14
 """Part of a step to which an instant is found."""
 
 
-def through_events(flow, scheme, stages, end, h, modes, index, moved=None):
+def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     """Mend the steps within which conditions change.
 
     Parameters
@@ -42,27 +45,24 @@ def through_events(flow, scheme, stages, end, h, modes, index, moved=None):
         Modes of all intervals; those at `index` are changed in place.
     index : ndarray of int, shape (M,)
         Place of each step's interval in `modes`.
-    moved : ndarray, shape (M, n, n + k), optional
-        Derivatives of the steps, changed in place.
+    slopes : bool
 
     Returns
     -------
-    ndarray, shape (2, R, d, M)
+    end : ndarray, shape (2, R, d, M)
+    moved : dict of int to ndarray, shape (n, n + k)
+        Derivatives of the mended steps by their starts and the constants.
     """
     points = stages[0]
-    changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=0)
+    changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=(0, 1))
     changed |= passed_over(flow, points, end, h)
     if not changed.any():
-        return end
-    end = end.copy()
-    for m in np.flatnonzero(changed):
-        state, slopes, new = _through(flow, scheme, points.pick([m]), h[m], moved is not None)
-        end[..., m] = state[..., 0]
-        if moved is not None:
-            moved[m] = slopes
-        for mode, held in zip(modes, new, strict=True):
-            mode[..., index[m]] = held[..., 0]
-    return end
+        return end, {}
+    end, which = end.copy(), np.flatnonzero(changed)
+    end[..., which], own, new = _through(flow, scheme, points.pick(which), h[which], slopes)
+    for mode, held in zip(modes, new, strict=True):
+        mode[..., index[which]] = held
+    return end, dict(zip(which.tolist(), own, strict=True)) if slopes else {}
 
 
 def passed_over(flow, points, end, h):
@@ -102,60 +102,74 @@ def up_to_events(flow, scheme, stages, end, h, modes, index, good):
     h : ndarray, shape (M,)
     good : ndarray of bool, shape (M,)
     """
-    points, turned = stages[0], _turned(flow, stages, end).any(axis=0)
+    points, turned = stages[0], _turned(flow, stages, end).any(axis=(0, 1))
     changed = (_changed(flow, points, end, h) & good) | turned
     if not changed.any():
         return end, h, good
     end, h, good = end.copy(), h.copy(), good.copy()
-    for m in np.flatnonzero(changed):
-        start = points.pick([m])
-        part, change = _next_change(flow, scheme, start, h[m])
-        if change is None:
+    which = np.flatnonzero(changed)
+    start = points.pick(which)
+    part, changes = _next_changes(flow, scheme, start, h[which])
+    state = flow.step(scheme, start, part)[0]
+    there, _ = _stopped(flow, start, state, part, changes)
+    for m, change in enumerate(changes):
+        if change is None or change[0] == CUT:
             continue
-        state, _ = _part(flow, scheme, start, part, False)
-        h[m] = part
+        h[which[m]], end[..., which[m]] = part[m], there.state[..., m]
         if change[0] == STOP:
-            there, _ = _stopped(flow, start, state, part, change[1])
-            state, good[m] = there.state, True
+            good[which[m]] = True
         else:
             program, mode, i, j = change
-            modes[program][mode, i, j, index[m]] = ~modes[program][mode, i, j, index[m]]
-        end[..., m] = state[..., 0]
+            held = modes[program][mode, i, j]
+            held[index[which[m]]] = ~held[index[which[m]]]
     return end, h, good
 
 
 def _turned(flow, stages, end):
-    """Bodies that friction may stop and whose velocity turns by over 90 degrees, (R, M)."""
-    if not flow.motion.has_stops:
-        return np.zeros((1, end.shape[-1]), dtype=bool)
-    return _headings(stages, end) < 0
+    """Bodies that friction may stop and whose velocity turns by over 90 degrees, (G, R, M).
+
+    The groups of axes are those of `Motion.stops`.
+    """
+    return _headings(flow, stages, end) < 0
 
 
-def _headings(stages, end):
-    """Least product of the velocity at the start of a step with those within it, (R, M)."""
+def _headings(flow, stages, end):
+    """Least product of the velocity at the start of a step with those within it, (G, R, M)."""
     first = stages[0].state[1]
     later = [*(stage.state[1] for stage in stages[1:]), end[1]]
-    return np.min([(first * v).sum(axis=1) for v in later], axis=0)
+    products = [first * v for v in later]
+    out = np.zeros((len(flow.motion.stops), len(first), first.shape[-1]))
+    for group, axes in enumerate(flow.motion.stops):
+        sums = [product[:, list(axes)].sum(axis=1) for product in products]
+        out[group] = np.min(sums, axis=0)
+    return out
 
 
-def _stopped(flow, start, state, part, body):
-    """The point behind a stop: the body is held at rest, or sets out the other way.
+def _stopped(flow, start, state, part, changes):
+    """The points behind stops: bodies are held at rest, or set out the other way.
 
     Returns
     -------
     there : Points
-    is_held : bool
+    is_held : ndarray of bool, shape (M,)
+        False also where nothing stops.
     """
-    state = state.copy()
-    state[1, body] = 0.0
-    there = flow.points(state, start.times + part, start.chain, start.modes)
-    is_held = bool(flow.motion.is_held(there)[body, 0])
-    if not is_held:
-        pull = flow.motion.acceleration(there)[body]
-        size = np.sqrt(np.square(pull).sum())
-        state[1, body] = CREEP * pull / (size if size > 0 else 1.0)
-        there = flow.points(state, start.times + part, start.chain, start.modes)
-    return there, is_held
+    state, times = state.copy(), start.times + part
+    is_held = np.zeros(len(part), dtype=bool)
+    stops = [(m, change) for m, change in enumerate(changes) if change and change[0] == STOP]
+    for m, (_, group, body, _) in stops:
+        state[1, body, list(flow.motion.stops[group]), m] = 0.0
+    there = flow.points(state, times, start.chain, start.modes)
+    if not stops:
+        return there, is_held
+    held, pull = flow.motion.is_held(there), flow.motion.acceleration(there)
+    for m, (_, group, body, _) in stops:
+        axes = list(flow.motion.stops[group])
+        is_held[m] = held[body, axes[0], m]
+        if not is_held[m]:
+            size = np.sqrt(np.square(pull[body, axes, m]).sum())
+            state[1, body, axes, m] = CREEP * pull[body, axes, m] / (size if size > 0 else 1.0)
+    return flow.points(state, times, start.chain, start.modes), is_held
 
 
 def _changed(flow, points, end, h):
@@ -168,144 +182,257 @@ def _changed(flow, points, end, h):
 
 
 def _through(flow, scheme, points, h, slopes):
-    """One step of one interval, taken in parts between the instants of change."""
-    total = None
-    left = h
-    for _ in range(MAX_EVENTS):
-        part, change = _next_change(flow, scheme, points, left)
-        end, moved = _part(flow, scheme, points, part, slopes)
-        total = _chain(total, moved, flow.n_state)
-        time = points.times + part
-        left -= part
-        if change is None:
-            return end, total, points.modes
-        if change[0] == STOP:
-            there, is_held = _stopped(flow, points, end, part, change[1])
-            if slopes:
-                total = _stop_jump(flow, points, end, part, there, change[1], is_held) @ total
-            points = there
-            if left <= CLOSE * h:
-                return there.state, total, points.modes
-            continue
-        held = [mode.copy() for mode in points.modes]
-        program, mode, i, j = change
-        held[program][mode, i, j] = ~held[program][mode, i, j]
-        here = flow.points(end, time, points.chain, points.modes)
-        there = flow.points(end, time, points.chain, held)
+    """Steps of some intervals, each taken in parts between the instants of change.
+
+    Returns
+    -------
+    ends : ndarray, shape (2, R, d, M)
+    total : ndarray, shape (M, n, n + k) or None
+    modes : list of ndarray
+        Those that hold at the ends.
+    """
+    ends = points.state.copy()
+    modes = [mode.copy() for mode in points.modes]
+    times, left = points.times.copy(), h.copy()
+    total = _unmoved(flow, len(h)) if slopes else None
+    open_ = np.arange(len(h))
+    for number in range(MAX_EVENTS + 1):
+        chain = points.chain[open_]
+        here = [mode[..., open_] for mode in modes]
+        start = flow.points(ends[..., open_], times[open_], chain, here)
+        part, changes = left[open_], [None] * len(open_)
+        if number < MAX_EVENTS:
+            part, changes = _next_changes(flow, scheme, start, part)
+        state, moved = _part(flow, scheme, start, part, slopes)
+        there, is_held = _stopped(flow, start, state, part, changes)
+        new = _switched(modes, open_, changes)
+        behind = flow.points(there.state, there.times, chain, new)
         if slopes:
-            by_state, by_constant = _jump(flow, here, there, change)
-            total = by_state @ total
-            total[:, flow.n_state :] += by_constant
-        points = there
-        if left <= CLOSE * h:
-            return end, total, points.modes
-    end, moved = _part(flow, scheme, points, left, slopes)
-    return end, _chain(total, moved, flow.n_state), points.modes
+            total[open_] = chained(total[open_], moved, flow.n_state)
+            before = flow.points(state, there.times, chain, start.modes)
+            _jumped(flow, total, open_, changes, is_held, (start, before, behind))
+        ends[..., open_], times[open_] = there.state, there.times
+        for mode, held in zip(modes, new, strict=True):
+            mode[..., open_] = held
+        left[open_] -= part
+        has_more = [change is not None for change in changes]
+        open_ = open_[np.array(has_more) & (np.abs(left[open_]) > CLOSE * np.abs(h[open_]))]
+        if not len(open_):
+            break
+    return ends, total, modes
+
+
+def _unmoved(flow, m):
+    total = np.zeros((m, flow.n_state, flow.n_state + flow.n_constants))
+    total[:, np.arange(flow.n_state), np.arange(flow.n_state)] = 1.0
+    return total
+
+
+def _switched(modes, index, changes):
+    """Modes of some intervals behind their changes."""
+    new = [mode[..., index] for mode in modes]  # copies: the index is an array
+    for m, change in enumerate(changes):
+        if change is not None and change[0] >= 0:
+            program, mode, i, j = change
+            new[program][mode, i, j, m] = ~new[program][mode, i, j, m]
+    return new
+
+
+def _jumped(flow, total, index, changes, is_held, points):
+    """Let the derivatives of some intervals jump where a condition changes or a body stops."""
+    start, before, behind = points
+    for m, change in enumerate(changes):
+        if change is None or change[0] == CUT:
+            continue
+        own, one = index[m], np.array([m])
+        if change[0] == STOP:
+            rows = _rows_of(flow, change)
+            if is_held[m]:
+                total[own, rows] = 0.0
+                continue
+            jump = _stop_jump(flow, start.pick(one), before.pick(one), behind.pick(one), change)
+            total[own] = jump @ total[own]
+            continue
+        by_state, by_constant = _jump(flow, before.pick(one), behind.pick(one), change)
+        total[own] = by_state @ total[own]
+        total[own][:, flow.n_state :] += by_constant
 
 
 def _part(flow, scheme, points, length, slopes):
-    length = np.array([length])
     end, stages, _ = flow.step(scheme, points, length)
-    return end, flow.step_slopes(scheme, stages, length)[0] if slopes else None
+    if not slopes:
+        return end, None
+    moved = flow.step_slopes(scheme, stages, length)
+    return end, np.moveaxis(moved, -1, 0) if flow.is_sparse else moved
 
 
-def _chain(total, moved, n):
-    """Derivatives of steps one after the other, as square matrices over states and constants."""
-    if moved is None:
-        return None
-    if total is None:
-        return moved
-    after = moved[:, :n] @ total
-    after[:, n:] += moved[:, n:]
+def chained(total, moved, n):
+    """Derivatives of steps one after the other, by the first start and the constants."""
+    after = moved[..., :n] @ total
+    after[..., n:] += moved[..., n:]
     return after
 
 
-def _next_change(flow, scheme, points, h):
-    """Length until the first condition changes, and which; the whole step and None if none."""
+def _next_changes(flow, scheme, points, h):
+    """Lengths until first conditions change, and which do; whole steps and None where none does.
 
-    def ends(length):
-        return flow.step(scheme, points, np.array([length]))[0]
-
-    def headings(length):
-        end, stages, _ = flow.step(scheme, points, np.array([length]))
-        return _headings(stages, end)[:, 0]
-
-    def margins(length):
-        end = ends(length)
-        there = flow.points(end, points.times + length, points.chain, points.modes)
-        return flow.motion.margins(there)
-
-    low = 0.0
-    for part in (*WITHIN, 1.0):
-        first, which = part * h, None
-        found = margins(first)
-        for program, (held, margin) in enumerate(zip(points.modes, found, strict=True)):
-            for mode, i, j in np.argwhere((margin[..., 0] > 0) != held[..., 0]).tolist():
-                key = (program, mode, i, j)
-                instant = _instant(
-                    lambda x, key=key: margins(x)[key[0]][key[1], key[2], key[3], 0],
-                    low, part * h, held[mode, i, j, 0],
-                )  # fmt: skip
-                if which is None or abs(instant) < abs(first):
-                    first, which = instant, key
-        for body in np.flatnonzero(headings(part * h) < 0) if flow.motion.has_stops else ():
-            # Just before it: behind it the last stages of a step would be pushed on by friction.
-            instant = JUST_BEFORE * _instant(
-                lambda x, body=body: headings(x)[body], low, part * h, True
-            )
-            speed = np.abs(ends(instant)[1, body]).max()
-            if speed <= SLOW * np.abs(points.state[1, body]).max() and abs(instant) < abs(first):
-                first, which = instant, (STOP, int(body))
-            elif which is None and speed <= SLOW * np.abs(points.state[1, body]).max():
-                first, which = instant, (STOP, int(body))
-        if which is not None:
-            return first, which
-        low = first
-    return h, None
+    Returns
+    -------
+    part : ndarray, shape (M,)
+    changes : list of tuple or None
+        (program, mode, receiver, source), (STOP, group of axes, body, 0), or (CUT, 0, 0, 0) where
+        the step is too long to tell whether a body stops: the rest is looked at from there.
+    """
+    part, changes = h.copy(), [None] * len(h)
+    open_, low = np.arange(len(h)), 0.0
+    if not flow.motion.has_modes:  # no body stops within a step at whose end none has turned
+        open_ = np.unique(_flipped(flow, scheme, points, h)[1])
+    for high in (*WITHIN, 1.0):
+        if not len(open_):
+            break
+        here = points.pick(open_)
+        keys, at = _flipped(flow, scheme, here, high * h[open_])
+        if keys:
+            at = open_[at]
+            instants, is_turn = _instants(flow, scheme, points, keys, at, low * h[at], high * h[at])
+            instants = np.where(is_turn, NEARER * instants, instants)
+            seen = set()
+            for k in np.argsort(np.abs(instants), kind="stable"):
+                if int(at[k]) not in seen:
+                    seen.add(int(at[k]))
+                    part[at[k]] = instants[k]
+                    changes[at[k]] = (CUT, 0, 0, 0) if is_turn[k] else keys[k]
+            open_ = np.array([m for m in open_ if changes[m] is None], dtype=int)
+        low = high
+    return part, changes
 
 
-def _stop_jump(flow, start, end, part, there, body, is_held):
-    """How derivatives by the state jump where a body stops, (n, n)."""
-    n, n_dims = flow.n_state, flow.chains.n_dims
-    rows = n // 2 + body * n_dims + np.arange(n_dims)
-    jump = np.eye(n)
-    if is_held:
-        jump[rows] = 0.0
-        return jump
-    here = flow.points(end, start.times + part, start.chain, start.modes)
+def _flipped(flow, scheme, points, length):
+    """Conditions that differ after so much of a step, and bodies that turned round: keys, places.
+
+    Returns
+    -------
+    keys : list of tuple
+    places : ndarray of int
+        Which point each belongs to.
+    """
+    end, stages, _ = flow.step(scheme, points, length)
+    there = flow.points(end, points.times + length, points.chain, points.modes)
+    keys, places = [], []
+    margins = flow.motion.margins(there) if flow.motion.has_modes else ()
+    for program, margin in enumerate(margins):
+        for mode, i, j, m in np.argwhere((margin > 0) != points.modes[program]).tolist():
+            keys.append((program, mode, i, j))
+            places.append(m)
+    for group, body, m in np.argwhere(_turned(flow, stages, end)).tolist():
+        keys.append((STOP, group, body, 0))
+        places.append(m)
+    return keys, np.array(places, dtype=int)
+
+
+def _instants(flow, scheme, points, keys, at, low, high):
+    """Where conditions leave their modes, and bodies their way, between two lengths of steps.
+
+    Returns
+    -------
+    instants : ndarray, shape (len(keys),)
+    is_nothing : ndarray of bool
+        Whether a body turned round without having stopped.
+    """
+    picked = points.pick(at)
+    stops = np.array([key[0] == STOP for key in keys])
+    sign = np.array([
+        1.0 if key[0] == STOP or points.modes[key[0]][(*key[1:], m)] else -1.0
+        for key, m in zip(keys, at, strict=True)
+    ])  # fmt: skip
+
+    def margin(length, which):
+        here = picked.pick(which)
+        end, stages, _ = flow.step(scheme, here, length)
+        out = np.empty(len(which))
+        turns = _headings(flow, stages, end) if stops[which].any() else None
+        found = None
+        if not stops[which].all():
+            there = flow.points(end, here.times + length, here.chain, here.modes)
+            found = flow.motion.margins(there)
+        for n, k in enumerate(which):
+            program, *place = keys[k]
+            out[n] = turns[(*place[:2], n)] if program == STOP else found[program][(*place, n)]
+        return sign[which] * out
+
+    instants = _roots(margin, low, high)
+    # Just before it: behind it the last stages of a step would be pushed on by friction.
+    instants = np.where(stops, JUST_BEFORE * instants, instants)
+    is_nothing = np.zeros(len(keys), dtype=bool)
+    if stops.any():
+        which = np.flatnonzero(stops)
+        here = picked.pick(which)
+        end = flow.step(scheme, here, instants[which])[0]
+        for n, k in enumerate(which):
+            axes, body = list(flow.motion.stops[keys[k][1]]), keys[k][2]
+            speed = np.abs(end[1, body, axes, n]).max()
+            is_nothing[k] = speed > SLOW * np.abs(here.state[1, body, axes, n]).max()
+    return instants, is_nothing
+
+
+def _rows_of(flow, change):
+    """Rows of the derivatives that belong to the velocity which a stop takes."""
+    _, group, body, _ = change
+    n_dims = flow.chains.n_dims
+    return flow.n_state // 2 + body * n_dims + np.array(flow.motion.stops[group])
+
+
+def _stop_jump(flow, start, before, behind, change):
+    """How derivatives by the state jump where a body stops and sets out again, (n, n)."""
+    _, group, body, _ = change
+    axes, rows = list(flow.motion.stops[group]), _rows_of(flow, change)
     # Just before the stop the body creeps as it came.
-    creep = end.copy()
-    way = start.state[1, body, :, 0] / np.sqrt(np.square(start.state[1, body, :, 0]).sum())
-    creep[1, body, :, 0] = CREEP * way
-    here = flow.points(creep, here.times, here.chain, here.modes)
-    before = flow.motion.acceleration(here)[body, :, 0]
-    after = flow.motion.acceleration(there)[body, :, 0]
-    slowing = way @ before
+    creep = before.state.copy()
+    came = start.state[1, body, axes, 0]
+    way = came / np.sqrt(np.square(came).sum())
+    creep[1, body, axes, 0] = CREEP * way
+    here = flow.points(creep, before.times, before.chain, before.modes)
+    slowed = flow.motion.acceleration(here)[body, axes, 0]
+    after = flow.motion.acceleration(behind)[body, axes, 0]
+    jump = np.eye(flow.n_state)
+    slowing = way @ slowed
     if slowing != 0:
-        jump[np.ix_(rows, rows)] += np.outer(after - before, way) / slowing
+        jump[np.ix_(rows, rows)] += np.outer(after - slowed, way) / slowing
     return jump
 
 
-def _instant(margin, low, high, held):
-    """Where a margin leaves the sign of its mode, by bisection with secants (Illinois)."""
-    sign = 1.0 if held else -1.0
-    at_low, at_high = sign * margin(low), sign * margin(high)
-    if at_low <= 0:  # on the edge already
-        return low
-    width = abs(high - low)
-    side = 0
+def _roots(margin, low, high):
+    """Where margins leave the positive, by bisection with secants (Illinois), all at once.
+
+    Parameters
+    ----------
+    margin : callable
+        ``margin(length, which)`` of some of the margins.
+    low, high : ndarray, shape (M,)
+        Positive at the first, not at the second.
+    """
+    low, high = low.copy(), high.copy()
+    everyone = np.arange(len(low))
+    at_low, at_high = margin(low, everyone), margin(high, everyone)
+    out = np.where(at_low <= 0, low, high)  # on the edge already
+    side, width = np.zeros(len(low), dtype=int), np.abs(high - low)
+    open_ = everyone[at_low > 0]
     for _ in range(BISECTIONS):
-        middle = low + (high - low) * at_low / (at_low - at_high)
-        value = sign * margin(middle)
-        if value > 0:
-            low, at_low = middle, value
-            at_high, side = (at_high / 2 if side == 1 else at_high), 1
-        else:
-            high, at_high = middle, value
-            at_low, side = (at_low / 2 if side == -1 else at_low), -1
-        if abs(high - low) <= CLOSE * width or value == 0:
+        if not len(open_):
             break
-    return high
+        a, b, fa, fb = low[open_], high[open_], at_low[open_], at_high[open_]
+        middle = a + (b - a) * fa / (fa - fb)
+        value = margin(middle, open_)
+        up = value > 0
+        again = side[open_] == np.where(up, 1, -1)
+        low[open_], high[open_] = np.where(up, middle, a), np.where(up, b, middle)
+        at_low[open_] = np.where(up, value, np.where(again, fa / 2, fa))
+        at_high[open_] = np.where(up, np.where(again, fb / 2, fb), value)
+        side[open_] = np.where(up, 1, -1)
+        out[open_] = high[open_]
+        is_close = np.abs(high[open_] - low[open_]) <= CLOSE * width[open_]
+        open_ = open_[~(is_close | (value == 0))]
+    return out
 
 
 def _jump(flow, here, there, change):

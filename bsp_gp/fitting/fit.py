@@ -27,6 +27,7 @@ from bsp_gp.fitting.problem import Minimum
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.geometry import POINT
 
@@ -119,7 +120,8 @@ class Fit:
     whitened : ndarray, shape (T, C)
         0 where nothing was seen.
     jacobian : ndarray, shape (m, k)
-        Whitened, initial states eliminated (compressed to few rows per chain).
+        Whitened, initial states eliminated (compressed to few rows per chain); under tails with
+        the weights that give the expected information.
     rows, row_scenes : ndarray, shape (m,); of float and of str
         The whitened residual compressed in the same way, and which scene each row is of.
     local_columns, shared_columns : ndarray, shapes (n, T, C) and (k, T, C)
@@ -187,7 +189,7 @@ def fit(
     bounds : mapping of str to (float, float), optional
         Between which constants stay, SI.
     deadline : float, optional
-        Seconds after which no further start or pass is begun, and a descent is ended.
+        Seconds after which a fit ends with what it has, within an integration if need be.
     tolerances : FitTolerances, optional
 
     Returns
@@ -235,6 +237,7 @@ class _Run:
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = lambda: False
+        self.is_aside = False  # for the noise alone: not worth every start
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
             raise DataError("nothing moves: no dynamic entity changes its position on any axis")
@@ -305,9 +308,7 @@ class _Run:
             new = self.noise_beside(climb, minimum, paper_steps)
             for _ in range(self.tolerances.noise_passes):
                 is_settled, model = _same_noise(new, model), new
-                meshes = climb.problem.meshes
-                climb = climb.with_noises(self.noises(model, self._channels_at(minimum)))
-                minimum = climb.again(minimum, meshes)
+                climb, minimum = weighed(self, climb, minimum, model)
                 # What is left of a misfit is no noise: its level is that of the pure error.
                 is_over = is_settled or minimum.linearised is None or self.is_over()
                 if is_over or self.has_misfit(minimum):
@@ -327,10 +328,33 @@ class _Run:
         return replace(model, levels=tuple(map(float, levels)))
 
     def descend(self, model, paper_steps):
-        """A climb under a noise, and the minimum that it leads to."""
-        noises = self.noises(model)
-        climb = Climb(self, noises, scales_of(self.groups, noises), paper_steps)
-        return climb, climb.best()
+        """A climb under a noise, and the minimum that it leads to.
+
+        Rows that tails will weigh are left out of it.
+        """
+        led = self.led
+        noises = led.noises(model)
+        climb = Climb(led, noises, scales_of(led.groups, noises), paper_steps)
+        minimum = climb.best()
+        if led is not self:
+            meshes = climb.problem.meshes
+            climb = Climb(self, self.noises(model), climb.scales, paper_steps)
+            climb.problem = climb.whole(meshes)
+        return climb, minimum
+
+    @property
+    def led(self):
+        """The run on the rows to begin with."""
+        model = self.hypothesis.noise
+        if not bears_outliers(model, self.is_exact):
+            return self
+        dataset = to_begin_with(self.dataset, model)
+        if dataset is self.dataset:
+            return self
+        led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
+        led.low, led.high = self.low, self.high
+        led.is_over, led.is_aside = self.is_over, self.is_aside
+        return led
 
     def has_misfit(self, minimum):
         """Whether more is left than the noise that was assumed."""
@@ -343,7 +367,7 @@ class _Run:
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
-            beside.is_over = self.is_over
+            beside.is_over, beside.is_aside = self.is_over, True
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:
                 tracks = _tracks_of(beside, other, found)
@@ -392,18 +416,22 @@ class _Run:
         parameters = (*self.parameters, *more)
         return tuple(Motion(self.probed_law, chains, parameters) for chains in self.groups)
 
-    def _channels_at(self, minimum):
-        speeds = [np.abs(np.moveaxis(own[1], (-2, -1), (0, 1))) for own in minimum.point.nodes]
-        return replace(self.channels, speed=join(speeds))
+    def left_at(self, minimum):
+        """What every row is at a minimum, and observed less predicted, (T, C)."""
+        nodes = minimum.point.nodes
+        speeds, places = ([np.moveaxis(own[k], (-2, -1), (0, 1)) for own in nodes] for k in (1, 0))
+        left = [c.observed - own for c, own in zip(self.groups, places, strict=True)]
+        return replace(self.channels, speed=np.abs(join(speeds))), join(left)
 
     @property
     def is_noise_estimated(self):
         return bool(self.hypothesis.noise.is_free.any())
 
-    def noises(self, model, channels=None):
-        """The rows' noise under a model, per group."""
+    def noises(self, model, channels=None, weights=1.0):
+        """The rows' noise under a model, per group; white variances are divided by weights."""
         channels = channels or self.channels
         white, amplitude = model.parts(channels)
+        white = white / weights
         out, first = [], 0
         for chains in self.groups:
             shape = chains.observed.shape
@@ -422,14 +450,15 @@ class _Run:
     def result(self, climb, minimum, model, paper_steps):
         """Everything that is said of a minimum."""
         tracks = _tracks_of(self, climb, minimum)
-        constants, slopes = climb.coordinates.constants(minimum.values)
+        constants, _ = climb.coordinates.constants(minimum.values)
         law = self.law.with_values(self.parameters, constants) if self.parameters else self.law
         n_states = sum(g.n_chains * 2 * g.n_moving * g.n_dims for g in self.groups)
         n_rows = int(np.isfinite(tracks.white_variance).sum())
         n_free = len(self.parameters) + n_states - climb.n_undetermined(minimum)
         chisqr = minimum.chisqr
         likelihood = log_likelihood(model, tracks.channels, tracks.residual)
-        jacobian = tracks.jacobian
+        known = informed(self, climb, minimum, model)
+        jacobian = _told_of_constants(self, climb, known)
         at_bound = (constants <= self.low) | (constants >= self.high)
         covariance = _covariance(jacobian.T @ jacobian, at_bound)
         found = Fit(
@@ -438,14 +467,14 @@ class _Run:
             chi2_red=float(chisqr / max(n_rows - n_free, 1)), n_rows=n_rows, n_free=n_free,
             n_starts=minimum.n_starts, n_agree=minimum.n_agree, gradient=minimum.gradient,
             log_likelihood=float(likelihood),
-            log_evidence=float(likelihood + climb.log_volume(minimum)),
-            state_volume=climb.state_volume(minimum),
+            log_evidence=float(likelihood + climb.log_volume(known)),
+            state_volume=climb.state_volume(known),
             groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
             residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
             rows=np.zeros(0) if minimum.linearised is None else minimum.linearised.residual,
             row_scenes=_row_scenes(climb, minimum),
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
-            message=minimum.code,
+            message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
         )  # fmt: skip
         return replace(found, status=self.status(climb, minimum, found))
 
@@ -453,7 +482,7 @@ class _Run:
         """The first of `STATUSES` that applies."""
         finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
         if minimum.linearised is None or not finite:
-            return "nonfinite"
+            return "unconverged" if found.message == "stopped" else "nonfinite"
         is_minimum = minimum.status != "unconverged" or self.is_reproduced(found)
         if not is_minimum or not climb.is_joined(minimum):
             return "unconverged"
@@ -477,13 +506,11 @@ class _Tracks:
     whitened: np.ndarray
     local: np.ndarray
     shared: np.ndarray
-    jacobian: np.ndarray
     white_variance: np.ndarray
 
 
 def _tracks_of(run, climb, minimum: Minimum):
     residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
-    _, slopes = climb.coordinates.constants(minimum.values)
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
     for shooting, nodes, noise, parts in zip(
         climb.problem.shootings, minimum.point.nodes, climb.noises,
@@ -501,12 +528,9 @@ def _tracks_of(run, climb, minimum: Minimum):
         shareds.append(shared)
         variances.append(noise.variance)
         speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
-    jacobian = np.zeros((0, len(run.parameters)))
-    if minimum.linearised is not None:
-        jacobian = -minimum.linearised.jacobian @ _inverse(slopes)
     return _Tracks(
         replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
-        np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), jacobian, join(variances),
+        np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), join(variances),
     )  # fmt: skip
 
 
@@ -522,6 +546,14 @@ def _row_scenes(climb, minimum):
                 count = part.factor.shape[1] - n
                 names.append(np.repeat(scenes[shooting.windows.chain[group]], count))
     return np.concatenate(names)
+
+
+def _told_of_constants(run, climb, minimum):
+    """Whitened changes of the tracks by the constants of the law, initial states eliminated."""
+    if minimum.linearised is None:
+        return np.zeros((0, len(run.parameters)))
+    _, slopes = climb.coordinates.constants(minimum.values)
+    return -minimum.linearised.jacobian @ _inverse(slopes)
 
 
 def _inverse(slopes):

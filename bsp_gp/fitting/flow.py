@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import DOP853, RK45
 
 from bsp_gp.fitting.driven import Driven
-from bsp_gp.fitting.events import passed_over, through_events, up_to_events
+from bsp_gp.fitting.events import chained, passed_over, through_events, up_to_events
 from bsp_gp.fitting.motion import Points
 
 __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
@@ -33,6 +33,10 @@ BRIEF = 1e-4
 """Part of an interval within which a contact may begin and end unseen."""
 FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""
+CALL = 50
+"""Intervals whose step costs as much as what a step costs however few they are."""
+MANY_SLOPES = 18
+"""Derivatives of accelerations up to which they are multiplied one by one."""
 SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 6.0
 
 
@@ -99,6 +103,11 @@ class Mesh:
             counts[self.order[: len(steps)]] += 1
         return counts
 
+    @property
+    def cost(self):
+        """What a run costs, in evaluations at one point."""
+        return SCHEMES[self.scheme].n_stages * sum(CALL + len(steps) for steps in self.steps)
+
     def is_as_fine_as(self, other):
         """Whether it has at least the other's steps in every interval."""
         if self.scheme != other.scheme or not self.is_complete:
@@ -119,13 +128,18 @@ class Flow:
         start.
     max_steps : int
         Steps within one interval beyond which an integration is given up.
+    is_over : callable, optional
+        Asked before every step; where it is true, meshes are not complete and ends are nan.
     """
 
-    def __init__(self, motion, tolerance, paper_steps=False, max_steps=MAX_STEPS):
+    def __init__(
+        self, motion, tolerance, paper_steps=False, max_steps=MAX_STEPS, is_over=None
+    ):  # fmt: skip
         chains = motion.chains
         self.motion, self.chains = motion, chains
         self.tolerance = np.asarray(tolerance, dtype=float)
         self.paper_steps, self.max_steps = paper_steps, max_steps
+        self.is_over = is_over or (lambda: False)
         with np.errstate(invalid="ignore"):
             running = np.isfinite(chains.times[1:]) & np.isfinite(chains.times[:-1])
         self.row, self.chain = np.nonzero(running)
@@ -134,6 +148,8 @@ class Flow:
         self.driven = Driven(chains)
         self.n_state = 2 * chains.n_moving * chains.n_dims
         self.n_constants = len(motion.parameters)
+        self.pattern = motion.slope_pattern()
+        self.is_sparse = len(self.pattern) <= MANY_SLOPES
 
     @property
     def has_events(self):
@@ -175,13 +191,53 @@ class Flow:
     def _rate(self, points):
         return np.stack([points.state[1], self.motion.acceleration(points)])
 
-    def step_slopes(self, scheme, stages, h):
-        """Derivatives of a step by its start and the constants, shape (M, n, n + k)."""
-        n, k, m = self.n_state, self.n_constants, len(h)
-        half = n // 2
+    def step_slopes(self, scheme, stages, h, first=None):
+        """Derivatives at the end of a step by something before it and by the constants.
+
+        Parameters
+        ----------
+        first : ndarray, shape (n, n + k, M) or (M, n, n + k), optional
+            Derivatives of the start of the step, by default by itself. Points stand on the last
+            axis where few derivatives of the law differ from zero (`is_sparse`).
+
+        Returns
+        -------
+        ndarray
+            Of the shape of `first`.
+        """
+        n, m = self.n_state, len(h)
+        carried = self._sparse_slopes if self.is_sparse else self._dense_slopes
+        if first is None:
+            first = self.first_slopes(m)
+        return carried(scheme, stages, h, first, n // 2, m)
+
+    def first_slopes(self, m):
+        """Derivatives of m starts by themselves, as `step_slopes` takes them."""
+        n, k = self.n_state, self.n_constants
+        first = np.zeros((n, n + k, m) if self.is_sparse else (m, n, n + k))
+        own = np.arange(n)
+        if self.is_sparse:
+            first[own, own] = 1.0
+        else:
+            first[:, own, own] = 1.0
+        return first
+
+    def _sparse_slopes(self, scheme, stages, h, first, half, m):
+        by_state, by_constant = self.motion.slope_rows(_joined(stages))
+        rates = np.empty((scheme.n_stages, *first.shape))
+        for s in range(scheme.n_stages):
+            change = first + h * _weighted(scheme.a[s, :s], rates) if s else first
+            part = slice(s * m, (s + 1) * m)
+            rates[s, :half] = change[half:]
+            forces = rates[s, half:]
+            forces[:, : 2 * half] = 0.0
+            forces[:, 2 * half :] = by_constant[..., part]
+            for row, column in self.pattern:
+                forces[row] += by_state[row, column, part] * change[column]
+        return first + h * _weighted(scheme.b, rates)
+
+    def _dense_slopes(self, scheme, stages, h, first, half, m):
         by_state, by_constant = self.motion.slopes(_joined(stages))
-        first = np.zeros((m, n, n + k))
-        first[:, np.arange(n), np.arange(n)] = 1.0
         rates = np.empty((scheme.n_stages, *first.shape))
         h = h[:, None, None]
         for s in range(scheme.n_stages):
@@ -189,7 +245,7 @@ class Flow:
             part = slice(s * m, (s + 1) * m)
             rates[s, :, :half] = change[:, half:]
             np.matmul(by_state[part], change, out=rates[s, :, half:])
-            rates[s, :, half:, n:] += by_constant[part]
+            rates[s, :, half:, 2 * half :] += by_constant[part]
         return first + h * _weighted(scheme.b, rates)
 
     # --- steps -----------------------------------------------------------------------------------
@@ -204,16 +260,15 @@ class Flow:
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
         """
-        mesh, factor = self.quick_mesh(nodes), 1.0
+        mesh, ends = self._quick_mesh(nodes)
+        factor = 1.0
         if self.paper_steps or not mesh.is_complete:
             return mesh
-        ends, _ = self.run(nodes, mesh, slopes=False)
         for _ in range(MAX_CHECKS):
             factor /= FINER
-            finer = self._mesh(nodes, mesh.scheme, factor)
+            finer, better = self._mesh(nodes, mesh.scheme, factor)
             if not finer.is_complete:
                 break
-            better, _ = self.run(nodes, finer, slopes=False)
             change = np.abs(better - ends)[0].max(axis=(0, 1))
             if np.all(change <= AMPLIFIED * self.tolerance[self.chain]):
                 return mesh
@@ -222,31 +277,42 @@ class Flow:
 
     def quick_mesh(self, nodes):
         """Steps chosen by the error of the embedded pair alone: good enough on the way."""
+        return self._quick_mesh(nodes)[0]
+
+    def _quick_mesh(self, nodes):
+        """The same with where the intervals end."""
         if self.paper_steps:
             order = np.arange(self.n_intervals)
-            return Mesh("euler", order, (np.zeros(len(order)),), (self.length,))
+            return Mesh("euler", order, (np.zeros(len(order)),), (self.length,)), None
         low = self._mesh(nodes, "rk45")
-        n_low = sum(len(h) for h in low.steps)
-        if n_low <= FEW_STEPS * self.n_intervals and low.is_complete:
+        n_low = sum(len(h) for h in low[0].steps)
+        is_short = n_low <= FEW_STEPS * self.n_intervals and len(low[0].steps) <= 2 * FEW_STEPS
+        if is_short and low[0].is_complete:
             return low
         high = self._mesh(nodes, "dop853")
-        if high.is_complete and low.is_complete:
-            cheaper = 2 * sum(len(h) for h in high.steps) < n_low
-            return high if cheaper else low
-        return high if high.is_complete else low
+        if high[0].is_complete and low[0].is_complete:
+            return high if high[0].cost < low[0].cost else low
+        return high if high[0].is_complete else low
 
     def _mesh(self, nodes, name, factor=1.0):
-        """Steps of a scheme by its error estimate, within a part of the tolerance."""
+        """Steps of a scheme by its error estimate, within a part of the tolerance.
+
+        Returns
+        -------
+        mesh : Mesh
+        ends : ndarray, shape (2, R, d, K)
+            Where they lead.
+        """
         scheme = SCHEMES[name]
         n = self.n_intervals
         state = nodes[..., self.row, self.chain]
         done, h = np.zeros(n), np.abs(self.length)
-        steps = [[] for _ in range(n)]
+        taken = []
         open_, complete = np.arange(n), True
         scale = factor * self._scales(nodes)
         modes = self.points(state, self.start, self.chain).modes
         for _ in range(self.max_steps):
-            if not len(open_):
+            if not len(open_) or self.is_over():
                 break
             points = self.points(
                 state[..., open_], self.start[open_] + done[open_], self.chain[open_],
@@ -268,14 +334,14 @@ class Flow:
                 end, size, good = up_to_events(
                     self, scheme, stages, end, size, modes, open_, good
                 )
-            for k, length in zip(open_[good], size[good], strict=True):
-                steps[k].append(length)
-            state[..., open_[good]] = end[..., good]
-            done[open_[good]] += size[good]
+            gone = open_[good]
+            taken.append((gone, done[gone], size[good]))
+            state[..., gone] = end[..., good]
+            done[gone] += size[good]
             lost = h[open_] < 1e-12 * whole
             complete &= not lost.any()
             open_ = open_[~lost & (np.abs(done[open_]) < whole * (1 - 1e-12))]
-        return _packed(name, steps, complete and not len(open_))
+        return _packed(name, n, taken, complete and not len(open_)), state
 
     def advance(self, state, chain, begin, end):
         """States of some chains at other times, earlier or later; nan where that fails.
@@ -296,9 +362,12 @@ class Flow:
         leg.start, leg.length = begin, end - begin
         nodes = np.zeros((*state.shape[:-1], 1, self.chains.n_chains))
         nodes[..., 0, chain] = state
-        mesh = leg._mesh(nodes, "dop853")
-        ends, _ = leg.run(nodes, mesh, slopes=False)
-        ends[..., mesh.counts == 0] = np.nan
+        mesh, ends = leg._mesh(nodes, "dop853")
+        if not mesh.is_complete:
+            gone = np.zeros(len(chain))
+            for steps in mesh.steps:
+                gone[mesh.order[: len(steps)]] += steps
+            ends[..., np.abs(gone - leg.length) > 1e-9 * np.abs(leg.length)] = np.nan
         return ends
 
     def _scales(self, nodes):
@@ -318,11 +387,10 @@ class Flow:
 
     def _error(self, scheme, end, points, rates, h, scale):
         """Estimated error of a step in parts of what it may have, (M,)."""
-        last = self.points(end, points.times + h, points.chain, points.modes)
-        rates = np.concatenate([rates, self._rate(last)[None]])
+        last = self._rate(self.points(end, points.times + h, points.chain, points.modes))
         parts = []
         for weights in scheme.errors:
-            error = h * _weighted(weights, rates)
+            error = h * (_weighted(weights[:-1], rates) + weights[-1] * last)
             parts.append(np.abs(error / scale[:, None, None]).max(axis=(0, 1, 2)))
         if len(parts) == 1:
             return parts[0]
@@ -371,6 +439,9 @@ class Flow:
             n_open = min(len(size) - block.start, len(index))
             if n_open <= 0:
                 break
+            if self.is_over():
+                state = np.full_like(state, np.nan)
+                break
             open_ = slice(0, n_open)
             h = size[block][:n_open]
             points = self.points(
@@ -378,14 +449,24 @@ class Flow:
                 [mode[..., open_] for mode in modes],
             )  # fmt: skip
             end, stages, _ = self.step(scheme, points, h)
-            moved = self.step_slopes(scheme, stages, h) if slopes else None
-            if self.has_events:
-                end = through_events(
-                    self, scheme, stages, end, h, modes, np.arange(n_open), moved
-                )
-            state[..., open_] = end
             if slopes:
-                total = moved if total is None else _chained(moved, total, open_, self.n_state)
+                if total is None:
+                    total = self.first_slopes(len(index))
+                part = (..., open_) if self.is_sparse else open_
+                before = total[part].copy()
+                total[part] = self.step_slopes(scheme, stages, h, before)
+            if self.has_events:
+                end, own = through_events(
+                    self, scheme, stages, end, h, modes, np.arange(n_open), slopes
+                )
+                for m, moved in own.items():
+                    at = (..., m) if self.is_sparse else m
+                    total[at] = chained(before[at], moved, self.n_state)
+            state[..., open_] = end
+        if slopes and total is None:
+            total = np.full((len(index), self.n_state, self.n_state + self.n_constants), np.nan)
+        elif slopes and self.is_sparse:
+            total = np.moveaxis(total, -1, 0)
         return state, total
 
     def _run_euler(self, nodes, mesh, index, block, slopes):
@@ -428,21 +509,19 @@ def _joined(stages):
     )
 
 
-def _chained(moved, total, open_, n):
-    """Derivatives of one more step after those of the steps before."""
-    after = total.copy()
-    after[open_] = moved[:, :, :n] @ total[open_]
-    after[open_, :, n:] += moved[:, :, n:]
-    return after
-
-
-def _packed(name, steps, is_complete):
-    """Lists of steps as a mesh."""
-    counts = np.array([len(s) for s in steps])
+def _packed(name, n, taken, is_complete):
+    """Steps (intervals, times since their starts, lengths) in the order taken, as a mesh."""
+    if not taken:
+        return Mesh(name, np.arange(n), (), (), is_complete)
+    interval, begin, size = (np.concatenate(part) for part in zip(*taken, strict=True))
+    counts = np.bincount(interval, minlength=n)
     order = np.argsort(-counts, kind="stable")
+    by_interval = np.argsort(interval, kind="stable")
+    begin, size = begin[by_interval], size[by_interval]
+    first = np.cumsum(counts) - counts
     starts, lengths = [], []
     for number in range(counts.max(initial=0)):
-        rows = order[: int((counts > number).sum())]
-        lengths.append(np.array([steps[k][number] for k in rows]))
-        starts.append(np.array([sum(steps[k][:number]) for k in rows]))
+        rows = first[order[: int((counts > number).sum())]] + number
+        starts.append(begin[rows])
+        lengths.append(size[rows])
     return Mesh(name, order, tuple(starts), tuple(lengths), is_complete)

@@ -12,12 +12,15 @@ import numpy as np
 
 from bsp_gp.language.operators import GUARD
 
-__all__ = ["Graph", "Tape"]
+__all__ = ["LEAVES", "Graph", "Tape"]
 
 
 def _inverse_positive(x):
     """1 / x where x > 0, else 0: the direction of a zero vector is zero."""
-    return np.divide(1.0, x, out=np.zeros_like(x), where=x > 0)
+    is_positive = x > 0
+    if is_positive.all():
+        return np.reciprocal(x)
+    return np.divide(1.0, x, out=np.zeros_like(x), where=is_positive)
 
 
 def _inverse_guarded(x):
@@ -81,11 +84,34 @@ class Graph:
 
     # --- arithmetic, with the simplifications that derivatives need ---------------------------
 
+    # Signs and fixed factors are moved outwards, so that what differs by them alone is one node.
+
+    def _is_negative(self, a):
+        return self.nodes[a][0] == "neg"
+
+    def _positive(self, a):
+        """What a negative node is the negative of."""
+        return self.nodes[a][1]
+
+    def _factor(self, a):
+        """A node as a fixed factor and the rest."""
+        op, *args = self.nodes[a]
+        if op == "number":
+            return a, self.one
+        is_scaled = op == "mul" and self.value_of(args[0]) is not None
+        return args if is_scaled else (self.one, a)
+
     def add(self, a, b):
         if a == self.zero:
             return b
         if b == self.zero:
             return a
+        if self._is_negative(b):
+            return self.sub(a, self._positive(b))
+        if self._is_negative(a):
+            return self.sub(b, self._positive(a))
+        if a == b:
+            return self.mul(self.number(2.0), a)
         return self._fold("add", *sorted((a, b)))
 
     def sub(self, a, b):
@@ -93,34 +119,42 @@ class Graph:
             return a
         if a == b:
             return self.zero
-        return self.neg(b) if a == self.zero else self._fold("sub", a, b)
+        if a == self.zero:
+            return self.neg(b)
+        if self._is_negative(b):
+            return self.add(a, self._positive(b))
+        if self._is_negative(a):
+            return self.neg(self.add(self._positive(a), b))
+        return self.neg(self._fold("sub", b, a)) if a > b else self._fold("sub", a, b)
 
     def mul(self, a, b):
         if self.zero in (a, b):
             return self.zero
-        if a == self.one:
-            return b
-        if b == self.one:
-            return a
         for x, y in ((a, b), (b, a)):
-            if self.value_of(x) == -1.0:
-                return self.neg(y)
-        for x, y in ((a, b), (b, a)):
-            if self.nodes[x][0] == "neg":
-                return self.neg(self.mul(self.nodes[x][1], y))
-        return self._fold("mul", *sorted((a, b)))
+            if self._is_negative(x):
+                return self.neg(self.mul(self._positive(x), y))
+        (c, x), (d, y) = self._factor(a), self._factor(b)
+        factor = self._fold("mul", c, d)
+        rest = y if x == self.one else x if y == self.one else self._fold("mul", *sorted((x, y)))
+        if rest == self.one:
+            return factor
+        if self.value_of(factor) == -1.0:
+            return self.neg(rest)
+        return rest if factor == self.one else self._fold("mul", factor, rest)
 
     def div(self, a, b):
         if a == self.zero or b == self.one:
             return a
-        if self.nodes[a][0] == "neg":
-            return self.neg(self.div(self.nodes[a][1], b))
+        if self._is_negative(a):
+            return self.neg(self.div(self._positive(a), b))
+        if self._is_negative(b):
+            return self.neg(self.div(a, self._positive(b)))
         return self._fold("div", a, b)
 
     def neg(self, a):
         if a == self.zero:
             return a
-        return self.nodes[a][1] if self.nodes[a][0] == "neg" else self._fold("neg", a)
+        return self._positive(a) if self._is_negative(a) else self._fold("neg", a)
 
     def pow(self, a, b):
         n = self.value_of(b)
@@ -129,6 +163,8 @@ class Graph:
 
     def call(self, op, *args):
         """A function of `UFUNCS` of other nodes."""
+        if op in ("square", "abs") and self._is_negative(args[0]):
+            args = (self._positive(args[0]),)
         return self._fold(op, *args)
 
     def sum(self, nodes):
@@ -140,7 +176,9 @@ class Graph:
 
     def dot(self, a, b):
         """Scalar product of two tuples of nodes."""
-        return self.sum(self.mul(x, y) for x, y in zip(a, b, strict=True))
+        return self.sum(
+            self.call("square", x) if x == y else self.mul(x, y) for x, y in zip(a, b, strict=True)
+        )
 
     def _fold(self, op, *args):
         values = [self.value_of(arg) for arg in args]
@@ -250,8 +288,15 @@ class Tape:
                 changing.add(node)
                 self.steps.append((UFUNCS[op], node, args))
         read = {arg for _, _, args in self.steps for arg in args} | set(outputs)
-        self._kept = [n for n in read - changing]
-        self._size = len(graph.nodes)
+        self._kept = sorted(read - changing)
+        # The same with places in the order of computing, in which `run` puts the values.
+        order = [*self._kept, *(n for n, _ in self.inputs), *(n for _, n, _ in self.steps)]
+        place = {node: k for k, node in enumerate(order)}
+        self._line = [
+            (function, place[args[0]], place[args[1]] if len(args) == 2 else None)
+            for function, _, args in self.steps
+        ]
+        self._places = [place[node] for node in self.outputs]
 
     def prepare(self, inputs, constants):
         """Compute what does not change along a track.
@@ -292,14 +337,11 @@ class Tape:
         -------
         list of ndarray or float
         """
-        values = [None] * self._size
-        for node, value in prepared.items():
-            values[node] = value
-        for node, (name, axis) in self.inputs:
-            values[node] = inputs(name, axis)
-        for function, node, args in self.steps:
-            if len(args) == 2:
-                values[node] = function(values[args[0]], values[args[1]])
+        values = [prepared[node] for node in self._kept]
+        values += [inputs(name, axis) for _, (name, axis) in self.inputs]
+        for function, first, second in self._line:
+            if second is None:
+                values.append(function(values[first]))
             else:
-                values[node] = function(values[args[0]])
-        return [values[node] for node in self.outputs]
+                values.append(function(values[first], values[second]))
+        return [values[place] for place in self._places]

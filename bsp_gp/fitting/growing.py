@@ -22,7 +22,8 @@ SEED_ROWS = 5
 RANKS = 3
 """Pieces that are tried where a chain begins."""
 GROWTH = 0.35
-"""Rows that are foreseen at once, as a part of those that are fitted."""
+"""Rows that are foreseen at once, as a part of those that are fitted; fewer where the track is
+lost with so many."""
 LEADING = Settings(absolute=1e-2, max_linearised=15, last_steps=0)
 CLEAR = 9.0
 """Mean square of changes of velocity, in that of their noise, from which a piece shows a force."""
@@ -157,17 +158,34 @@ def grow(climb, point, rank=0):
     nodes = [own.copy() for own in point.nodes]
     values, ridge = point.values, climb.ridge(point)
     places = [_calmest(climb, k, rank) for k in range(len(nodes))]
+    followed, share = None, GROWTH
     while True:
         values, chisqr = _fit_rows(climb, values, nodes, places, ridge)
         n_rows = sum(int((stop - first).sum()) for first, stop in places)
-        if run.is_over() or not chisqr < LOST * n_rows:
+        is_lost = not chisqr < LOST * n_rows
+        if is_lost and followed is not None:
+            is_single = share * _longest(followed[2]) < 1
+            values, kept, places = followed
+            nodes, share = [own.copy() for own in kept], share / 2
+        else:
+            is_single = True
+        if run.is_over() or (is_lost and is_single):
             return TrackPoint(values, tuple(nodes))
+        if not is_lost:
+            followed = values, [own.copy() for own in nodes], places
+            share = min(2 * share, GROWTH)
         if not _is_whole(places, run.groups, begun=True):
-            places = _foresee(climb, values, nodes, places)
+            places = _foresee(climb, values, nodes, places, share)
         elif not _is_whole(places, run.groups, begun=False):
+            followed = None
             _begin_next(climb, values, nodes, places)
         else:
             return TrackPoint(values, tuple(nodes))
+
+
+def _longest(places):
+    """Most rows of a chain between `places`."""
+    return max(int((stop - first).max()) for first, stop in places)
 
 
 def _is_whole(places, groups, begun):
@@ -219,7 +237,8 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     ):
         cut = chains.cut(first, stop)
         coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
-        flow = Flow(Motion(run.law, cut, run.parameters), coarse, max_steps=MAX_STEPS)
+        motion = Motion(run.law, cut, run.parameters)
+        flow = Flow(motion, coarse, max_steps=MAX_STEPS, is_over=run.is_over)
         rows = first + np.arange(cut.times.shape[0])[:, None]
         rows = np.clip(rows, 0, np.maximum(stop - 1, 0))
         chain = np.arange(chains.n_chains)
@@ -246,7 +265,7 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     return minimum.values, float(minimum.chisqr)
 
 
-def _foresee(climb, values, nodes, places):
+def _foresee(climb, values, nodes, places, share):
     """Put the nodes of the next rows, before and behind, where the track is predicted to be."""
     constants, _ = climb.coordinates.constants(values)
     out = []
@@ -255,7 +274,7 @@ def _foresee(climb, values, nodes, places):
     ):
         flow.motion.set_constants(constants)
         first, stop = first.copy(), stop.copy()
-        more = np.maximum(1, (GROWTH * (stop - first)).astype(int))
+        more = np.maximum(1, (share * (stop - first)).astype(int))
         for step in range(int(more.max())):
             for way in (1, -1):
                 source = stop - 1 if way > 0 else first

@@ -11,21 +11,33 @@ from numbers import Integral
 import numpy as np
 
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
+from bsp_gp.data.scene import CHECK
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.law_text import doubts, fit_text, how_it_ended, strong_correlations
-from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.law_text import (
+    doubts,
+    fit_text,
+    how_it_ended,
+    strong_correlations,
+    without_prediction,
+)
+from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.outliers import is_exact, without_outliers
+from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.units import Unit
 
-__all__ = ["SCHEMA", "LawFit", "about_noise", "constant_estimates", "fit_law", "unset"]
+__all__ = [
+    "SCHEMA", "LawFit", "about_noise", "about_outliers", "constant_estimates", "fit_law",
+    "training_part", "unset",
+]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
 MISFIT = 1.5
@@ -165,8 +177,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, _generator(rng))
     said = estimate_noise(dataset)
-    scenes, told = without_outliers(split.train, said.sigma)
-    train = replace(dataset, scenes=scenes, train=(), test=())
+    train, far_off = training_part(dataset, split.train, said)
     check_properties(stack(train.scenes, dataset.up), law)
     found = fit(
         Hypothesis.from_laws(train, unset(law)), train, starts=starts, bounds=bounds,
@@ -188,10 +199,46 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
         notes=(
-            *dataset.notes, *said.notes, *told, *doubts(found, widening, bool(split.test)),
+            *dataset.notes, *said.notes,
+            *about_outliers(found, train.scenes is not split.train, far_off),
+            *doubts(found, widening, bool(split.test)),
+            *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
         ),
     )  # fmt: skip
+
+
+def training_part(dataset, scenes, said):
+    """Scenes that are learned from, as fits take them.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    scenes : tuple of Scene
+    said : NoiseEstimate
+
+    Returns
+    -------
+    train : Dataset
+        Its scenes are `scenes` themselves where nothing is left out for being far off.
+    far_off : str
+        Which rows are far off their neighbours.
+    """
+    train = replace(dataset, scenes=scenes, train=(), test=())
+    kept, far_off = without_outliers(scenes, said.sigma)
+    if bears_outliers(NoiseModel.of(train), is_exact(scenes, said.sigma)):
+        return train, far_off
+    return replace(train, scenes=kept), far_off
+
+
+def about_outliers(found, is_left_out, far_off):
+    """What became of rows that are far off their neighbours, a note or none."""
+    if not far_off:
+        return ()
+    how = "left out of the fit" if is_left_out else "weighed like all others"
+    if not is_left_out and math.isfinite(found.noise.degrees):
+        how = "given little weight by the tails of the noise"
+    return (f"{CHECK}far off their neighbours, and {how}: {far_off}",)
 
 
 # --- settings -------------------------------------------------------------------------------------

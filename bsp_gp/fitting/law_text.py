@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 
 from bsp_gp.data.scene import CHECK
+from bsp_gp.fitting.starts import roles_of
 
-__all__ = ["doubts", "fit_text", "how_it_ended", "strong_correlations"]
+__all__ = [
+    "doubts", "fit_text", "how_it_ended", "strong_correlations", "without_prediction",
+]  # fmt: skip
 
 MIN_CORRELATION = 0.1
 UNKNOWN = "—"
@@ -111,6 +114,29 @@ def _starts(found):
     if found.n_starts == 1:
         return "a minimum, from one start"
     return f"a minimum, to which {found.n_agree} of {found.n_starts} starts lead"
+
+
+def without_prediction(found, rollout_rmse):
+    """A note where a fitted law has no track on what is held out; empty where it has.
+
+    Parameters
+    ----------
+    found : Fit
+    rollout_rmse : float
+        Of the held-out scenes; inf where the motion runs away.
+    """
+    if found.is_failed or not math.isinf(rollout_rmse):
+        return []
+    roles = roles_of(found.law)
+    named = zip(found.parameters, found.values, strict=True)
+    unbounded = [(n, v) for (n, _), v in named if roles[n] == "exponent" and v < 0]
+    note = f"{CHECK}the law runs away on held-out scenes: it holds for the fitted rows alone"
+    for name, value in unbounded:
+        note += (
+            f"; with {name} = {value:.3g} a force is without bound where the base of its power is "
+            f"zero, as that of a speed is at rest: bound it (--bounds {name}=0..4)"
+        )
+    return [note]
 
 
 def doubts(found, widening, has_test):

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bsp_gp.errors import LawError
+from bsp_gp.fitting.graph import LEAVES
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 
 __all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
@@ -57,8 +58,8 @@ class Lowering:
     Attributes
     ----------
     modes : list of Mode
-    has_stops : bool
-        Whether a force has the direction of a body's own velocity, and may bring it to rest.
+    stops : list of tuple of int
+        Axes along which a force acts against a body's own velocity and may bring it to rest.
     """
 
     def __init__(self, graph, n_dims, direction, vectors=()):
@@ -66,7 +67,7 @@ class Lowering:
         self.n_dims = n_dims
         self.direction = direction
         self.vectors = frozenset(vectors)
-        self.modes, self.has_stops = [], False
+        self.modes, self.stops = [], []
         self._known = {}
         self._mode_of = {}
 
@@ -186,8 +187,8 @@ class Lowering:
         return self.graph.call("sqrt", self.graph.dot(a, a))
 
     def _normalize(self, a):
-        own = tuple(self.graph.input("v_i", k) for k in range(self.n_dims))
-        self.has_stops |= a == own
+        if a == tuple(self.graph.input("v_i", k) for k in range(self.n_dims)):
+            self._stop(tuple(range(self.n_dims)))
         return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
 
     def _dot(self, a, b):
@@ -213,7 +214,35 @@ class Lowering:
         return tuple(g.sub(g.mul(a[j], b[k]), g.mul(a[k], b[j])) for j, k in turns)
 
     def _sign(self, a):
-        return self._mode(Mode(a, 1.0, -1.0))
+        axis = self._own_axis(a)
+        if axis is None:
+            return self._mode(Mode(a, 1.0, -1.0))
+        self._stop((axis,))
+        return self.graph.call("sign", a)
+
+    def _own_axis(self, node):
+        """The axis whose velocity of its own body a node is, but for fixed factors, or None."""
+        op, *args = self.graph.nodes[node]
+        if op == "input":
+            name, axis = args[0]
+            return axis if name == "v_i" else None
+        if op == "neg":
+            return self._own_axis(args[0])
+        if op not in ("mul", "div"):
+            return None
+        factor, rest = sorted(args, key=self._moves) if op == "mul" else args[::-1]
+        return None if self._moves(factor) else self._own_axis(rest)
+
+    def _moves(self, node):
+        """Whether a node differs from instant to instant."""
+        op, *args = self.graph.nodes[node]
+        if op in LEAVES:
+            return op == "input" and args[0][0] in MOVING
+        return any(map(self._moves, args))
+
+    def _stop(self, axes):
+        if axes not in self.stops:
+            self.stops.append(axes)
 
     def _inverse(self, a):
         return self.graph.div(self.graph.one, a)

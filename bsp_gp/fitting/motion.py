@@ -69,10 +69,10 @@ class _Program:
             force = lowering.lower(term.acceleration_formula)
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
-        self.modes = lowering.modes
         # Drag that fades with the speed brings nothing to rest.
         lasting = (t for t in self.terms if not fades_at_rest(t.formula))
-        self.has_stops = lowering.has_stops and any("v_i" in t.formula.inputs for t in lasting)
+        may_stop = any("v_i" in t.formula.inputs for t in lasting)
+        self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
@@ -139,7 +139,13 @@ class Motion:
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
         self._static = [self._static_inputs(program) for program in self.programs]
-        self._ready = None
+        self._ready, self._picked = None, (None, {})
+        stops = [axes for program in self.programs for axes in program.stops]
+        self.stops = tuple(dict.fromkeys(stops))
+        self.has_modes = any(program.modes for program in self.programs)
+        # Pairs of moving bodies: (receivers, their sources' places among `others`, the sources).
+        self._pairs = np.nonzero(self.others < n_own)
+        self._pairs += (self.others[self._pairs],)
 
     def on(self, chains, law):
         """The same formulas with other properties and constants.
@@ -152,7 +158,7 @@ class Motion:
             The same terms.
         """
         other = copy(self)
-        other.chains, other.law, other._ready = chains, law, None
+        other.chains, other.law, other._ready, other._picked = chains, law, None, (None, {})
         other._static = [other._static_inputs(program) for program in self.programs]
         return other
 
@@ -207,7 +213,7 @@ class Motion:
             known = {**self.law.constants, **shared}
         else:
             known = self.law.with_values(self.parameters, values).constants
-        self._ready = []
+        self._ready, self._picked = [], (None, {})
         for program, inputs in zip(self.programs, self._static, strict=True):
             constants = {
                 name: self._constant(known[name], program.kind)
@@ -235,8 +241,7 @@ class Motion:
         if program.kind == "field":
             own = other = state
         else:
-            whole = state if driven is None else np.concatenate([state, driven], axis=1)
-            own, other = state[:, :, None], whole
+            own, other = state[:, :, None], self._sources(state, driven)
 
         def value(name, axis):
             if name == "t":
@@ -248,27 +253,39 @@ class Motion:
                     held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
             part = 0 if name[0] == "p" else 1
-            if name[-1] == "i":
-                return own[part][..., axis, :]
-            return other[part][:, axis][self.others]
+            return (own if name[-1] == "i" else other)[part][..., axis, :]
 
         return value
+
+    def _sources(self, state, driven):
+        """Places and velocities of the sources of every receiver, (R, J, d, M) each."""
+        if len(self.others) == 1:
+            return driven[:, None]  # one receiver, and all others are driven
+        whole = state if driven is None else np.concatenate([state, driven], axis=1)
+        return _Picked(whole, self.others)
 
     def _run(self, which, points):
         """Outputs of one tape of every program: (program, arrays)."""
         names = ("value", "slopes", "margins", "margin_slopes")
-        n_chains = self.chains.n_chains
         for k, program in enumerate(self.programs):
-            prepared = self._ready[k][which]
-            prepared = {n: _at(v, points.chain, n_chains) for n, v in prepared.items()}
             tape = getattr(program, names[which])
             with np.errstate(all="ignore"):
+                prepared = self._prepared(k, which, points.chain)
                 yield k, program, tape.run(prepared, self._inputs(program, k, points))
 
-    @property
-    def has_stops(self):
-        """Whether friction may bring a body to rest."""
-        return any(program.has_stops for program in self.programs)
+    def _prepared(self, number, which, chain):
+        """What does not change along the tracks, for points of these chains.
+
+        Stages of a step share their chains: the last ones are kept.
+        """
+        if self._picked[0] is not chain:
+            self._picked = (chain, {})
+        kept = self._picked[1]
+        if (number, which) not in kept:
+            n_chains = self.chains.n_chains
+            ready = self._ready[number][which]
+            kept[number, which] = {n: _at(v, chain, n_chains) for n, v in ready.items()}
+        return kept[number, which]
 
     def acceleration(self, points, holds=True):
         """Accelerations, shape (R, d, M), m/s^2; 0 of a body at rest that friction holds there.
@@ -276,47 +293,71 @@ class Motion:
         Without `holds` a body at rest has no direction, and feels no friction: the paper's rule.
         """
         total = self._acceleration(points)
-        if self.has_stops and holds:
-            is_held, creeping = self._at_rest(points, total)
+        if not (self.stops and holds):
+            return total
+        out = total
+        for axes in self.stops:
+            still, is_held, creeping = self._at_rest(points, total, list(axes))
             if creeping is not None:
-                still = ~points.state[1].any(axis=1)
-                total = np.where(still[:, None], creeping, total)
-                total = np.where(is_held[:, None], 0.0, total)
-        return total
+                out = np.where(still, creeping, out)
+                out = np.where(is_held, 0.0, out)
+        return out
+
+    @property
+    def has_stops(self):
+        """Whether friction may bring a body to rest."""
+        return bool(self.stops)
 
     def is_held(self, points):
-        """Bodies at rest that friction holds: whichever way they crept, it would stop them, (R, M).
+        """Bodies at rest that friction holds, and along which axes, (R, d, M).
 
-        Coulomb's rule, with one coefficient for rest and motion.
+        Whichever way they crept, it would stop them: Coulomb's rule, with one coefficient for rest
+        and motion.
         """
-        return self._at_rest(points, self._acceleration(points))[0]
+        total = self._acceleration(points)
+        held = [self._at_rest(points, total, list(axes))[1] for axes in self.stops]
+        return np.any(held, axis=0)
 
-    def _at_rest(self, points, at_rest):
-        """Which bodies at rest are held, and accelerations of bodies that creep as they are pulled.
+    def _at_rest(self, points, at_rest, axes):
+        """Bodies at rest along some axes, those held there, and how they move when they creep.
 
         Parameters
         ----------
         at_rest : ndarray, shape (R, d, M)
             Accelerations where a velocity of zero has no direction.
+        axes : list of int
+
+        Returns
+        -------
+        still, is_held : ndarray of bool, shape (R, d, M)
+        creeping : ndarray, shape (R, d, M) or None
+            Accelerations of bodies that creep as they are pulled; None if none is at rest.
         """
-        still = ~points.state[1].any(axis=1)
+        still = np.zeros(at_rest.shape, dtype=bool)
+        still[:, axes] = ~points.state[1][:, axes].any(axis=1, keepdims=True)
         if not still.any():
-            return still, None
-        size = np.sqrt(np.square(at_rest).sum(axis=1, keepdims=True))
-        way = np.where(size > 0, at_rest / np.where(size > 0, size, 1.0), 0.0)
-        way[:, 0] = np.where(size[:, 0] > 0, way[:, 0], 1.0)  # nothing pulls: any way will do
+            return still, still, None
+        pull = np.where(still, at_rest, 0.0)
+        size = np.sqrt(np.square(pull).sum(axis=1, keepdims=True))
+        way = np.where(size > 0, pull / np.where(size > 0, size, 1.0), 0.0)
+        idle = still[:, axes[0]] & (size[:, 0] == 0)
+        way[:, axes[0]] = np.where(idle, 1.0, way[:, axes[0]])  # nothing pulls: any way will do
         creep = points.state.copy()
-        creep[1] += np.where(still[:, None], CREEP * way, 0.0)
+        creep[1] += CREEP * way
         moved = Points(creep, points.times, points.chain, points.driven, points.modes)
         creeping = self._acceleration(moved)
-        return still & ((creeping * way).sum(axis=1) <= 0), creeping
+        return still, still & ((creeping * way).sum(axis=1, keepdims=True) <= 0), creeping
 
     def _acceleration(self, points):
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
-        for _, program, outputs in self._run(0, points):
+        for number, program, outputs in self._run(0, points):
             for axis, value in enumerate(outputs):
-                total[:, axis] += self._summed(program, value, n_points)
+                value = self._summed(program, value, n_points)
+                if number:
+                    total[:, axis] += value
+                else:
+                    total[:, axis] = value
         return total
 
     def _summed(self, program, value, n_points):
@@ -336,6 +377,11 @@ class Motion:
         by_state : ndarray, shape (M, R * d, 2 * R * d)
         by_constant : ndarray, shape (M, R * d, k)
         """
+        found = self.slope_rows(points, holds)
+        return tuple(np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in found)
+
+    def slope_rows(self, points, holds=True):
+        """The same with the points on the last axis."""
         _, n_own, n_dims, n_points = points.state.shape
         n = n_own * n_dims
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
@@ -349,12 +395,21 @@ class Motion:
                 column = self._summed(program, value, n_points)
                 self._add_constant(by_constant[:, row], name, column, points.chain)
         if held is not None:
-            by_state[np.broadcast_to(held[:, None, None, None, None], by_state.shape)] = 0.0
-            by_constant[np.broadcast_to(held[:, None, None], by_constant.shape)] = 0.0
-        return (
-            np.ascontiguousarray(np.moveaxis(by_state.reshape(n, 2 * n, n_points), -1, 0)),
-            np.ascontiguousarray(np.moveaxis(by_constant.reshape(n, -1, n_points), -1, 0)),
-        )
+            by_state[np.broadcast_to(held[:, :, None, None, None], by_state.shape)] = 0.0
+            by_constant[np.broadcast_to(held[:, :, None], by_constant.shape)] = 0.0
+        return by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
+
+    def slope_pattern(self):
+        """Which derivatives by the state may differ from zero: a list of (row, column)."""
+        n_own, n_dims = self.chains.n_moving, self.chains.n_dims
+        found = np.zeros((n_own, n_dims, 2, n_own, n_dims, 1))
+        for program in self.programs:
+            for row, name, axis in program.slope_of:
+                shape = self._shape(program, 1)
+                value = np.ones(shape if program.kind == "pair" else (n_own, 1))
+                self._add_slope(program, found, row, name, axis, value)
+        n = n_own * n_dims
+        return [tuple(pair) for pair in np.argwhere(found.reshape(n, 2 * n)).tolist()]
 
     def _add_slope(self, program, by_state, row, name, axis, value):
         part = 0 if name[0] == "p" else 1
@@ -365,10 +420,10 @@ class Motion:
                 program, value, by_state.shape[-1]
             )
             return
-        value = np.broadcast_to(value, (*self.others.shape, by_state.shape[-1]))
-        for i in range(n_own):
-            moving = self.others[i] < n_own
-            by_state[i, row, part, self.others[i][moving], axis] += value[i, moving]
+        if len(self._pairs[0]):
+            value = np.broadcast_to(value, (*self.others.shape, by_state.shape[-1]))
+            receiver, place, source = self._pairs
+            by_state[receiver, row, part, source, axis] += value[receiver, place]
 
     def _add_constant(self, by_constant, name, column, chain):
         """Add a derivative to the parameters of this name, (R, k, M)."""
@@ -387,10 +442,6 @@ class Motion:
         return np.logical_or(not entity, names == entity)[chain]
 
     # --- conditions ------------------------------------------------------------------------------
-
-    @property
-    def has_modes(self):
-        return any(program.modes for program in self.programs)
 
     def margins(self, points):
         """Margins of all conditions, per program (n_modes, R, J, M); field laws have J = 1."""
@@ -443,6 +494,18 @@ class Motion:
                     if body < n_own:
                         by_state[part, body, axis] += value
         return by_state.reshape(-1, n_points).T, by_time, by_constant.T
+
+
+class _Picked:
+    """The states of some bodies, places and velocities each taken when they are asked for."""
+
+    def __init__(self, whole, bodies):
+        self.whole, self.bodies, self.parts = whole, bodies, {}
+
+    def __getitem__(self, part):
+        if part not in self.parts:
+            self.parts[part] = self.whole[part][self.bodies]
+        return self.parts[part]
 
 
 def _lifted(program, value, shape):

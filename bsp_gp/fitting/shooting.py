@@ -22,6 +22,8 @@ STATE_PRIOR = 1e4
 determines what the data do not, and nothing else."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
+ROUNDINGS = 16
+"""Gaps of so many last digits of the largest coordinate are none."""
 FARTHEST = 0.5
 """Extents of a window that its nodes may move in one step."""
 
@@ -99,6 +101,8 @@ class Shooting:
         self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         self.prior = self._prior()
         self._extents = self._window_extents()
+        size = np.abs(np.nan_to_num(self.chains.observed)).max(axis=(0, 2, 3), initial=0.0)
+        self._rounding = ROUNDINGS * np.finfo(float).eps * size
 
     def _window_extents(self):
         """How far bodies go within each window, (W,), m; at least a part of the whole track's."""
@@ -148,7 +152,7 @@ class Shooting:
         flow = self.flow
         flow.motion.set_constants(values)
         ends, transitions = flow.run(nodes, mesh)
-        gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
+        gaps = self._gaps(ends, nodes).reshape(flow.n_state, -1).T
         n, k = flow.n_state, flow.n_constants
         # A motion without finite values is no track; its rows must not pass for unseen ones.
         rest = 0.0 if np.isfinite(gaps).all() else np.nan
@@ -165,7 +169,20 @@ class Shooting:
     def gaps(self, nodes, mesh):
         """How far intervals miss the next node, in places, shape (R, d, K)."""
         ends, _ = self.flow.run(nodes, mesh, slopes=False)
-        return (ends - nodes[..., self.flow.row + 1, self.flow.chain])[0]
+        return self._gaps(ends, nodes)[0]
+
+    def _gaps(self, ends, nodes):
+        """How far intervals miss the next node, (2, R, d, K); what rounding alone makes is none.
+
+        Where tracks part fast, a gap in the last digit at their first row would move their last
+        one by more than errors allow.
+        """
+        flow = self.flow
+        gaps = ends - nodes[..., flow.row + 1, flow.chain]
+        places = self._rounding[flow.chain]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            floor = np.stack([places, places / np.abs(flow.length)])
+        return np.where(np.abs(gaps) <= floor[:, None, None], 0.0, gaps)
 
     @property
     def groups(self):

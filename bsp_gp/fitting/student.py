@@ -8,7 +8,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-__all__ = ["fit_degrees", "fit_student", "log_likelihood", "scaled_without_tails"]
+__all__ = [
+    "expected_weights", "fit_degrees", "fit_student", "log_likelihood", "scaled_without_tails",
+    "weights_of",
+]  # fmt: skip
 
 _DEGREES = (1.0, 200.0)
 _N_PASSES = 10
@@ -29,15 +32,49 @@ def log_likelihood(model, channels, residual):
         square = float(np.square(whitener.whiten(residual)).sum())
         n_rows = np.count_nonzero(whitener.seen)
         return -0.5 * (square + whitener.log_det + n_rows * math.log(2.0 * math.pi))
+    _, scaled, spread, seen = _weighed(model, channels, residual)
+    normal = -0.5 * (np.square(scaled) + math.log(2.0 * math.pi))
+    tailed = np.where(model.is_free[channels.axis], _log_student(scaled, model.degrees), normal)
+    return float(np.where(seen, tailed - np.log(spread), 0.0).sum())
+
+
+def weights_of(model, channels, residual):
+    """Weights that the tails of a noise give to rows, shape (T, C); 1 where it has none.
+
+    Parameters
+    ----------
+    model : NoiseModel
+    channels : Channels
+    residual : ndarray, shape (T, C), metres
+    """
+    if math.isinf(model.degrees):
+        return np.ones(channels.seen.shape)
+    return _weighed(model, channels, residual)[0]
+
+
+def expected_weights(model, channels):
+    """Weights under which least squares has the expected information of Student's t.
+
+    About a place that information is (n + 1) / (n + 3) of the normal's of the same scale, for n
+    degrees of freedom: how far the rows' weights narrow a place follows from it, not from the
+    weights themselves.
+    """
+    weights = np.ones(channels.seen.shape)
+    if not math.isinf(model.degrees):
+        share = (model.degrees + 1.0) / (model.degrees + 3.0)
+        weights[:, model.is_free[channels.axis]] = share
+    return weights
+
+
+def _weighed(model, channels, residual):
+    """Weights of rows, innovations in their spread without tails, that spread, what is seen."""
     weights = None
     for _ in range(_N_PASSES if model.correlated else 1):
         whitener = model.whitener(channels, weights)
         innovations = whitener.innovations(residual)
         scaled, spread = scaled_without_tails(model, channels, whitener, weights, innovations)
         weights = model.tail_weights(scaled, channels)
-    normal = -0.5 * (np.square(scaled) + math.log(2.0 * math.pi))
-    tailed = np.where(model.is_free[channels.axis], _log_student(scaled, model.degrees), normal)
-    return float(np.where(whitener.seen, tailed - np.log(spread), 0.0).sum())
+    return weights, scaled, spread, whitener.seen
 
 
 def scaled_without_tails(model, channels, whitener, weights, innovations):

@@ -1,5 +1,6 @@
 """A hypothesis fitted to whole tracks: values, errors, and what is said of them."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.optimize import least_squares
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import FAILED, STATUSES, fit
+from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.hypothesis import Hypothesis, Part
+from bsp_gp.fitting.motion import Motion
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -373,3 +376,75 @@ def test_exact_data_are_fitted_to_rounding():
 def test_exact_data_that_two_kinds_of_steps_explain_are_continuous_motion():
     found = fitted(swing(sigma=0.0, noise=0.0), SPRING, DAMPING)
     np.testing.assert_allclose(found.values, [4.0, 0.3], rtol=1e-8)
+
+
+# --- tails ------------------------------------------------------------------------------------
+
+
+def with_gross_errors(dataset, seed, share=0.03, size=30.0):
+    """The same with errors of so many times the noise in a share of the rows, all to one side."""
+    (scene,) = dataset.scenes
+    rng = np.random.default_rng([seed, 9])
+    positions = scene.positions.copy()
+    rows = np.flatnonzero(rng.random(len(positions)) < share)
+    positions[rows, 0] += size * 0.02 * (1 + rng.random((len(rows), 2)))
+    return dataset_of([replace(scene, positions=positions)]), rows
+
+
+def test_gross_errors_do_not_pull_on_a_fit_whose_noise_has_tails():
+    clean = swing(times=np.linspace(0.0, 8.0, 161))
+    dirty, rows = with_gross_errors(clean, 0)
+    assert len(rows) >= 3
+    without, found = fitted(clean, SPRING, DAMPING), fitted(dirty, SPRING, DAMPING)
+    assert found.status == "converged"
+    assert "tails" in found.noise.describe()
+    assert found.n_rows == without.n_rows  # none is left out
+    assert np.abs((found.values - without.values) / without.errors).max() < 2.0
+    assert (found.errors < 1.5 * without.errors).all()
+    assert (np.abs(found.whitened[rows]) < 3.0).all()  # of 30 and more
+    assert np.abs(found.residual[rows]).min() > 0.5
+
+
+def test_errors_under_tails_are_those_of_students_information():
+    """z of both constants over a few draws is about one: the weights alone would say 1.5."""
+    times, z = np.linspace(0.0, 8.0, 161), []
+    for seed in range(12):
+        noise = 0.02 * np.random.default_rng([seed, 3]).standard_t(3.0, (len(times), 2))
+        (scene,) = swing(sigma=0.0, times=times).scenes
+        positions = scene.positions.copy()
+        positions[:, 0] += noise
+        found = fitted(dataset_of([replace(scene, positions=positions)]), SPRING, DAMPING)
+        assert np.isfinite(found.noise.degrees)
+        z.append((found.values - list(TRUE.values())) / found.errors)
+    spread = np.sqrt(np.mean(np.square(z)))
+    assert 0.7 < spread < 1.35
+
+
+def test_known_noise_has_no_tails():
+    dirty, _ = with_gross_errors(swing(times=np.linspace(0.0, 8.0, 161)), 0)
+    found = fitted(replace(dirty, noise=(0.02, 0.02)), SPRING, DAMPING)
+    assert found.status == "refuted"
+    assert np.isinf(found.noise.degrees)
+
+
+def test_the_time_is_looked_at_within_an_integration(monkeypatch):
+    """The limit comes while steps are chosen: no further step is taken."""
+    dataset = swing(noise=0.02)
+    clock = iter([0.0] * 3 + [1e9] * 10**6)
+    monkeypatch.setattr("bsp_gp.fitting.fit.time.monotonic", lambda: next(clock))
+    found = fitted(dataset, SPRING, DAMPING, deadline=1.0)
+    assert found.status == "unconverged" and found.message == "stopped"
+
+
+def test_a_flow_that_is_over_has_no_ends():
+    shown = ordinary()
+    (chains,), (nodes,) = shown.groups, shown.nodes
+    motion = Motion(shown.law, chains, shown.parameters)
+    motion.set_constants(shown.values)
+    flow = Flow(motion, np.full(chains.n_chains, 1e-9))
+    mesh = flow.mesh(nodes)
+    assert mesh.is_complete and np.isfinite(flow.run(nodes, mesh)[0]).all()
+    late = Flow(motion, flow.tolerance, is_over=lambda: True)
+    assert not late.mesh(nodes).is_complete
+    ends, transitions = late.run(nodes, mesh)
+    assert np.isnan(ends).all() and np.isnan(transitions).all()

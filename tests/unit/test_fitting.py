@@ -311,3 +311,45 @@ def test_a_row_far_off_its_neighbours_is_left_out_and_told(noisy, fit):
     assert found.n_rows == fit.n_rows - 2 * 4
     (c1,), (before,) = found.constants, fit.constants
     assert c1.value == pytest.approx(before.value, abs=before.high - before.low)
+
+
+def test_a_row_far_off_its_neighbours_is_weighed_by_tails_where_noise_is_estimated(noisy):
+    scenes = list(noisy.scenes)
+    for k in range(len(scenes)):
+        positions = scenes[k].positions.copy()
+        positions[14, 0, 1] += 0.7
+        scenes[k] = replace(scenes[k], positions=positions)
+    dirty = replace(noisy, scenes=tuple(scenes), noise=None)
+    before = fit_law(replace(noisy, noise=None), [GRAVITY, DRAG])
+    found = fit_law(dirty, [GRAVITY, DRAG])
+    assert any("given little weight by the tails of the noise" in n for n in found.notes)
+    assert found.noise["tails"] is not None and before.noise["tails"] is None
+    assert found.n_rows == before.n_rows
+    assert found.constants[0].value == pytest.approx(
+        before.constants[0].value, abs=before.constants[0].high - before.constants[0].low
+    )
+
+
+def test_a_law_without_a_track_on_what_is_held_out_is_told():
+    """A drag that falls with the speed has no bound at rest, which the held-out throw passes."""
+    from scipy.integrate import solve_ivp
+
+    falls = throws(n_scenes=3, n_times=30, sigma=0.01)
+    scenes = []
+    for k, scene in enumerate(falls.scenes):
+        speed = 3.0 + 3.0 * k  # m/s; a drag of 6 N / v^1.5 on 0.5 kg
+        found = solve_ivp(
+            lambda t, y: [y[1], 9.81 - 12.0 * y[1] ** -1.5], (0, 1.5), [0.0, speed],
+            t_eval=scene.times, rtol=1e-9,
+        )  # fmt: skip
+        height = found.y[0] if k else 0.5 * 9.81 * scene.times**2 - 12.0 * scene.times
+        noise = 0.01 * rng(k).standard_normal(len(height))
+        positions = np.stack([0 * height, -height + noise], axis=-1)[:, None]
+        scenes.append(replace(scene, positions=positions))
+    dataset = replace(falls, scenes=tuple(scenes), train=("s1", "s2"), test=("s0",))
+    found = fit_law(dataset, [GRAVITY, "-k * norm(v_i)^n * v_i"])
+    assert found.converged
+    assert {c.name: c.value for c in found.constants}["n"] == pytest.approx(-2.5, abs=0.5)
+    assert np.isinf(found.errors.rollout_rmse)
+    (note,) = [n for n in found.notes if "runs away on held-out" in n]
+    assert "with n = -2" in note and "--bounds n=0..4" in note

@@ -228,6 +228,22 @@ def test_gaps_are_closed_at_convergence(name):
     assert np.abs(cosine).max() < 1e-3 * np.linalg.norm(last.residual)
 
 
+def test_what_rounding_makes_is_no_gap():
+    """Three units in the last place of the largest coordinate are none, a thousand are one."""
+    shooting, nodes, mesh = setting(*CASES["two lengths"][:3])
+    flow = shooting.flow
+    flow.motion.set_constants(values_of(flow.motion.law))
+    digit = np.finfo(float).eps * np.nanmax(np.abs(shooting.chains.observed), axis=(0, 2, 3))
+    for row in range(int(shooting.chains.lengths.max()) - 1):
+        ends, _ = flow.run(nodes, mesh, slopes=False)
+        here = np.flatnonzero(flow.row == row)
+        nodes[..., row + 1, flow.chain[here]] = ends[..., here]
+    for units, is_gap in ((3, False), (1000, True)):
+        off = nodes.copy()
+        off[0] += units * digit * (np.arange(nodes.shape[-2]) % 2)[:, None]
+        assert bool(shooting.gaps(off, mesh).any()) is is_gap
+
+
 def test_columns_are_changes_of_predicted_places():
     """Of whole tracks that join: a change of the state at the first row, carried on by the law."""
     law = SPRING

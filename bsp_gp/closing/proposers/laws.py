@@ -13,8 +13,12 @@ from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
 
-MOST_NEAR, MOST_TIES = 400, 20
+MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
+MOST_PAIRED, MOST_PAIRS = 150, 40
+"""Laws of which two at once are tried, and pairs that are proposed."""
+LEAST_APART = 0.02
+"""Part of a law, squared, that must lie beside another for the two to be told apart."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
 
@@ -81,6 +85,8 @@ class Laws:
             if not _is_parallel(view, candidate, declared)
         ]
         best = max((p.gain for p in proposals), default=0.0)
+        pairs = _pairs(view, [c for c in found[:MOST_PAIRED]], proposals)
+        proposals = sorted([*pairs, *proposals], key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
             "\n".join(certificates), n_tried,
@@ -110,6 +116,49 @@ class Laws:
             "law", to_text(candidate.formula), with_term(view.hypothesis, term, {name: value}),
             -candidate.complexity, candidate.share * total, formula=formula, ties=candidate.ties,
         )  # fmt: skip
+
+
+def _pairs(view, found, singles):
+    """Two laws at once that promise more than any alone, the best few."""
+    if len(found) < 2:
+        return []
+    terms = [Term(split_linear(c.formula)[1], c.kind) for c in found]
+    columns = np.stack([view.response.regression.column(t)[0][:, 0] for t in terms], axis=1)
+    rows = view.beside(columns)
+    size = np.linalg.norm(rows, axis=0)
+    unit = rows / np.where(size > 0, size, 1.0)
+    scores, overlap = unit.T @ view.left, unit.T @ unit
+    first, second = np.triu_indices(len(found), 1)
+    cosine = overlap[first, second]
+    apart = 1.0 - np.square(cosine)
+    good = apart > LEAST_APART
+    first, second, cosine, apart = first[good], second[good], cosine[good], apart[good]
+    a, b = scores[first], scores[second]
+    gains = (a * a + b * b - 2 * a * b * cosine) / apart
+    prior = np.array([-c.complexity for c in found])
+    promise = 0.5 * gains + prior[first] + prior[second]
+    least = max((p.promise for p in singles), default=0.0)
+    out = []
+    for k in np.argsort(-promise)[:MOST_PAIRS]:
+        if promise[k] <= least:
+            break
+        i, j = first[k], second[k]
+        amounts = np.array([a[k] - b[k] * cosine[k], b[k] - a[k] * cosine[k]]) / apart[k]
+        out.append(_both(view, found[i], found[j], amounts / size[[i, j]], gains[k], promise[k]))
+    return out
+
+
+def _both(view, one, other, amounts, gain, promise):
+    """The proposal of two laws at once."""
+    hypothesis, law, formulas = view.hypothesis, view.fit.law, []
+    for candidate, amount in zip((one, other), amounts.tolist(), strict=True):
+        name = fresh_name(law)
+        formula = renamed(candidate.formula, split_linear(candidate.formula)[0], name)
+        term = Term(formula, candidate.kind)
+        hypothesis, law = with_term(hypothesis, term, {name: amount}), law.plus(term, {name: amount})
+        formulas.append(formula)
+    text = " + ".join(map(to_text, formulas))
+    return Proposal("law", text, hypothesis, float(promise - 0.5 * gain), float(gain), 2)
 
 
 def _is_parallel(view, candidate, declared):

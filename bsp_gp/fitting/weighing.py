@@ -1,0 +1,81 @@
+"""Rows weighed by the tails of their noise: a gross outlier must not pull on a fit.
+
+Under Student's t a minimum is one of least squares in which every row has the weight that its own
+residual gives it (iteratively reweighted least squares): each round raises the likelihood. Rows
+that are far off their neighbours have no weight before there is a law to have residuals of.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.scene import Dataset
+from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.student import expected_weights, log_likelihood, weights_of
+
+__all__ = ["bears_outliers", "informed", "to_begin_with", "weighed"]
+
+ROUNDS = 50
+"""Times that rows are weighed; they settle in three to ten."""
+SMALL_GAIN = 1e-4
+"""Gain of log-likelihood by a round, from which on the weights stay."""
+
+
+def bears_outliers(model, is_exact):
+    """Whether tails can be told from the data, so that they weigh what is far off."""
+    is_still = ~np.isfinite(model.levels)
+    return not is_exact and bool((model.is_free | is_still).all())
+
+
+def to_begin_with(dataset: Dataset, model):
+    """The data without rows far off their neighbours, where tails will weigh these; or the same."""
+    scenes, listed = without_outliers(dataset.scenes, model.levels)
+    return replace(dataset, scenes=scenes) if listed else dataset
+
+
+def weighed(run, climb, minimum, model):
+    """The minimum under a noise, every row with the weight that the tails give it there.
+
+    Parameters
+    ----------
+    run : _Run
+    climb : Climb
+        With steps that fit the minimum.
+    minimum : Minimum
+    model : NoiseModel
+
+    Returns
+    -------
+    climb : Climb
+    minimum : Minimum
+        "unconverged" where the weights do not settle.
+    """
+    meshes, before = climb.problem.meshes, -math.inf
+    for _ in range(ROUNDS):
+        channels, residual = run.left_at(minimum)
+        reached = log_likelihood(model, channels, residual)
+        is_last = math.isinf(model.degrees) or reached - before < SMALL_GAIN or run.is_over()
+        before = reached
+        climb = climb.with_noises(
+            run.noises(model, channels, weights_of(model, channels, residual))
+        )
+        minimum = climb.again(minimum, meshes, is_last)
+        if minimum.linearised is None:
+            break
+        if is_last:
+            return climb, minimum
+    return climb, replace(minimum, status="unconverged", code="weights")
+
+
+def informed(run, climb, minimum, model):
+    """The minimum with the linearisation that tells how well it is known."""
+    if math.isinf(model.degrees) or minimum.linearised is None:
+        return minimum
+    channels, _ = run.left_at(minimum)
+    noises = run.noises(model, channels, expected_weights(model, channels))
+    whole = climb.with_noises(noises).whole(climb.problem.meshes)
+    linearised = whole.linearise(minimum.point)
+    return minimum if linearised is None else replace(minimum, linearised=linearised)
