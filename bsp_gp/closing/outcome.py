@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from bsp_gp.closing.accounts import Ratio
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 
-__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "ResidualTable", "RoundRecord"]
+__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
 
 SCHEMA = "bsp_gp/report/2"
 
@@ -165,34 +165,6 @@ class Overlay:
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualTable:
-    """Residual accelerations row by row; equal-length 1-D arrays.
-
-    Attributes
-    ----------
-    scene, entity, split : ndarray of str
-        Split is "train" or "test".
-    t, speed, distance : ndarray
-        Distance to the nearest other body, nan if there is none.
-    before, after : ndarray
-        Size of the residual acceleration under the declared and the final law.
-    before_along, after_along : ndarray
-        Its signed component along the velocity.
-    """
-
-    scene: object
-    entity: object
-    split: object
-    t: object
-    speed: object
-    distance: object
-    before: object
-    after: object
-    before_along: object
-    after_along: object
-
-
-@dataclass(frozen=True, eq=False)
 class LoopReport:
     """Everything that a run of the loop found out.
 
@@ -233,7 +205,8 @@ class LoopReport:
     versions : dict
     wall_s : float
     overlays : tuple of Overlay
-    residuals : ResidualTable or None
+    residuals : DataFrame or None
+        See `bsp_gp.closing.writing_up.residual_table`.
     fit, hypothesis : Fit, Hypothesis
         The last ones.
     """
@@ -260,7 +233,7 @@ class LoopReport:
     versions: dict
     wall_s: float
     overlays: tuple[Overlay, ...] = field(default=(), repr=False)
-    residuals: ResidualTable | None = field(default=None, repr=False)
+    residuals: object = field(default=None, repr=False)
     fit: object = field(default=None, repr=False)
     hypothesis: object = field(default=None, repr=False)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bsp_gp.closing.accounts import Ratio
 from bsp_gp.closing.decide import INSTRUMENT
-from bsp_gp.closing.outcome import Effect, Missing, Overlay, ResidualTable, RoundRecord
+from bsp_gp.closing.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
@@ -198,45 +198,45 @@ def residual_table(first, last, dataset, split):
 
     Returns
     -------
-    ResidualTable or None
-        None where a law has no finite constants.
+    DataFrame or None
+        scene, entity, split ("train" or "test"), t, speed, distance (to the nearest other body,
+        nan if there is none), size of the residual acceleration before and after, and its part
+        along the velocity. None where a law has no finite constants.
     """
+    import pandas as pd
+
     if not (np.isfinite(first.values).all() and np.isfinite(last.values).all()):
         return None
-    labels, numbers = [], []
+    tables = []
     for name, scenes in (("train", split.train), ("test", split.test)):
-        if not scenes:
-            continue
-        regression = regression_of(last, dataset, scenes)
-        with np.errstate(all="ignore"):
-            parts = zip(
-                regression.batches, regression.raw_residuals(first.law),
-                regression.raw_residuals(last.law), strict=True,
-            )  # fmt: skip
-            for batch, before, after in parts:
-                for s in range(len(batch.scene_names)):
-                    for r in range(len(batch.bodies.receivers)):
-                        values, label = _track_rows(batch, before, after, s, r)
-                        numbers.append(values)
-                        labels.append(np.array([[*label, name]] * values.shape[1], dtype=object))
-    rows = np.concatenate(labels).reshape(-1, 3).T
-    columns = np.concatenate(numbers, axis=1)
-    return ResidualTable(*rows, *columns)
+        if scenes:
+            regression = regression_of(last, dataset, scenes)
+            with np.errstate(all="ignore"):  # of a law that runs away
+                laws = [regression.raw_residuals(fit.law) for fit in (first, last)]
+                for batch, before, after in zip(regression.batches, *laws, strict=True):
+                    tables.append(pd.DataFrame(_rows(batch, before, after, name)))
+    return pd.concat(tables, ignore_index=True)
 
 
-def _track_rows(batch, before, after, s, r):
-    """Numbers (7, n) of one body in one scene, and whose they are."""
-    index = batch.bodies.receivers[r]
-    seen = batch.valid[:, s, r].any(axis=-1)
-    v = batch.velocities[seen, s, index]
+def _rows(batch, before, after, split):
+    """Columns of the table, track after track."""
+    s, r, row = np.nonzero(np.moveaxis(batch.valid.any(axis=-1), 0, -1))
+    index = np.array(batch.bodies.receivers)[r]
+    v = batch.velocities[row, s, index]
     speed = np.linalg.norm(v, axis=-1)
     unit = v / np.where(speed > 0, speed, 1.0)[:, None]
-    places = batch.positions[seen, s]
-    gaps = np.linalg.norm(np.delete(places, index, axis=1) - places[:, index, None], axis=-1)
-    distance = gaps.min(axis=1) if gaps.shape[1] else np.full(len(speed), np.nan)
-    b, a = np.nan_to_num(before[seen, s, r]), np.nan_to_num(after[seen, s, r])
-    values = (
-        batch.times[seen, s], speed, distance, np.linalg.norm(b, axis=-1),
-        np.linalg.norm(a, axis=-1), (b * unit).sum(axis=-1), (a * unit).sum(axis=-1),
-    )  # fmt: skip
-    return np.array(values), (batch.scene_names[s], batch.bodies.names[s][index])
+    places = batch.positions[row, s]
+    gaps = np.linalg.norm(places - batch.positions[row, s, index][:, None], axis=-1)
+    gaps[np.arange(len(gaps)), index] = np.nan
+    names = np.array(batch.bodies.names, dtype=object)
+    columns = {
+        "scene": np.array(batch.scene_names, dtype=object)[s], "entity": names[s, index],
+        "split": split, "t": batch.times[row, s], "speed": speed,
+        "distance": np.fmin.reduce(gaps, axis=1),
+    }  # fmt: skip
+    left = [np.nan_to_num(values[row, s, r]) for values in (before, after)]
+    for name, values in zip(("before", "after"), left, strict=True):
+        columns[name] = np.linalg.norm(values, axis=-1)
+    for name, values in zip(("before_along", "after_along"), left, strict=True):
+        columns[name] = (values * unit).sum(axis=-1)
+    return columns

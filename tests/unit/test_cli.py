@@ -108,6 +108,20 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
     assert cli._data_name("/") == "data"
 
 
+def test_close_on_hypotheses_writes_the_same_files(closed, data, tmp_path):
+    out = tmp_path / "report"
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2"]
+    assert main([*command, "--max-levels", "5", "--quiet"]) == 0
+    names = {p.relative_to(closed).as_posix() for p in closed.glob("*") if p.is_file()}
+    assert names == {p.relative_to(out).as_posix() for p in out.glob("*") if p.is_file()}
+    told = json.loads((out / "report.json").read_text())
+    assert told["schema"] == "bsp_gp/report/2"
+    assert json.loads((out / "run.json").read_text())["settings"]["time_limit"] is None
+    assert (out / "law.txt").read_text().startswith(told["law"]["text"])
+    header = [(folder / "residuals.csv").read_text().splitlines()[0] for folder in (closed, out)]
+    assert header[0] == header[1]
+
+
 def test_seed_and_settings_reach_the_report(closed):
     report = json.loads((closed / "report.json").read_text("utf-8"))
     assert (report["seed"], report["alpha"], len(report["rounds"])) == (0, 0.01, 1)
