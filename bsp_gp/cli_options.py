@@ -565,6 +565,7 @@ def _closing(parser):
     parser.add_argument("--start", action="extend", nargs="+", type=_pair, default=[], help=hidden)
     parser.add_argument("--bounds", action="extend", nargs="+", type=_pair, default=[], help=hidden)
     parser.add_argument("--time-limit", type=_time, help=hidden)
+    parser.add_argument("--resume", action="store_true", help=hidden)
 
 
 def _unknowns(parser):

@@ -13,6 +13,7 @@ from bsp_gp.closing.accounts import Accounts
 from bsp_gp.closing.backward import prune
 from bsp_gp.closing.clock import Clock
 from bsp_gp.closing.criteria import VERDICTS, Criteria
+from bsp_gp.closing.kept import rounds_from
 from bsp_gp.closing.loop import run_rounds
 from bsp_gp.closing.outcome import LoopReport
 from bsp_gp.closing.proposers import proposers_for
@@ -46,6 +47,7 @@ def close_loop(
     dataset, declared=(), *, rng, grammar="physics", criteria=None, alpha=None, max_rounds=5,
     max_levels=8, search="exhaustive", starts=None, bounds=None, time_limit=None, n_bootstrap=40,
     exclude=("t",), seed=None, workers=None, progress=None, on_round=None,
+    earlier=None,
 ):  # fmt: skip
     """Find what a declared model lacks, add it, and report the error before and after.
 
@@ -81,7 +83,9 @@ def close_loop(
     progress : callable, optional
         ``progress(text)`` at every stage.
     on_round : callable, optional
-        ``on_round(round)`` after every round.
+        ``on_round(round)`` after every round; `bsp_gp.closing.kept.text_of` makes text of them.
+    earlier : str, optional
+        Such text of a run with the same data and settings, to go on from.
 
     Returns
     -------
@@ -107,11 +111,15 @@ def close_loop(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
             f"{', '.join(sorted(grammar.inputs))}"
         )
+    hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law))
+    known = {"starts": starts, "bounds": bounds}
+    if earlier is not None:
+        earlier = rounds_from(earlier, hypothesis, ready.train, **known)
     rounds = run_rounds(
-        Hypothesis.from_laws(ready.train, unset(ready.law)), ready.train,
+        hypothesis, ready.train,
         proposers_for(ready.train, grammar, max_levels=max_levels, exclude=tuple(exclude)),
-        rng=round_rng, criteria=criteria, max_rounds=max_rounds, starts=starts, bounds=bounds,
-        clock=clock, on_round=on_round, progress=progress,
+        rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
+        on_round=on_round, earlier=earlier, progress=progress,
     )  # fmt: skip
     pruned = prune(rounds, ready.train, bounds=bounds, clock=clock, progress=progress)
     says("writing up")

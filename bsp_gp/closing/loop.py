@@ -78,7 +78,7 @@ class Round:
 
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
-    clock=None, on_round=None, progress=None,
+    clock=None, on_round=None, earlier=None, progress=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -99,6 +99,8 @@ def run_rounds(
         Ends a round in which something must be left out; such a round adopts nothing.
     on_round : callable, optional
         ``on_round(round)`` after every round.
+    earlier : sequence of Round, optional
+        That a run before this one has made; one that its time limit has cut is made again.
     progress : callable, optional
 
     Returns
@@ -107,16 +109,21 @@ def run_rounds(
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
                progress or (lambda text: None))  # fmt: skip
-    run.says("fitting the declared model")
-    found = fit(hypothesis, dataset, starts=starts, bounds=bounds, deadline=run.clock.left)
-    rounds = []
+    rounds = [done for done in earlier or () if not done.left_out]
+    if rounds:
+        found, hypothesis = rounds[-1].after, rounds[-1].continuing
+    else:
+        run.says("fitting the declared model")
+        found = fit(hypothesis, dataset, starts=starts, bounds=bounds, deadline=run.clock.left)
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
+        if number <= len(rounds):
+            continue
+        if rounds and not rounds[-1].decision.is_adopted:
+            break
         done = run.round(number, hypothesis, found, stream)
         rounds.append(done)
         if on_round is not None:
             on_round(done)
-        if not done.decision.is_adopted:
-            break
         found, hypothesis = done.after, done.continuing
     return rounds
 

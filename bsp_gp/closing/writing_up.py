@@ -17,7 +17,9 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.units import ACCELERATION
 
-__all__ = ["about_data", "overlays", "record_of", "residual_table", "versions"]
+__all__ = [
+    "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "versions",
+]  # fmt: skip
 
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
@@ -126,11 +128,6 @@ def about_data(dataset, split, notes):
     notes : tuple of str
         What was found when the data were made ready.
     """
-    digest = hashlib.sha256()
-    for scene in dataset.scenes:
-        digest.update(scene.name.encode())
-        digest.update(scene.times.tobytes())
-        digest.update(scene.positions.tobytes())
     return {
         "name": dataset.name,
         "n_scenes": len(dataset.scenes),
@@ -144,9 +141,19 @@ def about_data(dataset, split, notes):
         "symbols": dict(dataset.units.symbols),
         "up": dataset.up,
         "provenance": dict(dataset.provenance),
-        "fingerprint": digest.hexdigest(),
+        "fingerprint": dataset_digest(dataset),
         "notes": [*dataset.notes, *notes],
     }
+
+
+def dataset_digest(dataset):
+    """Fingerprint of what was measured."""
+    digest = hashlib.sha256()
+    for scene in dataset.scenes:
+        digest.update(scene.name.encode())
+        digest.update(scene.times.tobytes())
+        digest.update(scene.positions.tobytes())
+    return digest.hexdigest()
 
 
 def versions():

@@ -122,6 +122,38 @@ def test_close_on_hypotheses_writes_the_same_files(closed, data, tmp_path):
     assert header[0] == header[1]
 
 
+def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):
+    from bsp_gp.closing import close
+
+    out = tmp_path / "report"
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2", "--quiet",
+               "--max-levels", "5"]  # fmt: skip
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(close, "prune", interrupted)
+        assert main(command) == 130
+    kept = tmp_path / "report.rounds.json"
+    assert kept.is_file()
+    assert not out.exists()
+    assert main([*command, "--resume", "--max-rounds", "4"]) == 2
+    assert "other data or settings" in capsys.readouterr().err
+    assert main([*command, "--resume"]) == 0
+    assert not kept.exists()
+    again = tmp_path / "again"
+    assert main([*command[:4], "--out", str(again), *command[6:]]) == 0
+    reports = [json.loads((place / "report.json").read_text()) for place in (out, again)]
+    for told in reports:
+        told.pop("wall_s")
+        told.pop("n_fits")
+        for done in told["rounds"]:
+            done.pop("seconds")
+    assert reports[0] == reports[1]
+    assert (out / "residuals.csv").read_bytes() == (again / "residuals.csv").read_bytes()
+
+
 def test_seed_and_settings_reach_the_report(closed):
     report = json.loads((closed / "report.json").read_text("utf-8"))
     assert (report["seed"], report["alpha"], len(report["rounds"])) == (0, 0.01, 1)

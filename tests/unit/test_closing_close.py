@@ -11,12 +11,13 @@ from bsp_gp.closing.clock import Clock, TimeIsUp
 from bsp_gp.closing.close import close_loop
 from bsp_gp.closing.criteria import CAUSES, LEFT_OUT, REASONS, STOP_REASONS, VERDICTS, Criteria
 from bsp_gp.closing.decide import Decision
+from bsp_gp.closing.kept import text_of
 from bsp_gp.closing.loop import Round, run_rounds
 from bsp_gp.closing.proposal import continued, with_term
 from bsp_gp.closing.proposers.exponents import Declared
 from bsp_gp.closing.proposers.laws import Laws
 from bsp_gp.closing.table import HypothesisTable, Row
-from bsp_gp.errors import SettingsError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.fit import STATUSES, fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.language.grammar import load_grammar
@@ -231,6 +232,38 @@ def test_a_clock_counts_down():
     assert over.left == 0.0
     with pytest.raises(TimeIsUp):
         over.tick(3, 7)
+
+
+# --- going on ------------------------------------------------------------------------------------
+
+
+def test_a_run_goes_on_from_its_rounds_to_the_same_bits(report):
+    """From none, from the first and from all of them."""
+    rounds = []
+
+    def run(**settings):
+        done = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), seed=0, **settings)
+        data = done.to_dict()
+        data.pop("wall_s")
+        data.pop("n_fits")  # those of an earlier run are not counted again
+        for each in data["rounds"]:
+            each.pop("seconds")
+        return data
+
+    whole = run(on_round=rounds.append)
+    assert len(rounds) == 2
+    for count in (1, 2):
+        made = []
+        again = run(earlier=text_of(rounds[:count]), on_round=made.append)
+        assert len(made) == 2 - count
+        assert again == whole
+
+
+def test_what_is_no_round_is_refused():
+    other = '[{"c": "pathlib:Path", "k": {}}]'
+    for text in ("", "[[", '[{"c": "os:system", "a": ["true"]}]', other):
+        with pytest.raises(DataError, match="kept rounds cannot be read"):
+            close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), earlier=text)
 
 
 # --- removal --------------------------------------------------------------------------------------
