@@ -11,7 +11,7 @@ from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.physics.force import Term
 
-__all__ = ["View", "selected"]
+__all__ = ["View", "gains", "selected"]
 
 N_DRAWS = 49
 """Simulated residuals behind the effective number of things that were tried."""
@@ -97,7 +97,7 @@ class View:
         """Gains of the same columns on simulated noise, (B,)."""
         rows = self.beside(columns).T
         draws = self.beside(self.moment_draws)
-        return _gains(rows, draws.T)
+        return gains(rows, draws.T)
 
     def detectable(self, alpha):
         """Least constant acceleration, one for all bodies, seen with 95 % on every axis, m/s^2.
@@ -118,7 +118,7 @@ class View:
         return float(worst)
 
 
-def _gains(rows, draws):
+def gains(rows, draws):
     """Chi-squared that rows (c, n) gain together on each draw (B, n)."""
     size = np.linalg.norm(rows, axis=1)
     unit = rows[size > 0] / size[size > 0, None]

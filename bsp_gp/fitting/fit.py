@@ -24,6 +24,7 @@ from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.problem import Minimum
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
@@ -511,6 +512,7 @@ class _Tracks:
 
 def _tracks_of(run, climb, minimum: Minimum):
     residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
+    constants, _ = climb.coordinates.constants(minimum.values)
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
     for shooting, nodes, noise, parts in zip(
         climb.problem.shootings, minimum.point.nodes, climb.noises,
@@ -518,7 +520,8 @@ def _tracks_of(run, climb, minimum: Minimum):
         strict=True,
     ):  # fmt: skip
         chains = shooting.chains
-        left = chains.observed - np.moveaxis(nodes[0], (-2, -1), (0, 1))
+        shooting.flow.motion.set_constants(constants)
+        left = chains.observed - sight(shooting.flow, nodes).places
         left = np.where(np.isfinite(noise.variance), left, np.nan)
         residuals.append(left)
         rows = np.broadcast_to(np.arange(len(left))[:, None], left.shape[:2])

@@ -15,7 +15,8 @@ from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import FitTolerances, fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Positions, TrackNoise
 from bsp_gp.fitting.outliers import without_outliers
-from bsp_gp.fitting.rolling import roll
+from bsp_gp.fitting.rolling import flow_of, roll
+from bsp_gp.fitting.seen import sight
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
 from bsp_gp.units import ACCELERATION, Unit
@@ -107,11 +108,13 @@ def predictions(found, dataset, scenes, *, deadline=None):
     bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
     for chains in build_chains(found.law, scenes, dataset.up, dataset.velocity):
         first = _stacked(chains, states, measured)
-        nodes = roll(found.law, chains, first, _tolerance(found, chains), found.paper_steps)
+        tolerance = _tolerance(found, chains)
+        nodes = roll(found.law, chains, first, tolerance, found.paper_steps)
+        seen = sight(flow_of(found.law, chains, tolerance, found.paper_steps), nodes).places
         for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
             for r, name in enumerate(members):
                 track = tracks[scene]
-                track[:, bodies[scene].index(name)] = nodes[0, r, :, : len(track), s].T
+                track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
     for scene in scenes:
         tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
     return [tracks[scene.name] for scene in scenes]

@@ -176,13 +176,17 @@ class Hypothesis:
 
     @property
     def law(self):
-        """All forces in one law."""
-        terms, constants = [], {}
+        """All forces in one law, and through what they are seen."""
+        terms, constants, frame = [], {}, []
         for part in self.parts:
             if isinstance(part, Forces):
                 terms += part.law.terms
                 constants.update(part.law.constants)
-        return ForceLaw(tuple(terms), constants)
+                frame += part.law.frame
+            elif part.kind == "instrument" and part.parameters:
+                constants.update({p.name: p.start for p in part.parameters})
+                frame.append(part)
+        return ForceLaw(tuple(terms), constants, tuple(frame))
 
     @property
     def paper_steps(self):

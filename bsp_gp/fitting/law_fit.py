@@ -322,6 +322,8 @@ def constant_estimates(found, dataset, bounds=None):
     for term in found.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = dataset.units.text(unit)
+    for part in found.law.frame:
+        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters}
     massless = {
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip

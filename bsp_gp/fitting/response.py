@@ -20,10 +20,12 @@ from threadpoolctl import threadpool_limits
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import Pieces, cut_pieces
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.evaluation import Settling
+from bsp_gp.physics.force import term_gradient
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 
 __all__ = ["Response", "ResponseBatch", "ResponseRegression", "respond"]
@@ -143,7 +145,7 @@ def respond(fit, dataset, scenes=None):
     Response
     """
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, columns, used, total = [], [], 0, 0
+        batches, used, total = [], 0, 0
         first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
@@ -153,15 +155,33 @@ def respond(fit, dataset, scenes=None):
             first += count
             pieces = cut_pieces(chains, noise, batch)
             group = _Group(fit, chains, nodes, noise, pieces)
-            made, shared = group.batch()
-            batches.append(made)
-            columns.append(shared)
+            batches.append(group.batch())
             used += pieces.n_rows
             total += int(chains.lengths.sum())
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
-    return Response(regression, np.concatenate(columns), used / max(total, 1))
+    return Response(regression, _columns(regression, fit), used / max(total, 1))
+
+
+def _columns(regression, fit):
+    """Moments of the changes by the constants, (n, k): by the routine that has those of laws."""
+    parts = []
+    for batch in regression.batches:
+        slopes = np.zeros((len(fit.parameters), *batch.target.shape))
+        for term in fit.law.terms:
+            _, found = term_gradient(
+                fit.law, term, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
+            for slope, (name, entity) in zip(slopes, fit.parameters, strict=True):
+                if name in found:
+                    mine = np.array([
+                        [entity in ("", n) for n in names] for names in batch.bodies.receiver_names
+                    ])  # fmt: skip
+                    slope += np.where(mine[..., None], np.nan_to_num(found[name]), 0.0)
+        moments = batch.whiten(np.moveaxis(slopes, 0, 3))
+        parts.append(moments[:, :, 0, :, 0].reshape(batch.moments.size, len(fit.parameters)))
+    return np.concatenate(parts)
 
 
 def _noise(fit, chains, part):
@@ -279,13 +299,14 @@ class _Group:
 
     def _white(self, changes):
         """Whitened changes and residuals of the rows, (W, L R d, F + n + k + 1)."""
-        half = self.n_own * self.n_dims
         at = changes[self.at_rows]
         n_rows, n_pieces = at.shape[:2]
-        places = np.moveaxis(self.nodes[0][..., self.at_rows, :], (-2, -1), (0, 1))
-        shape = places.shape
-        left = self.chains.observed - places - at[:, :, :half, -1].reshape(shape)
-        moved = np.moveaxis(at[:, :, :half, :-1], -1, 0).reshape(-1, *shape)
+        nodes = self.nodes[..., self.at_rows, :]
+        seen = sight(self._flow(self.chains), nodes)
+        shape, first = seen.places.shape, at.shape[-1] - 1 - len(self.fit.values)
+        shown = seen.shown(at, np.arange(n_rows)[:, None], np.arange(n_pieces), first)
+        left = self.chains.observed - seen.places - shown[..., -1].reshape(shape)
+        moved = np.moveaxis(shown[..., :-1], -1, 0).reshape(-1, *shape)
         moved = np.where(np.isfinite(self.chains.observed), moved, np.nan)
         stacked = np.concatenate([moved, left[None]])
         rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
@@ -293,13 +314,13 @@ class _Group:
         return np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
 
     def moments(self):
-        """Tracks smoothed, then moments by force, by constants, and of what is left.
+        """Tracks smoothed, then moments by force, of what is left, and which of them count.
 
         Returns
         -------
         by_force : ndarray, shape (W, m, L, R, d)
-        by_constant : ndarray, shape (W, m, k)
         left : ndarray, shape (W, m)
+        kept : ndarray of bool, shape (W, m)
         """
         n = 2 * self.n_own * self.n_dims
         for turn in range(PASSES):
@@ -318,12 +339,9 @@ class _Group:
         # Eigenvalues rise: the strongest moments stand last.
         vectors = vectors[:, :, -count:] * keep[:, None, -count:]
         turned = np.swapaxes(vectors, 1, 2)
-        constants = beyond[:, :, n_forces + n : -1]
         shape = (len(by_force), count, -1, self.n_own, self.n_dims)
-        return (
-            (turned @ by_force).reshape(shape), turned @ constants,
-            (turned @ left[..., None])[..., 0], keep[:, -count:],
-        )  # fmt: skip
+        moments = (turned @ left[..., None])[..., 0]
+        return (turned @ by_force).reshape(shape), moments, keep[:, -count:]
 
     def _kept(self, values, left):
         """Moments without which less than `LOST` is lost of what a force white in time may show."""
@@ -368,19 +386,18 @@ class _Group:
     # --- a batch of the regression ---------------------------------------------------------------
 
     def batch(self):
-        """The pieces as a batch of a regression, and moments of the constants, (m W, k)."""
-        by_force, by_constant, left, kept = self.moments()
+        """The pieces as a batch of a regression."""
+        by_force, left, kept = self.moments()
         times = self.fine.times
         positions, velocities = self.pieces.states(self.chains, times, self.nodes)
         own = slice(None, self.n_own)
         valid = np.isfinite(positions[:, :, own]) & np.isfinite(velocities[:, :, own])
         kept = np.swapaxes(kept, 0, 1)[..., None, None]
-        made = ResponseBatch(
+        return ResponseBatch(
             bodies=self.pieces.bodies, times=times, positions=positions, velocities=velocities,
             target=np.zeros(valid.shape), valid=valid, scale=np.ones(valid.shape),
             scene_names=self.chains.scenes, whitener=by_force, kept=kept, moments=left.T,
         )  # fmt: skip
-        return made, np.swapaxes(by_constant, 0, 1).reshape(left.size, by_constant.shape[2])
 
 
 def _orthonormal(matrices):

@@ -35,7 +35,7 @@ def simulated(found, dataset, scenes, count, rng):
     if best.is_failed:
         return []
     channels = best.channels
-    tracks = join(np.moveaxis(own[0], (-2, -1), (0, 1)) for own in best.nodes)
+    tracks = join(chains.observed for chains in best.groups) - best.residual
     made = tracks + draw_noise(found.noise, channels, count, rng)
     places = [_places(channels, scene) for scene in scenes]
     copies = []

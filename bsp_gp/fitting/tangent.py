@@ -8,16 +8,24 @@ from ``C'QC`` (LOOP §3). Forces have columns through `bsp_gp.fitting.response`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
-__all__ = ["Score", "Tangent", "p_of_gain"]
+from bsp_gp.fitting.channels import join
+from bsp_gp.fitting.flow import Flow
+from bsp_gp.fitting.motion import Motion
+from bsp_gp.fitting.shooting import Shooting, cut_windows
+from bsp_gp.fitting.tracks import ChainNoise
+
+__all__ = ["Score", "Tangent", "instrument_columns", "p_of_gain"]
 
 INDEPENDENT = 1e-9
 """Part of the length of a column, squared, that must lie beyond all that is free."""
+STEP_ERROR = 0.02
+"""Error of the integration of columns over a whole track, in standard deviations of a position."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +109,24 @@ class Tangent:
         size = np.square(whitened).sum(axis=(1, 2))
         rows = self.projected(columns)
         return score_of(rows, self.residual, size, self.noise_dof)
+
+
+def instrument_columns(fit, part):
+    """What a part changes of the tracks of a fit per unit of each of its numbers, (c, T, C)."""
+    zero = dict.fromkeys(part.names, 0.0)
+    law = replace(fit.law, frame=(*fit.law.frame, part), constants={**fit.law.constants, **zero})
+    parameters = (*fit.parameters, *((name, "") for name in part.names))
+    values = np.concatenate([fit.values, np.zeros(len(part.names))])
+    level, out = STEP_ERROR * np.nanmin(fit.noise.levels), []
+    for chains, nodes in zip(fit.groups, fit.nodes, strict=True):
+        motion = Motion(law, chains, parameters)
+        motion.set_constants(values)
+        flow = Flow(motion, level / np.maximum(chains.lengths, 1), fit.paper_steps)
+        plain = ChainNoise(chains.times, np.ones(chains.observed.shape))
+        shooting = Shooting(flow, plain, cut_windows(chains.lengths))
+        condensed = shooting.linearise(values, nodes, flow.quick_mesh(nodes))[-1]
+        out.append(shooting.columns(condensed, flow.n_state)[1][len(fit.values) :])
+    return np.nan_to_num(join(out))
 
 
 def score_of(rows, residual, size, noise_dof=np.inf):

@@ -207,6 +207,8 @@ def _recur(kept, new):
     new : ndarray, shape (..., T, C)
     """
     n_rows, n_channels = kept.shape
+    if not new.size:  # LAPACK writes beyond the end of nothing
+        return new.copy()
     band = np.ones((2, kept.size), order="F")
     band[1, :-1] = -kept.T.ravel()[1:]
     columns = np.ascontiguousarray(np.swapaxes(new, -1, -2)).reshape(-1, kept.size)

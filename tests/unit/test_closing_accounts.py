@@ -1,6 +1,7 @@
 """Errors before and after, floors and intervals, against what can be said by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from bsp_gp.closing.accounts import Accounts
 from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.fitting.channels import Channels
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import predictions
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.lowering import fades_at_rest
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.simulated import draw_noise, simulated
 from tests.fitted_tracks import body
 from tests.throws import SI
@@ -150,3 +153,23 @@ def test_tails_of_students_t_are_drawn():
 def test_only_what_keeps_its_size_brings_to_rest(text, fades):
     law = read_law(coasting(1), [text])
     assert fades_at_rest(law.terms[0].formula) is fades
+
+
+def test_what_a_delay_shows_is_what_is_foreseen_and_copied():
+    """Thrown upwards and seen 0.3 s late along a parabola, from states fitted to its first rows."""
+    times = 0.1 * np.arange(N_ROWS)
+    on_time = np.stack([times, 4 * times - 4.905 * times**2], axis=1)
+    late = np.stack([times - 0.3, 4 * (times - 0.3) - 4.905 * (times - 0.3) ** 2], axis=1)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((N_ROWS, 2, 2))
+    places = np.stack([on_time, late], axis=1) + noise
+    scene = Scene("s", times, places, [body("a"), body("b")])
+    data = Dataset("late", (scene,), units=SI, up="y", noise=(1e-4, 1e-4))
+    delay = Instrument("delay", whose=("b",))
+    hypothesis = Hypothesis.from_laws(data, ["9.81 [m/s^2] * m_i * down"]) + delay
+    found = replace(fit(hypothesis, data), noise=NoiseModel.of(data))
+    found = replace(found, law=found.law.with_constants({delay.names[0]: 0.3}))
+    (track,) = predictions(found, data, data.scenes)
+    # Ten rows of 1e-4 m foresee thirty to some of their errors.
+    assert np.abs(track - scene.positions).max() < 3e-3
+    ((copy,),) = simulated(found, data, data.scenes, 1, np.random.default_rng(0))
+    assert np.abs(copy.positions - scene.positions).max() < 1e-3

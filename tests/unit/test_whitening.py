@@ -110,3 +110,12 @@ def test_digits_are_kept_where_a_tridiagonal_precision_loses_them():
 def test_noise_that_is_none_is_refused(times, variance, amplitude, words):
     with pytest.raises(FitError, match=words):
         Whitener(np.array(times)[:, None], np.array(variance)[:, None], [amplitude], 1.0)
+
+
+def test_no_columns_are_whitened_to_none():
+    """LAPACK was handed no right-hand side and wrote beyond its end: later allocations crashed."""
+    times = np.linspace(0.0, 1.0, 50)[:, None]
+    whitener = Whitener(times, np.full((50, 1), 0.5), np.full((50, 1), 0.7), 0.1)
+    for _ in range(2000):
+        assert whitener.whiten(np.zeros((0, 50, 1))).shape == (0, 50, 1)
+        np.zeros(100)

@@ -3,6 +3,7 @@
 from bsp_gp.closing.proposers.exponents import Declared
 from bsp_gp.closing.proposers.hidden import Hidden
 from bsp_gp.closing.proposers.laws import Laws
+from bsp_gp.closing.proposers.measurement import Measurement
 
 __all__ = ["proposers_for"]
 
@@ -20,4 +21,4 @@ def proposers_for(dataset, grammar, *, max_levels=8, exclude=("t",)):
     exclude : sequence of str
         Inputs that laws may not use.
     """
-    return (Laws(grammar, dataset, max_levels, exclude), Declared(), Hidden())
+    return (Laws(grammar, dataset, max_levels, exclude), Declared(), Hidden(), Measurement())

@@ -83,11 +83,12 @@ class Declared:
         law = view.fit.law
         term = law.terms[index]
         name = fresh_name(law, "s")
-        freed = replace(term, formula=Call("mul", Constant(name), term.formula))
+        factor = Call("add", Number(1.0), Constant(name))
+        freed = replace(term, formula=Call("mul", factor, term.formula))
         return Proposal(
             "number", f"number of {to_text(term.formula)}",
-            _with_term_at(view.hypothesis, index, freed, {name: 1.0}),
-            LOG_PRIOR, score.statistic, starts={name: 1.0 + float(score.amplitudes[0])},
+            _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
+            LOG_PRIOR, score.statistic, starts={name: float(score.amplitudes[0])},
         )  # fmt: skip
 
 
