@@ -47,8 +47,13 @@ def _hold(out):
         for path in (*place.path.rglob(".*.bsp-gp-lock"), *place.path.rglob(".*.bsp-gp-part*")):
             path.unlink()  # of a killed run: nobody else writes here now
     except OutputError as error:
-        print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
-        sys.exit(2)
+        _end(error)
+
+
+def _end(error):
+    """End the study with one line, as commands end."""
+    print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _adopt(out):
@@ -70,7 +75,7 @@ def whole(path):
         with whole_file(path) as part:
             yield part
     except OutputError as error:
-        sys.exit(f"error: {error}")
+        _end(error)
 
 
 def _list(path):

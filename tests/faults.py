@@ -147,9 +147,11 @@ class Bench:
         jobs = null_data.jobs_of
         null_data.jobs_of = lambda *args: jobs(*args)[:2]
         sys.argv = ["null_data.py", *words[:-1], "1"]
-        null_data.main()
-        common._HELD.close()  # as at the end of the process
-        null_data.jobs_of = jobs
+        try:
+            null_data.main()
+        finally:
+            common._HELD.close()  # as at the end of the process
+            null_data.jobs_of = jobs
         return 0
 
     def child(self, act):
@@ -336,7 +338,6 @@ def judge_study(bench, result, before, after, seen):
 def random_times(bench, how_many):
     """The whole command, killed at times that are drawn evenly."""
     before, after, seconds = bench.prepare(is_kept=False)
-    after_names = set(after)
     rng = random.Random(1)
     result = {"points": 0, "old": 0, "new": 0, "bad": [], "seconds": round(seconds, 2)}
     for _ in range(how_many):
@@ -350,20 +351,26 @@ def random_times(bench, how_many):
         then = snapshot(bench.place)
         is_new = then != before
         result["new" if is_new else "old"] += 1
-        if debris(bench.place) or (is_new and not is_whole_result(bench, then, after_names)):
+        is_study = bench.name == "study"  # goes on, and clears its folder itself
+        left = [] if is_study else debris(bench.place)
+        if left or ((is_new or is_study) and not is_whole_result(bench, then, after)):
             result["bad"].append([result["points"], debris(bench.place)])
     return result
 
 
-def is_whole_result(bench, then, names):
-    """Times are in some results, so that no two are the same: the marks tell what is whole."""
+def is_whole_result(bench, then, after):
+    """Times are in some results, so that no two are the same: the marks tell what is whole.
+
+    A study is gone on with, to the same end.
+    """
     from bsp_gp.output.mark import read_mark, strangers
 
     if bench.name == "study":
-        return os.waitstatus_to_exitcode(os.waitpid(bench.child(int), 0)[1]) == 0
+        status = os.waitpid(bench.child(int), 0)[1]
+        return status == 0 and snapshot(bench.place) == after and not debris(bench.place)
     foreign = {"out": ["notes.md"]}
-    folders = {name.split("/")[0] for name in names if "/" in name}
-    return set(then) == names and all(
+    folders = {name.split("/")[0] for name in after if "/" in name}
+    return set(then) == set(after) and all(
         strangers(bench.place / f, read_mark(bench.place / f)) == foreign.get(f, [])
         for f in folders
     )

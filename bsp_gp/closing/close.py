@@ -16,7 +16,7 @@ from bsp_gp.closing.criteria import VERDICTS, Criteria
 from bsp_gp.closing.kept import rounds_from
 from bsp_gp.closing.loop import run_rounds
 from bsp_gp.closing.outcome import LoopReport
-from bsp_gp.closing.proposers import proposers_for
+from bsp_gp.closing.proposers import standard
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
@@ -117,7 +117,7 @@ def close_loop(
         earlier = rounds_from(earlier, hypothesis, ready.train, **known)
     rounds = run_rounds(
         hypothesis, ready.train,
-        proposers_for(ready.train, grammar, max_levels=max_levels, exclude=tuple(exclude)),
+        standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude)),
         rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
         on_round=on_round, earlier=earlier, progress=progress,
     )  # fmt: skip

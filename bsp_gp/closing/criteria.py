@@ -1,10 +1,12 @@
-"""Every level on which a verdict depends, and the closed lists of codes that verdicts are told in."""
+"""Every level on which a verdict depends, and the closed lists of codes that are told."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CAUSES", "LEFT_OUT", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria"]
+__all__ = [
+    "CAUSES", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria",
+]  # fmt: skip
 
 VERDICTS = (
     "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",
@@ -26,6 +28,11 @@ CAUSES = (
     "hidden_body", "contact", "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
+NOISE_FINDINGS = (
+    "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
+    "grid", "row",
+)  # fmt: skip
+"""In what noise may not be as assumed."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Criteria:
         Rivals are told whose log posterior, or log evidence, is within this of the best.
     fitted_nats : float
         Proposals whose promise is within this of the best are fitted to whole tracks.
+    nonlinear : float
+        Part of a promise that a fit to whole tracks may add to it.
     most_fits : int
         Proposals that are fitted in a round at the most.
     tie_nats : float
@@ -57,6 +66,7 @@ class Criteria:
     class_nats: float = 8.0
     equal_nats: float = 4.0
     fitted_nats: float = 8.0
+    nonlinear: float = 0.2
     most_fits: int = 12
     tie_nats: float = 2.0
     promise: float = 0.3

@@ -74,6 +74,8 @@ def decide(table, criteria=None):
         if kind_of(row) != kind_of(best)
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
+    if best.code == "noise":
+        return Decision("the noise is not as assumed", "noise_explains", best, True, rivals)
     is_fact = not any(abs(row.chisqr - best.chisqr) < criteria.separation for row in rivals)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
@@ -84,7 +86,7 @@ def kind_of(row):
     """Whether a row says something of the measurement, of a hidden body, or of forces."""
     if row.code in INSTRUMENT:
         return "measurement"
-    return "hidden_body" if row.code == "hidden_body" else "force"
+    return row.code if row.code in ("hidden_body", "noise") else "force"
 
 
 def _comparable(table):

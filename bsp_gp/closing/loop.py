@@ -260,15 +260,18 @@ def _p_of_all(families, view):
 
 
 def _chosen(every, criteria):
-    """The proposals that are fitted: those near the best, and the first of every family."""
+    """The proposals that are fitted: those near the best, and the first of other families.
+
+    A family's first may be a part of the best's promise behind: promises are linear.
+    """
     top = every[0][1].promise if every else 0.0
+    near, far = top - criteria.fitted_nats, (1 - criteria.nonlinear) * top - criteria.fitted_nats
     chosen, families, keys = [], set(), set()
     for name, proposal in every:
         if len(chosen) == criteria.most_fits:
             break
-        is_near = proposal.promise > top - criteria.fitted_nats
-        is_first = name not in families and proposal.promise > 0
-        if (is_near or is_first) and (proposal.key not in keys or proposal.starts):
+        is_near = proposal.promise > (near if name in families else far)
+        if is_near and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             families.add(name)
             keys.add(proposal.key)

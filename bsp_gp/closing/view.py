@@ -35,7 +35,7 @@ class View:
     """
 
     def __init__(self, fit, hypothesis, dataset, rng):
-        self.fit, self.hypothesis, self.dataset = fit, hypothesis, dataset
+        self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self.tick = None
         self._rows_rng, self._moments_rng = rng.spawn(2)
 
@@ -62,6 +62,13 @@ class View:
         kept = np.concatenate([b.kept.ravel() for b in self.response.regression.batches])
         return self._moments_rng.standard_normal((len(kept), N_DRAWS)) * kept[:, None]
 
+    @cached_property
+    def masses(self):
+        """Masses of receivers, (S, R) per batch of the response; None where one is not known."""
+        batches = self.response.regression.batches
+        masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
+        return masses if all(np.isfinite(m).all() for m in masses) else None
+
     # --- forces ----------------------------------------------------------------------------------
 
     @cached_property
@@ -77,6 +84,12 @@ class View:
     def left(self):
         """Moments that the constants leave, (n,)."""
         return self._moments[0]
+
+    @property
+    def n_left(self):
+        """Independent moments beside the constants."""
+        kept = sum(int(b.kept.sum()) for b in self.response.regression.batches)
+        return kept - self._moments[1].shape[1]
 
     def beside(self, columns):
         """Moments (n, c) beside what the constants of the law can take up."""
@@ -153,5 +166,9 @@ def selected(gain, rank, null, noise_dof=np.inf):
     bar = chance[-1]
     share = len(chance) / (len(null) + 1)
     trials = max(np.log1p(-share) / np.log1p(-min(bar, 1 - 1e-12)), 1.0)
+    # Of a continuum of trials there are more, the higher the bar (Davies 1977).
+    height = float(np.sort(null)[::-1][len(chance) - 1])
+    if height > 0 and gain > height:
+        trials *= np.sqrt(gain / height)
     one = min(float(p_of_gain(gain, rank, noise_dof)), 1 - 1e-16)
     return float(-np.expm1(trials * np.log1p(-one)))

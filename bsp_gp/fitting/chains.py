@@ -98,7 +98,10 @@ class Chains:
             scenes=tuple(self.scenes[k] for k in chain),
             bodies=tuple(self.bodies[k] for k in chain),
             properties={name: values[:, chain] for name, values in self.properties.items()},
-            **{name: getattr(self, name)[:, chain] for name in ("code", "radius", "width", "height")},
+            **{
+                name: getattr(self, name)[:, chain]
+                for name in ("code", "radius", "width", "height")
+            },
         )
         tracks = ("times", "observed", "sigma", "velocities")
         driven = ("driven_times", "driven", "driven_velocities")
@@ -210,9 +213,7 @@ def _chains(batch, coupled):
     times = np.concatenate([batch.times] * len(groups), axis=1)
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
-        bodies=tuple(
-            tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)
-        ),
+        bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
         times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],

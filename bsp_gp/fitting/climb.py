@@ -35,16 +35,16 @@ COARSE = 4
 TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
+"""Starts that go on beyond the first level."""
 JOININGS = 6
 GROWN = 4
 """Trials from which whole tracks are grown."""
 AGREE = 2
 """Starts that lead to one minimum before it is believed in, where the noise is estimated."""
-ALLOWED = 10.0
+ALLOWED = 2.0
 """Standard deviations above its mean up to which chi-squared may be that of noise."""
 ENOUGH = 2
 """Starts that agree, after which no more are asked."""
-"""Starts that go on beyond the first level."""
 
 
 class Climb:
@@ -514,11 +514,17 @@ def _median_of(base, kind, run):
             driven = flow.driven.at(flow.start, flow.chain)
             points = Points(nodes, flow.start, flow.chain, driven, [])
             prepared = tape.prepare(static, dict.fromkeys(base.constants, np.float64(1.0)))
-            values = tape.run(prepared, motion._inputs(program, 0, points))[0]
+            inputs = _where_all_holds(motion._inputs(program, 0, points))
+            values = tape.run(prepared, inputs)[0]
             found.append(np.abs(np.ravel(values)))
     found = np.concatenate(found) if found else np.ones(1)
     found = found[np.isfinite(found) & (found > 0)]
     return float(np.median(found)) if len(found) else 1.0
+
+
+def _where_all_holds(inputs):
+    """Inputs of a formula where its conditions hold: elsewhere it is mostly nothing."""
+    return lambda name, axis: 1.0 if name == "mode" else inputs(name, axis)
 
 
 def _unlike(points):

@@ -206,7 +206,7 @@ def fit(
     """
     began = time.monotonic()
     tolerances = tolerances or FitTolerances()
-    run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
+    run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
@@ -365,6 +365,8 @@ class _Run:
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""
         model = self.hypothesis.noise
+        if self.hypothesis.has_given_noise:
+            return self.estimated(climb, minimum, model, adopt=False)
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)

@@ -231,10 +231,12 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     chisqr : float
     """
     run = climb.run
+    begun = [
+        group for group in zip(run.groups, climb.noises, places, nodes, strict=True)
+        if (group[2][1] > group[2][0]).any()
+    ]  # fmt: skip
     shootings, own = [], []
-    for chains, noise, (first, stop), full in zip(
-        run.groups, climb.noises, places, nodes, strict=True
-    ):
+    for chains, noise, (first, stop), full in begun:
         cut = chains.cut(first, stop)
         coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
         motion = Motion(run.law, cut, run.parameters)
@@ -257,9 +259,7 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         if minimum.code not in ("stalled", "limit") or minimum.linearised is None:
             break
         point = problem.settled(minimum.point, 2)  # gaps between nodes hold the descent up
-    for full, new, chains, (first, stop) in zip(
-        nodes, minimum.point.nodes, run.groups, places, strict=True
-    ):
+    for (chains, _, (first, stop), full), new in zip(begun, minimum.point.nodes, strict=True):
         for s in range(chains.n_chains):
             full[..., first[s] : stop[s], s] = new[..., : stop[s] - first[s], s]
     return minimum.values, float(minimum.chisqr)

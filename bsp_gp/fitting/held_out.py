@@ -102,11 +102,12 @@ def predictions(found, dataset, scenes, *, deadline=None):
         inf where the motion runs away, nan for bodies that the first rows do not show.
     """
     measured = _is_measured(dataset, scenes)
-    states = {} if measured else _first_states(found, dataset, scenes, deadline)
+    begun = _begun(found.law, dataset, scenes, measured)
+    states = {} if measured or not begun else _first_states(found, dataset, begun, deadline)
     tracks = {scene.name: np.full(scene.positions[:, scene.dynamic].shape, np.nan)
               for scene in scenes}  # fmt: skip
     bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
-    for chains in build_chains(found.law, scenes, dataset.up, dataset.velocity):
+    for chains in build_chains(found.law, begun, dataset.up, dataset.velocity):
         first = _stacked(chains, states, measured)
         tolerance = _tolerance(found, chains)
         nodes = roll(found.law, chains, first, tolerance, found.paper_steps)
@@ -138,6 +139,40 @@ def _n_initial(dataset, scene, measured):
     return min(wanted if wanted is not None else max(min(12, max(3, n // 3)), n // 5), n - 1)
 
 
+def _n_head(dataset, scene, measured):
+    """First rows that the initial state is taken from."""
+    return 1 if measured else max(_n_initial(dataset, scene, False), LEAST_ROWS)
+
+
+def _begun(law, dataset, scenes, measured):
+    """The scenes with the bodies that their first rows show, from which alone one can foresee.
+
+    Where bodies act on each other, a scene that lacks a moving one is left out.
+    """
+    begun = []
+    for scene in scenes:
+        head = scene.positions[: _n_head(dataset, scene, measured)]
+        is_shown = np.isfinite(head).all(axis=-1).any(axis=0)
+        is_lost = np.isin(np.arange(len(is_shown)), scene.dynamic) & ~is_shown
+        if not is_lost.any():
+            begun.append(scene)
+        elif is_shown[scene.dynamic].any() and not _has_pairs(law):
+            begun.append(_only(scene, np.flatnonzero(~is_lost)))
+    return tuple(begun)
+
+
+def _only(scene, kept):
+    """The scene with these entities alone."""
+    fields = ("positions", "velocities", "sigma")
+    arrays = {name: getattr(scene, name) for name in fields}
+    arrays = {name: None if a is None else a[:, kept] for name, a in arrays.items()}
+    return replace(scene, entities=tuple(scene.entities[k] for k in kept), **arrays)
+
+
+def _has_pairs(law):
+    return any(term.kind == "pair" for term in law.terms)
+
+
 def _is_late(dataset, scene, measured):
     """Which moving bodies the first rows do not show often enough to know their state."""
     head = scene.positions[: _n_initial(dataset, scene, measured), scene.dynamic]
@@ -146,7 +181,7 @@ def _is_late(dataset, scene, measured):
 
 def _first_states(found, dataset, scenes, deadline):
     """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
-    heads = tuple(s.rows(0, max(_n_initial(dataset, s, False), LEAST_ROWS)) for s in scenes)
+    heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
     heads, _ = without_outliers(heads, found.noise.levels)
     head = with_states(found, dataset, heads, deadline=deadline)
     return {
@@ -193,8 +228,7 @@ def _stacked(chains, states, measured):
 def _tolerance(found, chains):
     """Error of the integration that whole tracks may have, (S,), metres."""
     level = float(np.nanmin(found.noise.levels))
-    with np.errstate(invalid="ignore"):
-        largest = np.nanmax(np.abs(chains.observed), axis=(0, 2, 3))
+    largest = np.nanmax(np.abs(chains.observed), axis=(0, 2, 3))
     return np.maximum(STEP_ERROR * level, ROUNDING * chains.lengths * largest)
 
 
@@ -223,7 +257,7 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         return []
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
         tracks = predictions(found, dataset, scenes, deadline=deadline)
-        steps = one_step_errors(scenes, found.law, dataset.up)
+        steps = one_step_errors(scenes, found.law, dataset.up, sources=_has_pairs(found.law))
         regression = regression_of(found, dataset, scenes)
         accelerations = residual_accelerations(regression, found.law)
         measured = _is_measured(dataset, scenes)
@@ -256,9 +290,9 @@ def regression_of(found, dataset, scenes):
     """Accelerations read off the scenes as they can be read best, a Regression."""
     measured = _is_measured(dataset, scenes)
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
-    pairs = any(term.kind == "pair" for term in found.law.terms)
+    pairs = _has_pairs(found.law)
     return build_regression(
         scenes, method=method, sigma=np.array(found.noise.levels), up=dataset.up,
         sources=pairs and max(len(scene.entities) for scene in scenes) > 1,
-        memory=dataset.noise_memory or 0.0,
+        memory=dataset.noise_memory or 0.0, may_be_empty=True,
     )  # fmt: skip

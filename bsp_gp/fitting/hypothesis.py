@@ -53,11 +53,17 @@ class Part:
     """
 
     kind = ""
+    log_density = 0.0
+    """Of what it leaves unexplained of the rows, nats."""
 
     @property
     def parameters(self):
         """What of it is fitted, tuple of Parameter."""
         return ()
+
+    def seen(self, dataset):
+        """The rows as the rest of the hypothesis has to explain them."""
+        return dataset
 
     def describe(self):
         """One sentence for people."""
@@ -117,9 +123,12 @@ class TrackNoise(Part):
     ----------
     model : NoiseModel
         What is known of them; the rest is estimated under the hypothesis.
+    is_given : bool
+        Whether the noise has the parts of the model and no others; their sizes are estimated.
     """
 
     model: NoiseModel
+    is_given: bool = False
     kind = "noise"
 
     @property
@@ -200,9 +209,30 @@ class Hypothesis:
         return next(part.model for part in self.parts if isinstance(part, TrackNoise))
 
     @property
+    def has_given_noise(self):
+        """Whether the parts of the noise are given."""
+        return any(part.is_given for part in self.parts if isinstance(part, TrackNoise))
+
+    @property
     def parameters(self):
         """Everything that is fitted and is no noise, tuple of Parameter."""
         return tuple(p for part in self.parts if part.kind != "noise" for p in part.parameters)
+
+    @property
+    def log_density(self):
+        """Of all that its parts leave unexplained of the rows, nats."""
+        return sum(part.log_density for part in self.parts)
+
+    def seen(self, dataset):
+        """The rows with all edits of the parts, one after the other.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        """
+        for part in self.parts:
+            dataset = part.seen(dataset)
+        return dataset
 
     def describe(self):
         """One line per part."""

@@ -165,7 +165,10 @@ class NoiseTask:
             times, axis=0, initial=math.inf
         )
         steps = np.diff(times, axis=0)
-        low = self.tolerances.min_time * float(np.median(steps[np.isfinite(steps)]))
+        steps = steps[np.isfinite(steps)]
+        if not steps.size:  # bodies that are seen by turns: from one sight to the next
+            steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
+        low = self.tolerances.min_time * float(np.median(steps))
         return low, max(self.tolerances.max_time * float(span.max()), 2.0 * low)
 
     def _shape(self, model):

@@ -126,9 +126,7 @@ def cut_pieces(chains, noise, batch):
     moving = batch.bodies.receivers
     driven = np.setdiff1d(np.arange(batch.bodies.shapes.code.shape[1]), moving)
     groups = [moving] if n_groups == 1 else [np.array([k]) for k in moving]
-    order = [
-        np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups
-    ]
+    order = [np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups]
     return Pieces(
         chain=np.concatenate([g * n_scenes + scene for g in range(n_groups)]),
         first=np.tile(windows.first[chosen], n_groups),

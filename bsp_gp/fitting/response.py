@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
-from bsp_gp.fitting.pieces import Pieces, cut_pieces
+from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.language.formula import evaluate
@@ -243,7 +243,9 @@ class _Group:
             for k in range(1, step):
                 at = row * step + k
                 state = self.rows[..., row, chain]
-                nodes[..., at, chain] = flow.advance(state, chain, flow.start, fine.times[at, chain])
+                nodes[..., at, chain] = flow.advance(
+                    state, chain, flow.start, fine.times[at, chain]
+                )
         return nodes
 
     # --- the linearised motion -------------------------------------------------------------------
@@ -332,7 +334,9 @@ class _Group:
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             values, vectors = np.linalg.eigh(by_force @ np.swapaxes(by_force, 1, 2))
-            if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left, values, vectors):
+            if turn + 1 == PASSES or not self._smoothed(
+                changes, white, by_force, left, values, vectors
+            ):
                 break
         keep = self._kept(values, left)
         count = int(keep.sum(axis=1).max(initial=1))

@@ -118,8 +118,9 @@ def scales_of(groups, noises):
             times = chains.times[: chains.lengths[s], s]
             span = max(span, float(times[-1] - times[0]))
             step = min(step, float(np.diff(times).min()))
-        spread = np.nanmax(chains.observed, axis=0) - np.nanmin(chains.observed, axis=0)
-        extent = max(extent, float(np.nanmax(spread)))
+        # A body may be seen in no row at all, and then has no extent.
+        spread = np.fmax.reduce(chains.observed) - np.fmin.reduce(chains.observed)
+        extent = float(np.fmax(extent, np.fmax.reduce(spread, axis=None)))
     best, rows = 0.0, 0
     longest = max(int(chains.lengths.max()) for chains in groups)
     size = 3

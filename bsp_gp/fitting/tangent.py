@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import stats
+from scipy.special import chdtrc, gammaln
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.flow import Flow
@@ -20,7 +21,7 @@ from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 
-__all__ = ["Score", "Tangent", "instrument_columns", "p_of_gain"]
+__all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
 
 INDEPENDENT = 1e-9
 """Part of the length of a column, squared, that must lie beyond all that is free."""
@@ -41,6 +42,8 @@ class Score:
         inf errors where the data determine nothing.
     p_value : float
         Of these columns alone.
+    covariance : ndarray, shape (c, c)
+        Of the amplitudes, as far as the data determine them.
     """
 
     statistic: float
@@ -48,6 +51,7 @@ class Score:
     amplitudes: np.ndarray
     errors: np.ndarray
     p_value: float
+    covariance: np.ndarray
 
 
 class Tangent:
@@ -60,7 +64,11 @@ class Tangent:
     Attributes
     ----------
     residual : ndarray, shape (n,)
-        Whitened, everything free projected out.
+        Whitened, everything free projected out; chain by chain, rows (T, channels of the chain).
+    chains : list of ndarray of int
+        Channels of each chain.
+    own : list of ndarray, shape (q, n of the chain)
+        Orthonormal whitened changes by its initial states.
     """
 
     def __init__(self, fit):
@@ -69,7 +77,8 @@ class Tangent:
         self.whitener = fit.noise.whitener(channels)
         self.chains = [np.flatnonzero(channels.chain == c) for c in np.unique(channels.chain)]
         own = self._whitened(fit.local_columns)
-        self._own = [_basis(own[:, :, index].reshape(len(own), own.shape[1] * len(index))) for index in self.chains]
+        rows = [own[:, :, index] for index in self.chains]
+        self.own = [_basis(r.reshape(len(r), r.shape[1] * r.shape[2])) for r in rows]
         self._shared = _basis(self._less_own(self._whitened(fit.shared_columns)))
         whole = np.where(np.isfinite(fit.residual), fit.residual, 0.0)
         self.residual = self.projected(whole[None])[0]
@@ -81,7 +90,7 @@ class Tangent:
     def _less_own(self, white):
         """Whitened columns (c, T, C) less what initial states can take up, (c, n)."""
         parts = []
-        for index, basis in zip(self.chains, self._own, strict=True):
+        for index, basis in zip(self.chains, self.own, strict=True):
             part = white[:, :, index].reshape(len(white), white.shape[1] * len(index))
             parts.append(part - (part @ basis.T) @ basis)
         return np.concatenate(parts, axis=1)
@@ -138,12 +147,13 @@ def score_of(rows, residual, size, noise_dof=np.inf):
     turned = vectors[:, used].T @ (unit @ residual)
     statistic = float(np.square(turned) @ (1 / values[used])) if used.any() else 0.0
     amplitudes = vectors[:, used] @ (turned / values[used]) / length
-    errors = np.sqrt(np.square(vectors[:, used]) @ (1 / values[used])) / length
+    covariance = (vectors[:, used] / values[used]) @ vectors[:, used].T / np.outer(length, length)
+    errors = np.sqrt(np.diag(covariance))
     lost = np.square(vectors[:, ~used]).sum(axis=1) > 1e-6
     rank = int(used.sum())
     return Score(
         statistic, rank, amplitudes, np.where(lost, np.inf, errors),
-        p_of_gain(statistic, rank, noise_dof),
+        p_of_gain(statistic, rank, noise_dof), covariance,
     )  # fmt: skip
 
 
@@ -162,6 +172,22 @@ def p_of_gain(gain, rank, noise_dof=np.inf):
     if np.isfinite(noise_dof):
         return stats.f.sf(np.asarray(gain) / rank, rank, noise_dof)
     return stats.chi2.sf(gain, rank)
+
+
+def as_pair(gain, rank):
+    """The gain in two directions that is as unlikely as this one in `rank` of them.
+
+    Parameters
+    ----------
+    gain, rank : float or ndarray
+    """
+    gain, half = np.asarray(gain, dtype=float), np.asarray(rank) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = np.log(chdtrc(rank, gain))
+        # Where the chance itself is no longer a number: the upper incomplete gamma far out.
+        x = gain / 2
+        far = half * np.log(x) - x - np.log(x - half + 1) - gammaln(half)
+        return np.where(np.isfinite(near), -2 * near, -2 * far)
 
 
 def _basis(rows):

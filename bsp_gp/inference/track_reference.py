@@ -31,6 +31,8 @@ COARSE, TURN = 4, 0.5
 """As in `bsp_gp.fitting.climb`: whether bodies turn from row to row."""
 FEW, MOST = 8, 25
 """Linearisations of a level that leads on, and of whole tracks."""
+IDLE, LITTLE = 4, 1e-3
+"""Steps in a row that gain so little of what they promise, after which a descent is given up."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 MOVED = 1e-4
 """Squared length of a step, in standard deviations, below which an optimum has been reached."""
@@ -104,8 +106,10 @@ def find_reference(world, starts, constants=None):
         If the law has no finite value along the tracks, or conditions on continuous motion: what
         it does at a contact hangs on when that begins, which a frozen track does not know.
     """
-    run = _Climb(world, np.atleast_2d(np.asarray(starts, dtype=float)), constants)
-    return run.result()
+    # As in a fit, numbers that overflow on trial lead to points that are not finite: refused.
+    with np.errstate(all="ignore"):
+        run = _Climb(world, np.atleast_2d(np.asarray(starts, dtype=float)), constants)
+        return run.result()
 
 
 class _Climb:
@@ -162,7 +166,7 @@ class _Climb:
         """Gauss-Newton steps on pieces of so many rows."""
         shootings, chisq = self._settled(self.values, self.constants, rows, self.nodes)
         self.nodes = self._trial
-        is_settled = False
+        is_settled, best, n_idle = False, chisq, 0
         for _ in range(most):
             bank, profile = self._profile(shootings, rows is None)
             if self._size(profile) < MOVED:
@@ -170,7 +174,11 @@ class _Climb:
                 break
             if not self._step(profile, chisq, rows):
                 break
-            shootings, chisq = self._last
+            promised, (shootings, chisq) = best - profile.chisq, self._last
+            n_idle = n_idle + 1 if best - chisq <= max(RISE, LITTLE * promised) else 0
+            best = min(best, chisq)
+            if n_idle == IDLE:
+                break
         if rows is not None:
             return None
         bank, profile = self._profile(shootings, True)

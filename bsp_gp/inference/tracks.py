@@ -262,18 +262,23 @@ def reweighted(posterior, misfit, latents, *, rng):
 
     def log_ratio(draws):
         constants = draws[:, k:] if draws.shape[1] > k else None
-        exact = reference.exact_chisq(draws[:, :k], constants)
-        return -0.5 * exact - misfit.log_likelihood(draws[:, :k], constants)
+        with np.errstate(all="ignore"):  # tracks that run away
+            exact = reference.exact_chisq(draws[:, :k], constants)
+            return -0.5 * exact - misfit.log_likelihood(draws[:, :k], constants)
 
     some, _ = posterior.thinned(min(N_CHECKED, len(posterior.weights)), rng=rng)
     ratio = log_ratio(some)
-    apart = float(np.ptp(ratio))
+    with np.errstate(invalid="ignore"):
+        apart = float(np.ptp(ratio))
     if apart <= APART:  # never where one is not finite
         return posterior
     index = rng.choice(len(posterior.weights), size=N_WEIGHTED, p=posterior.weights)
     draws = posterior.draws[index]
     ratio = log_ratio(draws)
     ratio = np.where(np.isfinite(ratio), ratio, -np.inf)
+    if not np.isfinite(ratio).any():
+        note = f"tracks run away at all of {N_WEIGHTED} draws: the posterior could not be checked"
+        return replace(posterior, converged=False, notes=(*posterior.notes, note))
     weights = np.exp(ratio - ratio.max())
     weights /= weights.sum()
     size = effective_size(weights)

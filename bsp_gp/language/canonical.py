@@ -37,7 +37,9 @@ def canonical_key(formula, n_dims=2):
         Of the same length for all laws.
     """
     above, below = factors(formula)
-    inner = [c for part in (*above, *below) if not isinstance(part, Constant) for c in part.constants]
+    inner = [
+        c for part in (*above, *below) if not isinstance(part, Constant) for c in part.constants
+    ]
     free = [p for p in above if not (isinstance(p, Constant) and p.name not in inner)]
     rest = product(free)
     values = np.asarray(_ratio(rest, below, _points(formula, n_dims), dict.fromkeys(inner)))
@@ -62,7 +64,9 @@ def same_law(one, other, n_dims=2):
 
 def _ratio(above, below, points, inner):
     rng = np.random.default_rng(20)
-    constants = {name: float(v) for name, v in zip(inner, rng.uniform(0.6, 1.9, len(inner)), strict=True)}
+    constants = {
+        name: float(v) for name, v in zip(inner, rng.uniform(0.6, 1.9, len(inner)), strict=True)
+    }
     value = evaluate(above, points, constants)
     for part in below:
         with np.errstate(all="ignore"):

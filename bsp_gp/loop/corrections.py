@@ -322,4 +322,4 @@ def _unsmoothed(scene, values, track):
 def _spline(times, track):
     from scipy.interpolate import make_interp_spline
 
-    return make_interp_spline(times, track, k=5 if len(times) > 5 else 3 if len(times) > 3 else 1)
+    return make_interp_spline(times, track, k=5 if len(times) > 5 else 3 if len(times) > 3 else 2)

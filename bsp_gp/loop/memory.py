@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.loop.effects import sign_bounds
+from bsp_gp.search.columns import balanced
 
 __all__ = [
     "NoiseFit", "estimate_memory", "p_value_of", "plausible_memories", "search_with_memory",
@@ -193,6 +194,7 @@ def _profile(search, memory, fit, proposal):
     observation = replace(search.observation, memory=float(memory))
     regression, residual, columns = search.on(observation).left(fit, proposal)
     if columns.shape[1]:
+        columns = balanced(columns)
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns[:, sizes > 0] / sizes[sizes > 0]
         residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]

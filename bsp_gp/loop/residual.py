@@ -14,6 +14,7 @@ from bsp_gp.loop.directed import directed_test
 from bsp_gp.loop.outcome import Missing
 from bsp_gp.loop.periodic import rhythm_of
 from bsp_gp.physics.noise import TrackNoise
+from bsp_gp.search.columns import balanced
 from bsp_gp.units import ACCELERATION, FORCE
 
 __all__ = ["LAGS", "durbin_watson", "examine_residual", "ljung_box"]
@@ -314,5 +315,5 @@ def _needed(observation, fit, alpha, n_effects):
 
 
 def _live(columns):
-    columns = columns[:, np.any(columns, axis=0)]
+    columns = balanced(columns[:, np.any(columns, axis=0)])
     return columns / np.linalg.norm(columns, axis=0) if columns.size else columns

@@ -22,6 +22,7 @@ from bsp_gp.loop.felt_noise import (
 )
 from bsp_gp.loop.leftover import Leftover
 from bsp_gp.physics.geometry import DISC, WALL
+from bsp_gp.search.columns import balanced
 
 __all__ = ["SmoothView", "TrackGroup", "runs_of", "smooth_view", "spanned", "spline_basis"]
 
@@ -416,7 +417,7 @@ def _steps(mask):
 
 
 def _live(columns):
-    return columns[:, np.any(columns, axis=0)]
+    return balanced(columns[:, np.any(columns, axis=0)])
 
 
 def spanned(columns):

@@ -64,6 +64,7 @@ def build_regression(
     unsure=None,
     width=None,
     memory=0.0,
+    may_be_empty=False,
 ):
     """Read accelerations off measured tracks.
 
@@ -95,11 +96,13 @@ def build_regression(
     memory : float
         Correlation time of the position noise, s, for ``gls`` and ``one_step_gls``; these also
         heed the errors that single points quote.
+    may_be_empty : bool
+        Whether tracks of which no instant is usable are no error.
 
     Raises
     ------
     DataError
-        If there is no scene, or no row is left.
+        If there is no scene, or no row is left and that is an error.
     SettingsError
         If the method is unknown, or takes no noise with a memory.
     """
@@ -132,7 +135,7 @@ def build_regression(
         ]
         widths = None
     regression = Regression(tuple(found), method, np.array(sigma), tuple(scenes), widths)
-    if not regression.n_rows:
+    if not (regression.n_rows or may_be_empty):
         raise DataError(
             "no instant is usable: a force needs a body in three successive frames"
             + (", with every other body seen as well" if sources else "")

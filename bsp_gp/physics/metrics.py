@@ -36,10 +36,18 @@ def error_of(metric, rows):
     return error([told_by(row[field]) for row in rows])
 
 
-def one_step_errors(scenes, law, up=None):
+def one_step_errors(scenes, law, up=None, sources=True):
     """Euclidean one-step errors, as in the paper's metric.
 
     From finite-difference velocities, one symplectic Euler step (paper, equation 1).
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    law : ForceLaw
+    up : str or None
+    sources : bool
+        Whether rows where any body is lost are left out, as they must be where laws name others.
 
     Returns
     -------
@@ -49,7 +57,7 @@ def one_step_errors(scenes, law, up=None):
     """
     errors = {}
     for batch in stack(scenes, up):
-        regression = build_regression(batch.scenes, up=up)
+        regression = build_regression(batch.scenes, up=up, sources=sources, may_be_empty=True)
         part = regression.batches[0]
         residual = part.target - regression.predict(part, law)
         residual = np.where(np.isfinite(residual), residual, np.inf)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bsp_gp.search.scoring import COLLINEAR, flat_scale, receiver_index
 
-__all__ = ["Columns", "Projected", "orthonormal"]
+__all__ = ["Columns", "Projected", "balanced", "orthonormal"]
 
 BATCH_BYTES = 1 << 25
 """Bound on one work array."""
@@ -162,12 +162,21 @@ class Projected:
         return values - self.q @ (self.q.T @ values) if self.q.shape[1] else values
 
 
+def balanced(columns):
+    """Columns (n, m) over powers of two that bring their largest numbers next to one.
+
+    Squares then neither overflow nor vanish, and the digits stay as they are.
+    """
+    _, power = np.frexp(np.max(np.abs(columns), axis=0, initial=0.0))
+    return np.ldexp(columns, -power)
+
+
 def orthonormal(columns, n):
     """Orthonormal basis (n, k) of what columns (n, m) span, whatever their scales; None is none."""
     if columns is None or not np.size(columns):
         return np.zeros((n, 0))
     columns = np.asarray(columns, dtype=float)
-    live = columns[:, np.any(columns, axis=0)]
+    live = balanced(columns[:, np.any(columns, axis=0)])
     if not live.size:
         return np.zeros((n, 0))
     u, s, _ = np.linalg.svd(live / np.linalg.norm(live, axis=0), full_matrices=False)

@@ -12,6 +12,10 @@ from tests.fuzz.run import table
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="bounds on the memory of a forked child"
 )
+SLOW = (
+    "an_infer_that_took_minutes",
+    "a_fit_with_stops_that_takes_minutes",
+)
 SOUND = b"t,x,y\n" + b"".join(b"%.2f,%.3f,1\n" % (k / 20, k * k / 9) for k in range(8))
 
 
@@ -20,7 +24,13 @@ def warmed():
     trial.warm()
 
 
-@pytest.mark.parametrize("name", sorted(kept(CORPUS)))
+def found():
+    """Names of the mended cases, the slow ones marked."""
+    marks = {name: [pytest.mark.slow] for name in SLOW}
+    return [pytest.param(name, marks=marks.get(name, ())) for name in sorted(kept(CORPUS))]
+
+
+@pytest.mark.parametrize("name", found())
 def test_a_found_case_stays_mended(name):
     outcome = trial.run(kept(CORPUS)[name])
     assert not outcome.faults, "\n".join(f"{kind}: {detail}" for kind, detail in outcome.faults)

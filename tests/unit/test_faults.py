@@ -39,11 +39,12 @@ def test_so_it_is_after_the_next_run_where_names_cannot_be_exchanged(command):
     assert result["old"] > 5 and result["new"] > 0
 
 
-@pytest.mark.parametrize("command", ["simulate", *lasting(SLOW)])
+@pytest.mark.parametrize("command", ["simulate", *lasting((*SLOW, "study"))])
 def test_a_full_disk_at_any_write_is_one_line_and_leaves_the_old_result(command):
     result = faults(command, "full")
     assert result["bad"] == []
-    assert result["old"] > 5 and result["new"] == 0
+    # The last thing that a study writes is its figure, which is as it was.
+    assert result["old"] > 5 and (result["new"] == 0 or command == "study")
 
 
 @pytest.mark.faults

@@ -44,9 +44,7 @@ class Declared:
                 score, chance = self._scored(view, Term(slope, term.kind))
                 null = np.maximum(null, chance)
                 if score.rank:
-                    proposals.append(
-                        self._exponent(view, index, base, power, typical, score)
-                    )
+                    proposals.append(self._exponent(view, index, base, power, typical, score))
             if not term.formula.constants:
                 score, chance = self._scored(view, term)
                 null = np.maximum(null, chance)
@@ -101,7 +99,9 @@ def _with_term_at(hypothesis, index, term, constants):
             if seen <= index < seen + count:
                 terms = list(part.law.terms)
                 terms[index - seen] = term
-                part = replace(part, law=ForceLaw(tuple(terms), {**part.law.constants, **constants}))
+                part = replace(
+                    part, law=ForceLaw(tuple(terms), {**part.law.constants, **constants})
+                )
             seen += count
         parts.append(part)
     return Hypothesis(tuple(parts))

@@ -64,9 +64,7 @@ class Hidden:
                 proposals += stage.proposals(terms, k, strength, float(gains[k]))
         proposals.sort(key=lambda p: -p.promise)
         best = max((p.gain for p in proposals), default=0.0)
-        return Family(
-            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried
-        )
+        return Family(self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried)
 
 
 def _pulls(view, names):
@@ -76,7 +74,9 @@ def _pulls(view, names):
     for term in law.terms:
         pull = pull_of(term, strength, names) if term.kind == "pair" else None
         if pull is not None:
-            of_source = sorted(n for n in term.formula.inputs if n.endswith("_j") and n[0] not in "pv")
+            of_source = sorted(
+                n for n in term.formula.inputs if n.endswith("_j") and n[0] not in "pv"
+            )
             columns.setdefault(tuple(of_source), []).append((term, pull))
     if columns:
         return [tuple(both) for both in columns.values()]
@@ -116,7 +116,9 @@ class _Stage:
         """Moments of the pull of unit strength from places (C, d), (n, C)."""
         view = self.view
         constants = {
-            name: value for name, value in view.fit.law.constants.items() if not hasattr(value, "items")
+            name: value
+            for name, value in view.fit.law.constants.items()
+            if not hasattr(value, "items")
         }
         constants |= dict(zip(self.names, places.T, strict=True))
         constants |= {name: 1.0 for _, pull in terms for name in pull.formula.constants

@@ -155,7 +155,10 @@ def _both(view, one, other, amounts, gain, promise):
         name = fresh_name(law)
         formula = renamed(candidate.formula, split_linear(candidate.formula)[0], name)
         term = Term(formula, candidate.kind)
-        hypothesis, law = with_term(hypothesis, term, {name: amount}), law.plus(term, {name: amount})
+        hypothesis, law = (
+            with_term(hypothesis, term, {name: amount}),
+            law.plus(term, {name: amount}),
+        )
         formulas.append(formula)
     text = " + ".join(map(to_text, formulas))
     return Proposal("law", text, hypothesis, float(promise - 0.5 * gain), float(gain), 2)
@@ -176,8 +179,10 @@ def _unknown_of_sources(dataset):
     out = set()
     for column in dataset.property_names:
         for scene in dataset.scenes:
-            sources = scene.entities if len(scene.dynamic) > 1 else tuple(
-                e for k, e in enumerate(scene.entities) if k not in scene.dynamic
+            sources = (
+                scene.entities
+                if len(scene.dynamic) > 1
+                else tuple(e for k, e in enumerate(scene.entities) if k not in scene.dynamic)
             )
             if any(not _is_known(e, column) for e in sources):
                 out |= {f"{column}_j", f"{SHORT.get(column, column)}_j"}

@@ -1,1 +1,1 @@
-"""Parts of hypotheses beyond the forces of a law, one short file each."""
+"""Parts that hypotheses are put together from, one short file for each kind."""

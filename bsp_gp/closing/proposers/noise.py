@@ -1,0 +1,64 @@
+"""Noise of another kind as a cause: what looks like a force may be noise with a memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal
+from bsp_gp.fitting.hypothesis import TrackNoise
+
+__all__ = ["Noise"]
+
+LOG_PRIOR = -1.0
+"""Of a memory, where the level is estimated: many trackers have one."""
+TIMES = (1.5, 6.0)
+"""Correlation times to begin with, in median steps."""
+
+
+class Noise:
+    """A memory of the noise as a proposer: a rival, not a finding of its own.
+
+    Memory is asked for in every fit, on what is left beside forces that know no physics; on few
+    rows there is not enough of that. Here it stands beside the forces that would do as well.
+    """
+
+    name = "noise"
+
+    def propose(self, view):
+        """Noise with a memory where the noise is estimated and has none.
+
+        Parameters
+        ----------
+        view : View
+        """
+        model = view.fit.noise
+        if not model.is_free.any() or model.correlated or model.is_correlation_known:
+            return Family(self.name)
+        step = np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes]))
+        plain = model.plain()
+        proposals = []
+        for time in TIMES:
+            remembered = replace(plain, correlated=0.8, correlation_time=float(time * step))
+            proposals.append(
+                Proposal(
+                    "noise", "a memory of the noise",
+                    view.hypothesis + TrackNoise(remembered, is_given=True), LOG_PRIOR,
+                    _gain(view, remembered),
+                )
+            )  # fmt: skip
+        best = max(proposals, key=lambda p: p.gain)
+        return Family(self.name, (best,) if best.gain > 0 else ())
+
+
+def _gain(view, model):
+    """Twice the gain of the likelihood of the residual, its level as it comes."""
+    channels, rows = view.fit.channels, np.nan_to_num(view.fit.residual)
+    heights = []
+    for noise in (view.fit.noise, model):
+        whitener = noise.whitener(channels)
+        size = float(np.square(whitener.whiten(rows)).sum())
+        count = int(channels.seen.sum())
+        heights.append(-count * np.log(size / count) - whitener.log_det)
+    return float(heights[1] - heights[0])
