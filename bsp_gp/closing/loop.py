@@ -13,6 +13,7 @@ from bsp_gp.closing.criteria import Criteria
 from bsp_gp.closing.decide import decide
 from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.closing.proposal import continued
+from bsp_gp.closing.questions import hidden_bound, noise_findings
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
@@ -142,12 +143,12 @@ class _Run:
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
-        detectable = np.nan
+        asked = {}
         if turn.rows[0].is_fit:
             view = View(found, continued(hypothesis, found), self.dataset, rng)
             view.tick = self.clock.tick
             turn.propose(number, view)
-            detectable = view.detectable(self.criteria.alpha)
+            asked = self.asked(view)
             turn.p_value = _p_of_all(turn.families, view)
             if turn.p_value <= self.criteria.alpha:
                 turn.fit_best()
@@ -160,8 +161,17 @@ class _Run:
             decision = replace(decision, verdict="cannot tell", reason="time_is_up", **nothing)
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
-            turn.proposals, time.monotonic() - started, tuple(turn.left_out), detectable,
+            turn.proposals, time.monotonic() - started, tuple(turn.left_out), **asked,
         )  # fmt: skip
+
+    def asked(self, view):
+        """What else is asked of the fit that enters, by names of `Round`."""
+        alpha = self.criteria.alpha
+        found = tuple(f for f in noise_findings(view) if f.p_value <= alpha)
+        return {
+            "detectable": view.detectable(alpha), "noise_findings": found,
+            "hidden_bound": hidden_bound(view),
+        }  # fmt: skip
 
 
 class _Turn:

@@ -15,7 +15,7 @@ from bsp_gp.closing.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.units import ACCELERATION
+from bsp_gp.units import ACCELERATION, FORCE
 
 __all__ = [
     "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "versions",
@@ -65,12 +65,22 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed):
         ratio=Ratio() if after is None else accounts.ratio(before, after),
         held_out=() if after is None else tuple(accounts.by_scene(before, after)),
         varies_with=tuple(done.varies_with),
-        noise_findings=tuple(done.noise_findings),
-        hidden_bound=done.hidden_bound,
+        noise_findings=tuple(asdict(finding) for finding in done.noise_findings),
+        hidden_bound=_bound(done.hidden_bound, dataset.units),
         certificate="\n".join(f.certificate for f in done.families if f.certificate),
         seconds=done.seconds,
         trace=done.trace,
     )  # fmt: skip
+
+
+def _bound(bound, units):
+    """What may still be hidden; None where nothing was asked."""
+    if bound is None:
+        return None
+    return {
+        "snr": bound.snr, "force": bound.force, "unit": units.text(FORCE),
+        "percent": 100 * bound.share,
+    }  # fmt: skip
 
 
 def _hypothesis(row, p_value):
