@@ -1,10 +1,12 @@
-"""Every level on which a verdict depends, and the closed lists of codes that verdicts are told in."""
+"""Every level on which a verdict depends, and the closed lists of codes that are told."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CAUSES", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria"]
+__all__ = [
+    "CAUSES", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria",
+]  # fmt: skip
 
 VERDICTS = (
     "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",
@@ -14,8 +16,11 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
+    "superseded",
 )  # fmt: skip
-"""Why a round ended as it did."""
+"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
+LEFT_OUT = ("proposers", "fits", "removal", "intervals")
+"""What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
     "law", "exponent", "number", "period", "scale", "clock", "tilt", "slant", "drift", "offset",

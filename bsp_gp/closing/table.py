@@ -117,8 +117,10 @@ class HypothesisTable:
         heights = np.array([r.log_posterior if r.is_fit or r.status == "scored" else -np.inf
                             for r in self.rows])  # fmt: skip
         heights = np.where(np.isfinite(heights), heights, -np.inf)
-        weights = np.exp(heights - heights.max()) if np.isfinite(heights).any() else heights * 0
-        weights = weights / max(weights.sum(), 1e-300)
+        if not np.isfinite(heights).any():
+            return self
+        weights = np.exp(heights - heights.max())
+        weights = weights / weights.sum()
         rows = tuple(
             replace(row, probability=float(w)) for row, w in zip(self.rows, weights, strict=True)
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from scipy import stats
 
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
@@ -26,10 +27,16 @@ class View:
     dataset : Dataset
         Training scenes.
     rng : numpy.random.Generator
+
+    Attributes
+    ----------
+    tick : callable or None
+        Asked by long work as it goes on; raises where the time is up.
     """
 
     def __init__(self, fit, hypothesis, dataset, rng):
         self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
+        self.tick = None
         self._rows_rng, self._moments_rng = rng.spawn(2)
 
     @cached_property
@@ -104,6 +111,24 @@ class View:
         rows = self.beside(columns).T
         draws = self.beside(self.moment_draws)
         return gains(rows, draws.T)
+
+    def detectable(self, alpha):
+        """Least constant acceleration, one for all bodies, seen with 95 % on every axis, m/s^2.
+
+        Beside the constants of the law; nan where these imitate it on every axis.
+        """
+        needed = stats.norm.isf(alpha / 2) + stats.norm.isf(0.05)
+        worst = np.nan
+        for axis in np.eye(self.dataset.n_dims):
+            parts = [
+                b.whiten(np.broadcast_to(axis, b.target.shape)).ravel()
+                for b in self.response.regression.batches
+            ]
+            column = np.concatenate(parts)
+            left = np.linalg.norm(self.beside(column[:, None]))
+            if left > 1e-4 * np.linalg.norm(column):
+                worst = np.fmax(worst, needed / left)
+        return float(worst)
 
 
 def gains(rows, draws):

@@ -138,11 +138,18 @@ class Climb:
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
-            if self._is_good(ends) or self.run.is_over():
+            if self._is_enough(ends) or self.run.is_over():
                 break
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
         return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
+
+    def _is_enough(self, ends):
+        """Whether nothing more is tried: a good minimum, or as many as were asked for."""
+        if self._is_good(ends):
+            return True
+        found = sum(end.linearised is not None for end in ends)
+        return found >= self.run.tolerances.most_starts
 
     def _is_good(self, ends):
         """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
@@ -167,7 +174,7 @@ class Climb:
         """Minima that tracks grown from their calmest rows lead to."""
         ends = []
         for _, point, rank in tried(self, points, range(RANKS))[:GROWN]:
-            if ends and (self.run.is_over() or self._is_good(ends)):
+            if ends and (self.run.is_over() or self._is_enough(ends)):
                 break
             if not self.run.is_noise_estimated:  # with such constants pieces may do as well
                 end = self._vouched(self.levels(), point)

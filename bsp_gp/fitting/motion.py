@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering
+from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.fitting.seen import Frame
 from bsp_gp.language.inputs import property_of
 
@@ -73,7 +73,10 @@ class _Program:
         if frame:
             total = frame.acceleration(total)
         self.constants = replace(law, terms=tuple(self.terms)).names
-        self.modes, self.stops = lowering.modes, lowering.stops
+        # Drag that fades with the speed brings nothing to rest.
+        lasting = (t for t in self.terms if not fades_at_rest(t.formula))
+        may_stop = any("v_i" in t.formula.inputs for t in lasting)
+        self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)

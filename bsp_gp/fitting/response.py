@@ -292,7 +292,7 @@ class _Group:
         return changes
 
     def _kicks(self):
-        """Change of the velocity by an acceleration of one, up to and from every instant, (L, W)."""
+        """Change of velocity by an acceleration of one, up to and from every instant, (L, W)."""
         step = np.nan_to_num(np.diff(self.fine.times, axis=0))
         zero = np.zeros((1, step.shape[1]))
         if self.fit.paper_steps:  # v += a h, and then p += v h

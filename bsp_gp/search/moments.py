@@ -26,7 +26,8 @@ class MomentScorer(GroupScorer):
         whitener = np.ascontiguousarray(np.moveaxis(batch.whitener, 3, 1)).reshape(s, r, m, -1)
         groups = left.reshape(len(left), s, r * j)
         right = values_of(self.block.right)
-        step = max(1, TILE_BYTES // (8 * s * r * j * max(n * vector.shape[-1], m, targets.shape[2])))
+        widest = max(n * vector.shape[-1], m, targets.shape[2])
+        step = max(1, TILE_BYTES // (8 * s * r * j * widest))
         for first in range(0, len(right), step):
             tile = slice(first, first + step)
             seen = self._seen(whitener, vector, right[tile], index)  # (S, m, b, g)

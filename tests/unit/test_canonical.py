@@ -48,4 +48,5 @@ def test_other_laws_are_others(one, other):
 
 
 def test_keys_have_one_length():
-    assert len({len(canonical_key(law(text))) for text in ("c * v_i", "0 [N] * e_x", "g * e_y")}) == 1
+    texts = ("c * v_i", "0 [N] * e_x", "g * e_y")
+    assert len({len(canonical_key(law(text))) for text in texts}) == 1

@@ -28,10 +28,10 @@ N_STARTS = 2
 CHUNK = 1 << 22
 """Numbers in one array at a time."""
 PULLS = (
-    "m_i * s * norm(p_j - p_i)^-2 * normalize(p_j - p_i)",
-    "s * (p_j - p_i)",
+    "m_i * norm(p_j - p_i)^-2 * normalize(p_j - p_i)",
+    "p_j - p_i",
 )
-"""Where no law says how a source acts: a pull that falls with distance, a spring to a rest point."""
+"""Where no law says how a source acts: a pull falling with distance, a spring to a rest point."""
 
 
 class Hidden:
@@ -86,7 +86,7 @@ def _pulls(view, names):
     types |= {name: STATE_INPUTS[name] for name in ("p_j", "v_j")}
     out = []
     for text in PULLS:
-        term = Term(parse_formula(text.replace("s *", f"{strength} *"), types), "pair")
+        term = Term(parse_formula(text, types), "pair")
         out.append(((term, pull_of(term, strength, names)),))
     return out
 
@@ -97,9 +97,8 @@ class _Stage:
     def __init__(self, view):
         self.view = view
         batches = view.response.regression.batches
-        places = np.concatenate([
-            b.positions[b.valid.any(axis=(2, 3))].reshape(-1, b.positions.shape[-1]) for b in batches
-        ])  # fmt: skip
+        shown = [b.positions[b.valid.any(axis=(2, 3))] for b in batches]
+        places = np.concatenate([p.reshape(-1, p.shape[-1]) for p in shown])
         low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         self.middle, self.size = (low + high) / 2, float(np.max(high - low)) / 2 or 1.0
         v = np.concatenate([b.velocities[b.valid.any(axis=(2, 3))].ravel() for b in batches])

@@ -70,7 +70,7 @@ class Laws:
                 regression, self.grammar, kind=kind, target=target,
                 nuisance=columns if columns.size else None, max_levels=self.max_levels,
                 missing_inputs=self.missing, null_targets=view.moment_draws,
-                max_ties=MOST_TIES,
+                max_ties=MOST_TIES, progress=view.tick,
             )  # fmt: skip
             draws = view.beside(view.moment_draws)
             null = np.maximum(null, np.array(result.null_gains) * np.square(draws).sum(axis=0))
