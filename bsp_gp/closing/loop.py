@@ -264,7 +264,9 @@ class _Turn:
 def _p_of_all(families, view):
     """Chance that noise alone shows as much in any family."""
     chances = [
-        selected(f.gain, f.rank, f.null, view.noise_dof) for f in families if f.n_tried or f.rank
+        selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
+        for f in families
+        if f.n_tried or f.rank
     ]
     if not chances:
         return 1.0

@@ -82,6 +82,8 @@ class Family:
     null : ndarray, shape (B,)
         The greatest gains on simulated noise.
     certificate : str
+    is_continuum : bool
+        Whether what was tried runs through a continuum.
     is_control : bool
         Whether its best is fitted whatever it promises: what others must be better than.
     n_tried : int
@@ -94,6 +96,7 @@ class Family:
     null: np.ndarray = field(default_factory=lambda: np.zeros(0))
     certificate: str = ""
     is_control: bool = False
+    is_continuum: bool = False
     n_tried: int = 0
 
 

@@ -141,7 +141,7 @@ def gains(rows, draws):
     return np.square(draws @ basis[s > 1e-6 * s[0]].T).sum(axis=1)
 
 
-def selected(gain, rank, null, noise_dof=np.inf):
+def selected(gain, rank, null, noise_dof=np.inf, is_continuum=False):
     """Chance that noise alone shows as much to the best of all that was tried.
 
     The effective number of independent trials is read off the greatest gains on simulated noise,
@@ -156,6 +156,8 @@ def selected(gain, rank, null, noise_dof=np.inf):
     null : ndarray, shape (B,)
         Greatest gains on simulated noise, in whose making the level was known.
     noise_dof : float
+    is_continuum : bool
+        Whether what was tried runs through a continuum, of rates or places (Davies 1977).
     """
     if not np.isfinite(gain) or not rank:
         return 1.0
@@ -166,9 +168,8 @@ def selected(gain, rank, null, noise_dof=np.inf):
     bar = chance[-1]
     share = len(chance) / (len(null) + 1)
     trials = max(np.log1p(-share) / np.log1p(-min(bar, 1 - 1e-12)), 1.0)
-    # Of a continuum of trials there are more, the higher the bar (Davies 1977).
     height = float(np.sort(null)[::-1][len(chance) - 1])
-    if height > 0 and gain > height:
+    if is_continuum and gain > height > 0:  # more of its trials are apart, the higher the bar
         trials *= np.sqrt(gain / height)
     one = min(float(p_of_gain(gain, rank, noise_dof)), 1 - 1e-16)
     return float(-np.expm1(trials * np.log1p(-one)))

@@ -34,7 +34,8 @@ def test_a_period_is_found_with_its_rate_axis_and_mass(has_mass):
     assert selected(family.gain, family.rank, family.null, view.noise_dof) < 1e-9
     fits = [fit(p.hypothesis, data, starts=p.starts, bounds=p.bounds) for p in family.proposals]
     heights = [
-        log_evidence(f) + p.log_prior for f, p in zip(fits, family.proposals, strict=True)
+        log_evidence(f, p.hypothesis) + p.log_prior
+        for f, p in zip(fits, family.proposals, strict=True)
     ]
     k = int(np.argmax(heights))
     best, found = family.proposals[k], fits[k].law.constants
@@ -80,7 +81,7 @@ def test_noise_alone_is_called_missing_as_often_as_is_said():
         view = view_of(throws(rng, n_bodies=2), seed=seed)
         for proposer in (Periods(), Defects()):
             f = proposer.propose(view)
-            chances[f.name].append(selected(f.gain, f.rank, f.null, view.noise_dof))
+            chances[f.name].append(selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum))
     for name, values in chances.items():
         values = np.array(values)
         # Four standard deviations of a count of 200.

@@ -64,7 +64,10 @@ class Hidden:
                 proposals += stage.proposals(terms, k, strength, float(gains[k]))
         proposals.sort(key=lambda p: -p.promise)
         best = max((p.gain for p in proposals), default=0.0)
-        return Family(self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried)
+        return Family(
+            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
+            is_continuum=True,
+        )  # fmt: skip
 
 
 def _pulls(view, names):

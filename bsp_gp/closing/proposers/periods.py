@@ -55,8 +55,9 @@ class Periods:
                 proposals.append(_proposal(view, rates, k, chosen, has_mass, gain[k, 0], ties))
         proposals.sort(key=lambda p: -p.promise)
         return Family(
-            self.name, tuple(proposals), float(best), 2, null, n_tried=len(rates) * len(proposals)
-        )
+            self.name, tuple(proposals), float(best), 2, null,
+            n_tried=len(rates) * len(proposals), is_continuum=True,
+        )  # fmt: skip
 
 
 class _Scan:
