@@ -203,7 +203,7 @@ class _Progress:
 
 
 def _close(args):
-    out = _target(args, "report", f"{_data_name(args.data)}-report")
+    args.target = out = _target(args, "report", f"{_data_name(args.data)}-report")
     with _Progress(args.quiet) as progress:
         report, settings = _run_loop(args, progress)
         from bsp_gp.report.folder import write_report
@@ -211,6 +211,8 @@ def _close(args):
         progress("writing the report")
         run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
+        if getattr(args, "kept", None) is not None and report.complete:
+            args.kept.clear()
     declared = [term.formula for term in report.law.terms if term.is_declared]
     _tell_constants(args, dict.fromkeys(name for law in declared for name in law.constants))
     _summary(args, report)
@@ -219,6 +221,8 @@ def _close(args):
 
 def _run_loop(args, progress):
     """The report of the loop, and the settings that it ran with."""
+    if getattr(args, "loop", 1) == 2:
+        return _run_closing(args, progress)
     from bsp_gp.language.grammar import load_grammar
 
     grammar = load_grammar(args.grammar)
@@ -258,6 +262,44 @@ def _run_loop(args, progress):
         "workers": args.workers,
         **settings,
     }
+
+
+def _run_closing(args, progress):
+    """The same on hypotheses."""
+    import numpy as np
+
+    from bsp_gp.closing.close import close_loop
+    from bsp_gp.closing.kept import joined_texts, text_of
+    from bsp_gp.closing.writing_up import dataset_digest
+    from bsp_gp.language.grammar import load_grammar
+    from bsp_gp.output.kept import Kept
+
+    grammar = load_grammar(args.grammar)
+    dataset = read_dataset(args)
+    settings = {
+        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
+        "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),
+        "seed": args.seed, **read_fit_settings(args),
+    }  # fmt: skip
+    if args.bootstrap is not None:
+        settings["n_bootstrap"] = args.bootstrap
+    laws, rounds = read_laws(args), []
+    args.kept = Kept(args.target, {
+        "data": dataset_digest(dataset), "declared": laws, "grammar": grammar.fingerprint,
+        **{name: value for name, value in settings.items() if name != "time_limit"},
+    })  # fmt: skip
+    earlier = args.kept.load() if args.resume else None
+
+    def keep(done):
+        if not done.left_out:
+            rounds.append(text_of([done]))
+            args.kept.save(joined_texts([earlier, *rounds]))
+
+    report = close_loop(
+        dataset, laws, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
+        earlier=earlier, progress=progress, **settings,
+    )  # fmt: skip
+    return report, {"grammar": args.grammar, **settings}
 
 
 def _fit(args):

@@ -149,6 +149,7 @@ def _add_close(commands):
         help_="a force of the declared model; repeat for more",
     )  # fmt: skip
     _loop(parser)
+    _closing(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
 
@@ -555,6 +556,16 @@ def _loop(parser):
     )
     _workers(parser)
     _seed(parser)
+
+
+def _closing(parser):
+    """What the loop on hypotheses takes beside; told of once it is the only one."""
+    hidden = argparse.SUPPRESS
+    parser.add_argument("--loop", type=int, choices=(1, 2), default=1, help=hidden)
+    parser.add_argument("--start", action="extend", nargs="+", type=_pair, default=[], help=hidden)
+    parser.add_argument("--bounds", action="extend", nargs="+", type=_pair, default=[], help=hidden)
+    parser.add_argument("--time-limit", type=_time, help=hidden)
+    parser.add_argument("--resume", action="store_true", help=hidden)
 
 
 def _unknowns(parser):

@@ -26,6 +26,7 @@ ROOMS = (
     "search",
     "inference",
     "loop",
+    "closing",
     "vision",
     "simulate",
     "report",

@@ -85,6 +85,28 @@ class Chains:
             return self.properties[name]
         return np.full((self.code.shape[0], self.n_chains), np.nan)
 
+    def pieces(self, chain, first, stop):
+        """Pieces of chains as chains of their own.
+
+        Parameters
+        ----------
+        chain, first, stop : ndarray of int, shape (W,)
+            Rows ``first:stop`` of a chain.
+        """
+        whole = replace(
+            self,
+            scenes=tuple(self.scenes[k] for k in chain),
+            bodies=tuple(self.bodies[k] for k in chain),
+            properties={name: values[:, chain] for name, values in self.properties.items()},
+            **{
+                name: getattr(self, name)[:, chain]
+                for name in ("code", "radius", "width", "height")
+            },
+        )
+        tracks = ("times", "observed", "sigma", "velocities")
+        driven = ("driven_times", "driven", "driven_velocities")
+        return whole._cut(chain, first, stop, (*tracks, *driven))
+
     def cut(self, first, stop):
         """The same chains, each cut to its rows ``first:stop``.
 
@@ -92,10 +114,13 @@ class Chains:
         ----------
         first, stop : ndarray of int, shape (S,)
         """
+        chain = np.arange(self.n_chains)
+        return self._cut(chain, first, stop, ("times", "observed", "sigma", "velocities"))
+
+    def _cut(self, chain, first, stop, names):
         rows = first + np.arange(int((stop - first).max()))[:, None]
         inside = rows < stop
         rows = np.where(inside, rows, first)
-        chain = np.arange(self.n_chains)
 
         def taken(values):
             if values is None:
@@ -103,7 +128,6 @@ class Chains:
             kept = inside.reshape(*inside.shape, *(1,) * (values.ndim - 2))
             return np.where(kept, values[rows, chain], np.nan)
 
-        names = ("times", "observed", "sigma", "velocities")
         return replace(self, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
@@ -189,9 +213,7 @@ def _chains(batch, coupled):
     times = np.concatenate([batch.times] * len(groups), axis=1)
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
-        bodies=tuple(
-            tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)
-        ),
+        bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
         times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],

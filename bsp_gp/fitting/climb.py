@@ -138,11 +138,18 @@ class Climb:
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
-            if self._is_good(ends) or self.run.is_over():
+            if self._is_enough(ends) or self.run.is_over():
                 break
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
         return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
+
+    def _is_enough(self, ends):
+        """Whether nothing more is tried: a good minimum, or as many as were asked for."""
+        if self._is_good(ends):
+            return True
+        found = sum(end.linearised is not None for end in ends)
+        return found >= self.run.tolerances.most_starts
 
     def _is_good(self, ends):
         """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
@@ -167,7 +174,7 @@ class Climb:
         """Minima that tracks grown from their calmest rows lead to."""
         ends = []
         for _, point, rank in tried(self, points, range(RANKS))[:GROWN]:
-            if ends and (self.run.is_over() or self._is_good(ends)):
+            if ends and (self.run.is_over() or self._is_enough(ends)):
                 break
             if not self.run.is_noise_estimated:  # with such constants pieces may do as well
                 end = self._vouched(self.levels(), point)
@@ -463,13 +470,18 @@ class Climb:
             count += int((narrowing < 3).sum())
         return count
 
-    def log_volume(self, minimum):
-        """Logarithm of the part of the prior that the data leave: Occam's factor, nats."""
+    def state_volume(self, minimum):
+        """Logarithm of the part of the prior of initial states that the data leave, nats."""
         if minimum.linearised is None:
             return -np.inf
-        total = 0.0
-        for narrowing in self._narrowings(minimum):
-            total -= float(np.log(np.maximum(narrowing, 1.0)).sum())
+        narrowings = self._narrowings(minimum)
+        return -sum(float(np.log(np.maximum(n, 1.0)).sum()) for n in narrowings)
+
+    def log_volume(self, minimum):
+        """Logarithm of the part of the prior that the data leave: Occam's factor, nats."""
+        total = self.state_volume(minimum)
+        if minimum.linearised is None:
+            return total
         width = self.run.tolerances.prior_width * self.typical_changes(
             minimum.point, minimum.point.nodes
         )

@@ -24,6 +24,7 @@ from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.problem import Minimum
+from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
@@ -108,6 +109,8 @@ class Fit:
         Largest cosine between residual and the column of a constant, 0 at a minimum.
     log_likelihood, log_evidence : float, nats
         The evidence by Laplace's approximation over everything fitted, with proper priors.
+    state_volume : float, nats
+        Logarithm of the part of the prior of the initial states that the data leave.
     groups : tuple of Chains
     nodes : tuple of ndarray, shape (2, R, d, T, S)
         Fitted state at every row, per group.
@@ -120,6 +123,8 @@ class Fit:
     jacobian : ndarray, shape (m, k)
         Whitened, initial states eliminated (compressed to few rows per chain); under tails with
         the weights that give the expected information.
+    rows, row_scenes : ndarray, shape (m,); of float and of str
+        The whitened residual compressed in the same way, and which scene each row is of.
     local_columns, shared_columns : ndarray, shapes (n, T, C) and (k, T, C)
         Changes of the prediction by the initial state of its chain and by the constants.
     paper_steps : bool
@@ -143,12 +148,15 @@ class Fit:
     gradient: float
     log_likelihood: float
     log_evidence: float
+    state_volume: float
     groups: tuple = field(repr=False)
     nodes: tuple = field(repr=False)
     channels: Channels = field(repr=False)
     residual: np.ndarray = field(repr=False)
     whitened: np.ndarray = field(repr=False)
     jacobian: np.ndarray = field(repr=False)
+    rows: np.ndarray = field(repr=False)
+    row_scenes: np.ndarray = field(repr=False)
     local_columns: np.ndarray = field(repr=False)
     shared_columns: np.ndarray = field(repr=False)
     paper_steps: bool = False
@@ -198,7 +206,7 @@ def fit(
     """
     began = time.monotonic()
     tolerances = tolerances or FitTolerances()
-    run = _Run(hypothesis, dataset, starts or {}, bounds or {}, tolerances)
+    run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     if deadline is not None:
         run.is_over = lambda: time.monotonic() > began + deadline
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
@@ -357,6 +365,8 @@ class _Run:
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""
         model = self.hypothesis.noise
+        if self.hypothesis.has_given_noise:
+            return self.estimated(climb, minimum, model, adopt=False)
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
@@ -461,8 +471,11 @@ class _Run:
             n_starts=minimum.n_starts, n_agree=minimum.n_agree, gradient=minimum.gradient,
             log_likelihood=float(likelihood),
             log_evidence=float(likelihood + climb.log_volume(known)),
+            state_volume=climb.state_volume(known),
             groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
             residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
+            rows=np.zeros(0) if minimum.linearised is None else minimum.linearised.residual,
+            row_scenes=_row_scenes(climb, minimum),
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
             message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
         )  # fmt: skip
@@ -501,6 +514,7 @@ class _Tracks:
 
 def _tracks_of(run, climb, minimum: Minimum):
     residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
+    constants, _ = climb.coordinates.constants(minimum.values)
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
     for shooting, nodes, noise, parts in zip(
         climb.problem.shootings, minimum.point.nodes, climb.noises,
@@ -508,7 +522,8 @@ def _tracks_of(run, climb, minimum: Minimum):
         strict=True,
     ):  # fmt: skip
         chains = shooting.chains
-        left = chains.observed - np.moveaxis(nodes[0], (-2, -1), (0, 1))
+        shooting.flow.motion.set_constants(constants)
+        left = chains.observed - sight(shooting.flow, nodes).places
         left = np.where(np.isfinite(noise.variance), left, np.nan)
         residuals.append(left)
         rows = np.broadcast_to(np.arange(len(left))[:, None], left.shape[:2])
@@ -524,9 +539,23 @@ def _tracks_of(run, climb, minimum: Minimum):
     )  # fmt: skip
 
 
+def _row_scenes(climb, minimum):
+    """Names of the scenes of the compressed rows."""
+    names = [np.zeros(0, dtype=str)]
+    if minimum.linearised is not None:
+        for shooting, parts in zip(
+            climb.problem.shootings, minimum.linearised.condensed, strict=True
+        ):
+            scenes, n = np.array(shooting.chains.scenes), shooting.flow.n_state
+            for group, part in zip(shooting.groups, parts, strict=True):
+                count = part.factor.shape[1] - n
+                names.append(np.repeat(scenes[shooting.windows.chain[group]], count))
+    return np.concatenate(names)
+
+
 def _told_of_constants(run, climb, minimum):
     """Whitened changes of the tracks by the constants of the law, initial states eliminated."""
-    if minimum.linearised is None or not run.parameters:
+    if minimum.linearised is None:
         return np.zeros((0, len(run.parameters)))
     _, slopes = climb.coordinates.constants(minimum.values)
     return -minimum.linearised.jacobian @ _inverse(slopes)

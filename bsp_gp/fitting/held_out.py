@@ -12,20 +12,25 @@ import numpy as np
 
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.estimates import Errors
-from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.fit import FitTolerances, fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Positions, TrackNoise
 from bsp_gp.fitting.outliers import without_outliers
-from bsp_gp.fitting.rolling import roll
+from bsp_gp.fitting.rolling import flow_of, roll
+from bsp_gp.fitting.seen import sight
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = ["held_out_errors", "predictions"]
+__all__ = [
+    "errors_of", "held_out_errors", "held_out_rows", "predictions", "regression_of", "with_states",
+]  # fmt: skip
 
 LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
+ONE_START = FitTolerances(most_starts=1)
+"""Without constants there is nothing in which starts could differ."""
 ROUNDING = 1e-13
 """The same as a part of the largest coordinate, at least, for every row."""
 
@@ -57,12 +62,26 @@ def held_out_errors(found, dataset, scenes, *, deadline=None):
     Errors
         nan where nothing is held out, or the fit has no finite constants.
     """
-    units = dataset.units
+    return errors_of(held_out_rows(found, dataset, scenes, deadline=deadline), dataset.units)
+
+
+def errors_of(rows, units):
+    """The errors of rows of `held_out_rows`; nan where there are none.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+    units : Units
+        Of the data set.
+
+    Returns
+    -------
+    Errors
+    """
     said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
-    if not scenes or not np.isfinite(found.values).all():
+    if not rows:
         return Errors(**dict.fromkeys(METRICS, float("nan")), **said)
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
-        rows = _rows(found, dataset, tuple(scenes), deadline)
         return Errors(**{metric: error_of(metric, rows) for metric in METRICS}, **said)
 
 
@@ -90,11 +109,13 @@ def predictions(found, dataset, scenes, *, deadline=None):
     bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
     for chains in build_chains(found.law, begun, dataset.up, dataset.velocity):
         first = _stacked(chains, states, measured)
-        nodes = roll(found.law, chains, first, _tolerance(found, chains), found.paper_steps)
+        tolerance = _tolerance(found, chains)
+        nodes = roll(found.law, chains, first, tolerance, found.paper_steps)
+        seen = sight(flow_of(found.law, chains, tolerance, found.paper_steps), nodes).places
         for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
             for r, name in enumerate(members):
                 track = tracks[scene]
-                track[:, bodies[scene].index(name)] = nodes[0, r, :, : len(track), s].T
+                track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
     for scene in scenes:
         tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
     return [tracks[scene.name] for scene in scenes]
@@ -161,19 +182,37 @@ def _is_late(dataset, scene, measured):
 def _first_states(found, dataset, scenes, deadline):
     """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
     heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
-    noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
-    hypothesis = Hypothesis(
-        (FixedForces(found.law, found.paper_steps), Positions(), TrackNoise(noise))
-    )
     heads, _ = without_outliers(heads, found.noise.levels)
-    heads = replace(dataset, scenes=heads, train=(), test=())
-    head = fit(hypothesis, heads, deadline=deadline)
+    head = with_states(found, dataset, heads, deadline=deadline)
     return {
         (scene, name): nodes[:, r, :, 0, s]
         for chains, nodes in zip(head.groups, head.nodes, strict=True)
         for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True))
         for r, name in enumerate(members)
     }
+
+
+def with_states(found, dataset, scenes, *, deadline=None):
+    """The law of a fit as it is, with the initial states of other scenes fitted.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+    scenes : sequence of Scene
+    deadline : float, optional
+
+    Returns
+    -------
+    Fit
+        Of no constants.
+    """
+    noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
+    hypothesis = Hypothesis(
+        (FixedForces(found.law, found.paper_steps), Positions(), TrackNoise(noise))
+    )
+    scenes = replace(dataset, scenes=tuple(scenes), train=(), test=())
+    return fit(hypothesis, scenes, deadline=deadline, tolerances=ONE_START)
 
 
 def _stacked(chains, states, measured):
@@ -196,21 +235,43 @@ def _tolerance(found, chains):
 # --- rows -----------------------------------------------------------------------------------------
 
 
-def _rows(found, dataset, scenes, deadline):
-    """What the errors are made of, scene by scene, see `bsp_gp.physics.metrics.ERRORS`."""
-    tracks = predictions(found, dataset, scenes, deadline=deadline)
-    steps = one_step_errors(scenes, found.law, dataset.up, sources=_has_pairs(found.law))
-    accelerations = residual_accelerations(_regression(found, dataset, scenes), found.law)
-    measured = _is_measured(dataset, scenes)
-    return [
-        {
-            "scene": scene.name,
-            "steps": step[..., None],
-            "accelerations": accelerations[scene.name],
-            **_track_errors(found, dataset, scene, track, measured),
-        }
-        for scene, track, step in zip(scenes, tracks, steps, strict=True)
-    ]
+def held_out_rows(found, dataset, scenes, *, deadline=None):
+    """What the errors are made of, scene by scene.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+    scenes : sequence of Scene
+    deadline : float, optional
+
+    Returns
+    -------
+    list of dict
+        The fields of `bsp_gp.physics.metrics.ERRORS`, the predicted positions `foreseen`
+        (T, R, d), and the number of rows `n_initial` that they start from. None for a fit without
+        finite constants.
+    """
+    scenes = tuple(scenes)
+    if not scenes or not np.isfinite(found.values).all():
+        return []
+    with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
+        tracks = predictions(found, dataset, scenes, deadline=deadline)
+        steps = one_step_errors(scenes, found.law, dataset.up, sources=_has_pairs(found.law))
+        regression = regression_of(found, dataset, scenes)
+        accelerations = residual_accelerations(regression, found.law)
+        measured = _is_measured(dataset, scenes)
+        return [
+            {
+                "scene": scene.name,
+                "steps": step[..., None],
+                "accelerations": accelerations[scene.name],
+                "foreseen": track,
+                "n_initial": _n_initial(dataset, scene, measured),
+                **_track_errors(found, dataset, scene, track, measured),
+            }
+            for scene, track, step in zip(scenes, tracks, steps, strict=True)
+        ]
 
 
 def _track_errors(found, dataset, scene, track, measured):
@@ -225,8 +286,8 @@ def _track_errors(found, dataset, scene, track, measured):
     return {"track": error, "ends": ends}
 
 
-def _regression(found, dataset, scenes):
-    """Accelerations read off the scenes as they can be read best."""
+def regression_of(found, dataset, scenes):
+    """Accelerations read off the scenes as they can be read best, a Regression."""
     measured = _is_measured(dataset, scenes)
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
     pairs = _has_pairs(found.law)

@@ -31,6 +31,8 @@ class Parameter:
         Bounds, SI.
     start : float
         Where a fit begins, SI; nan = found from the data.
+    prior : tuple of float or None
+        Centre and scale of where it is likely (Cauchy); None: by what it does in the law.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     start: float = math.nan
+    prior: tuple | None = None
 
 
 @dataclass(frozen=True)
@@ -50,11 +53,17 @@ class Part:
     """
 
     kind = ""
+    log_density = 0.0
+    """Of what it leaves unexplained of the rows, nats."""
 
     @property
     def parameters(self):
         """What of it is fitted, tuple of Parameter."""
         return ()
+
+    def seen(self, dataset):
+        """The rows as the rest of the hypothesis has to explain them."""
+        return dataset
 
     def describe(self):
         """One sentence for people."""
@@ -114,9 +123,12 @@ class TrackNoise(Part):
     ----------
     model : NoiseModel
         What is known of them; the rest is estimated under the hypothesis.
+    is_given : bool
+        Whether the noise has the parts of the model and no others; their sizes are estimated.
     """
 
     model: NoiseModel
+    is_given: bool = False
     kind = "noise"
 
     @property
@@ -173,13 +185,17 @@ class Hypothesis:
 
     @property
     def law(self):
-        """All forces in one law."""
-        terms, constants = [], {}
+        """All forces in one law, and through what they are seen."""
+        terms, constants, frame = [], {}, []
         for part in self.parts:
             if isinstance(part, Forces):
                 terms += part.law.terms
                 constants.update(part.law.constants)
-        return ForceLaw(tuple(terms), constants)
+                frame += part.law.frame
+            elif part.kind == "instrument" and part.parameters:
+                constants.update({p.name: p.start for p in part.parameters})
+                frame.append(part)
+        return ForceLaw(tuple(terms), constants, tuple(frame))
 
     @property
     def paper_steps(self):
@@ -193,9 +209,30 @@ class Hypothesis:
         return next(part.model for part in self.parts if isinstance(part, TrackNoise))
 
     @property
+    def has_given_noise(self):
+        """Whether the parts of the noise are given."""
+        return any(part.is_given for part in self.parts if isinstance(part, TrackNoise))
+
+    @property
     def parameters(self):
         """Everything that is fitted and is no noise, tuple of Parameter."""
         return tuple(p for part in self.parts if part.kind != "noise" for p in part.parameters)
+
+    @property
+    def log_density(self):
+        """Of all that its parts leave unexplained of the rows, nats."""
+        return sum(part.log_density for part in self.parts)
+
+    def seen(self, dataset):
+        """The rows with all edits of the parts, one after the other.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        """
+        for part in self.parts:
+            dataset = part.seen(dataset)
+        return dataset
 
     def describe(self):
         """One line per part."""

@@ -34,7 +34,10 @@ from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.units import Unit
 
-__all__ = ["SCHEMA", "LawFit", "fit_law"]
+__all__ = [
+    "SCHEMA", "LawFit", "about_noise", "about_outliers", "constant_estimates", "fit_law",
+    "training_part", "unset",
+]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
 MISFIT = 1.5
@@ -174,13 +177,10 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, _generator(rng))
     said = estimate_noise(dataset)
-    train = replace(dataset, scenes=split.train, train=(), test=())
-    scenes, far_off = without_outliers(split.train, said.sigma)
-    if not bears_outliers(NoiseModel.of(train), is_exact(split.train, said.sigma)):
-        train = replace(train, scenes=scenes)
+    train, far_off = training_part(dataset, split.train, said)
     check_properties(stack(train.scenes, dataset.up), law)
     found = fit(
-        Hypothesis.from_laws(train, _unset(law)), train, starts=starts, bounds=bounds,
+        Hypothesis.from_laws(train, unset(law)), train, starts=starts, bounds=bounds,
         deadline=time_limit,
     )  # fmt: skip
     left = None
@@ -188,8 +188,8 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
     errors = held_out_errors(found, dataset, split.test, deadline=left)
     widening = _widening(found)
-    constants = _constants(found, dataset, bounds or {}, widening)
-    noise_told = _about_noise(found.noise, said, dataset.units)
+    constants = constant_estimates(found, dataset, bounds)
+    noise_told = about_noise(found.noise, said, dataset.units)
     return LawFit(
         dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
         constants=constants, correlation=_correlation(found.covariance), errors=errors,
@@ -199,7 +199,8 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
         notes=(
-            *dataset.notes, *said.notes, *_about_outliers(found, train.scenes is scenes, far_off),
+            *dataset.notes, *said.notes,
+            *about_outliers(found, train.scenes is not split.train, far_off),
             *doubts(found, widening, bool(split.test)),
             *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
@@ -207,7 +208,30 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     )  # fmt: skip
 
 
-def _about_outliers(found, is_left_out, far_off):
+def training_part(dataset, scenes, said):
+    """Scenes that are learned from, as fits take them.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    scenes : tuple of Scene
+    said : NoiseEstimate
+
+    Returns
+    -------
+    train : Dataset
+        Its scenes are `scenes` themselves where nothing is left out for being far off.
+    far_off : str
+        Which rows are far off their neighbours.
+    """
+    train = replace(dataset, scenes=scenes, train=(), test=())
+    kept, far_off = without_outliers(scenes, said.sigma)
+    if bears_outliers(NoiseModel.of(train), is_exact(scenes, said.sigma)):
+        return train, far_off
+    return replace(train, scenes=kept), far_off
+
+
+def about_outliers(found, is_left_out, far_off):
     """What became of rows that are far off their neighbours, a note or none."""
     if not far_off:
         return ()
@@ -249,7 +273,7 @@ def _generator(rng):
     return rng
 
 
-def _unset(law):
+def unset(law):
     """The law without values of constants that are one for all: a fit finds its own starts."""
     shared = [n for n in law.names if not hasattr(law.constants.get(n), "items")]
     return law.with_constants(dict.fromkeys(shared, math.nan))
@@ -275,15 +299,31 @@ def _widening(found):
     return math.sqrt(misfit)
 
 
-def _constants(found, dataset, bounds, widening):
-    """The constants with 90 % intervals; Student's t where the noise was estimated."""
+def constant_estimates(found, dataset, bounds=None):
+    """The constants of a fit with 90 % intervals; Student's t where the noise was estimated.
+
+    Parameters
+    ----------
+    found : Fit
+    dataset : Dataset
+        For its units.
+    bounds : dict of str to (float, float), optional
+
+    Returns
+    -------
+    tuple of ConstantEstimate
+    """
     from scipy.stats import t as student_t  # a slow import
+
+    bounds, widening = bounds or {}, _widening(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
     units = {}
     for term in found.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = dataset.units.text(unit)
+    for part in found.law.frame:
+        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters}
     massless = {
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip
@@ -321,7 +361,7 @@ def _bic(found):
     return float((found.n_free + n_noise) * math.log(found.n_rows) - 2 * found.log_likelihood)
 
 
-def _about_noise(model, said, units):
+def about_noise(model, said, units):
     """What is known of the noise, or was estimated under the law."""
     is_estimated = bool(model.is_free.any())
     has_memory = model.correlated > 0

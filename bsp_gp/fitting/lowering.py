@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.graph import LEAVES
-from bsp_gp.language.formula import Constant, Input, Number
+from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 
-__all__ = ["MOVING", "ORIGIN", "Lowering", "Mode"]
+__all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
 
 MOVING = ("p_i", "p_j", "v_i", "v_j", "t", "mode")
 """Inputs that differ from instant to instant; all others belong to the bodies of a scene."""
@@ -272,3 +272,29 @@ class Lowering:
         return self.graph.call("tanh", a)
 
 
+def fades_at_rest(formula):
+    """Whether a force goes to zero with the speed of its receiver, and cannot hold it at rest.
+
+    Told from its factors: drag ``norm(v_i)^2 * normalize(v_i)`` does, friction and what has a
+    power that is fitted do not.
+
+    Parameters
+    ----------
+    formula : Formula
+    """
+    above, below = factors(formula)
+    powers = [_power_of_speed(part) for part in above] + [-_power_of_speed(p) for p in below]
+    return sum(powers) > 0
+
+
+def _power_of_speed(part):
+    """Power of the own speed that a factor is for sure."""
+    power = 1.0
+    while isinstance(part, Call) and part.operator in ("square", "inverse", "pow", "norm"):
+        if part.operator == "pow":
+            if not isinstance(part.args[1], Number):
+                return 0.0
+            power *= part.args[1].value
+        power *= {"square": 2.0, "inverse": -1.0}.get(part.operator, 1.0)
+        part = part.args[0]
+    return power if isinstance(part, Input) and part.name == "v_i" else 0.0

@@ -7,12 +7,13 @@ belongs to a chain and an instant; all points are computed at once.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering
+from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
+from bsp_gp.fitting.seen import Frame
 from bsp_gp.language.inputs import property_of
 
 __all__ = ["CREEP", "Motion", "Points"]
@@ -62,14 +63,20 @@ class _Program:
         self.graph = g = Graph()
         self.terms = [term for term in law.terms if term.kind == kind]
         vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
-        lowering = Lowering(g, chains.n_dims, chains.direction, vectors)
+        frame = Frame(g, law.frame, chains.n_dims, kind) if law.frame else None
+        lowering = Lowering(frame or g, chains.n_dims, chains.direction, vectors)
         total = [g.zero] * chains.n_dims
         for k, term in enumerate(self.terms):
             weight = g.input("weight", k)
             force = lowering.lower(term.acceleration_formula)
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
-        self.constants = tuple(dict.fromkeys(n for t in self.terms for n in t.formula.constants))
-        self.modes, self.stops = lowering.modes, lowering.stops
+        if frame:
+            total = frame.acceleration(total)
+        self.constants = replace(law, terms=tuple(self.terms)).names
+        # Drag that fades with the speed brings nothing to rest.
+        lasting = (t for t in self.terms if not fades_at_rest(t.formula))
+        may_stop = any("v_i" in t.formula.inputs for t in lasting)
+        self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, MOVING)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
@@ -131,7 +138,7 @@ class Motion:
         self.others = np.array(
             [[j for j in range(n_all) if j != i] for i in range(n_own)], dtype=int
         ).reshape(n_own, n_all - 1)
-        kinds = dict.fromkeys(term.kind for term in law.terms)
+        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * bool(law.frame))
         self.programs = [
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
@@ -163,6 +170,7 @@ class Motion:
 
     def _static_inputs(self, program):
         sizes = self.chains.contact_sizes(self.others) if program.kind == "pair" else {}
+        sizes["is_driven"] = (self.others >= self.chains.n_moving)[..., None].astype(float)
         weights = [self._weight(term) for term in program.terms]
 
         def value(name, axis):
@@ -170,6 +178,8 @@ class Motion:
                 return _shared(weights[axis] if program.kind == "field" else weights[axis][:, None])
             if name in sizes:
                 return _shared(sizes[name])
+            if name == "is_scene":
+                return np.array([scene == axis for scene in self.chains.scenes], dtype=float)
             column, role = property_of(name)
             values = self.chains.column(column)
             if axis is not None:
@@ -224,6 +234,7 @@ class Motion:
                     )
                 ]
             )  # fmt: skip
+        self.values = known
 
     def _constant(self, value, kind):
         if not hasattr(value, "items"):

@@ -14,7 +14,7 @@ from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.starts import first_nodes
 
-__all__ = ["roll"]
+__all__ = ["flow_of", "roll"]
 
 JOINED = 1e-3
 """Largest correction of a place at which a stretch is joined, in errors that it may have."""
@@ -43,9 +43,7 @@ def roll(law, chains, first, tolerance, paper_steps=False):
     ndarray, shape (2, R, d, T, S)
         States at every row; inf from where a motion leaves the range of numbers.
     """
-    motion = Motion(law, chains, ())
-    motion.set_constants(np.zeros(0))
-    flow = Flow(motion, tolerance / np.maximum(chains.lengths, 1), paper_steps)
+    flow = flow_of(law, chains, tolerance, paper_steps)
     nodes = first_nodes(chains)
     nodes[..., 0, :] = first
     last = chains.times.shape[0] - 1
@@ -68,6 +66,13 @@ def roll(law, chains, first, tolerance, paper_steps=False):
         lost = ~np.isfinite(nodes).all(axis=(0, 1, 2)) & np.isfinite(chains.times)
     lost = np.logical_or.accumulate(lost, axis=0)
     return np.where(lost, np.inf, nodes)
+
+
+def flow_of(law, chains, tolerance, paper_steps=False):
+    """A law with values, ready to move chains; parameters as of `roll`."""
+    motion = Motion(law, chains, ())
+    motion.set_constants(np.zeros(0))
+    return Flow(motion, tolerance / np.maximum(chains.lengths, 1), paper_steps)
 
 
 def _leg(flow, nodes, row, stop):

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.fitting.seen import sight
+
 __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 
 STATE_PRIOR = 1e4
@@ -74,11 +76,14 @@ class Condensed:
     columns : ndarray, shape (L, W, n, n + k + 1)
         Changes of every node by the window's first node, by the constants, and what the nodes
         lack to join (last column).
+    shown : ndarray, shape (L, W, n / 2, n + k + 1)
+        What is seen of them.
     factor : ndarray, shape (W, n + k + 1, n + k + 1)
         Triangular factor of the whitened columns.
     """
 
     columns: np.ndarray
+    shown: np.ndarray
     factor: np.ndarray
 
 
@@ -154,13 +159,16 @@ class Shooting:
         ends, transitions = flow.run(nodes, mesh)
         gaps = self._gaps(ends, nodes).reshape(flow.n_state, -1).T
         n, k = flow.n_state, flow.n_constants
+        seen = sight(flow, nodes)
         # A motion without finite values is no track; its rows must not pass for unseen ones.
         rest = 0.0 if np.isfinite(gaps).all() else np.nan
         condensed, residuals, jacobians = [], [], []
         for group in self.groups:
             columns = self._columns(group, transitions, gaps)
-            factor = self._factor(group, columns, nodes)
-            condensed.append(Condensed(columns, factor))
+            rows, _ = self._rows(group, len(columns))
+            shown = seen.shown(columns, rows, self.windows.chain[group], n)
+            factor = self._factor(group, shown, seen.places)
+            condensed.append(Condensed(columns, shown, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
             jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
             rest += float(np.square(factor[:, :n, -1]).sum())
@@ -240,19 +248,18 @@ class Shooting:
             columns[row + 1, open_] = after
         return columns
 
-    def _factor(self, group, columns, nodes):
+    def _factor(self, group, shown, places):
         """Triangular factor of the whitened columns and residual of each window."""
         n, k = self.flow.n_state, self.flow.n_constants
         chains, windows = self.chains, self.windows
         n_own, n_dims = chains.n_moving, chains.n_dims
-        length, n_windows = columns.shape[:2]
+        length, n_windows = shown.shape[:2]
         rows, inside = self._rows(group, length)
         chain = windows.chain[group]
-        places = np.moveaxis(nodes[0], (-2, -1), (0, 1))
         observed = chains.observed[rows, chain]
-        left = observed - places[rows, chain] - columns[:, :, : n // 2, -1].reshape(observed.shape)
+        left = observed - places[rows, chain] - shown[..., -1].reshape(observed.shape)
         left = np.where(inside[..., None, None], left, np.nan)  # not seen
-        moved = columns[:, :, : n // 2, :-1].reshape(length, n_windows, n_own, n_dims, n + k)
+        moved = shown[..., :-1].reshape(length, n_windows, n_own, n_dims, n + k)
         stacked = np.concatenate([np.moveaxis(moved, -1, 0), left[None]])
         white = self.noise.whiten(stacked, rows, chain)  # (n + k + 1, L, W, R, d)
         white = np.moveaxis(white, 2, 0).reshape(n_windows, n + k + 1, -1)
@@ -294,8 +301,8 @@ class Shooting:
         local, shared = np.zeros((n_most, *shape)), np.zeros((k, *shape))
         for group, part in zip(self.groups, condensed, strict=False):
             rows, inside = self._rows(group, len(part.columns))
-            places = part.columns[:, :, : n // 2]
-            places = np.moveaxis(places, -1, 0).reshape(n + k + 1, *places.shape[:2], *shape[2:])
+            places = np.moveaxis(part.shown, -1, 0)
+            places = places.reshape(n + k + 1, *places.shape[1:3], *shape[2:])
             at = np.nonzero(inside)
             chain = self.windows.chain[group][at[1]]
             local[:n, rows[at], chain] = places[:n][:, at[0], at[1]]

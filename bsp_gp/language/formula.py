@@ -26,6 +26,7 @@ __all__ = [
     "factors",
     "product",
     "rename_constants",
+    "substitute",
     "summands",
     "walk",
 ]
@@ -141,6 +142,26 @@ def walk(formula):
         yield node
         if isinstance(node, Call):
             stack.extend(reversed(node.args))
+
+
+def substitute(formula, replaced):
+    """The formula with some of its nodes replaced.
+
+    Parameters
+    ----------
+    formula : Formula
+    replaced : mapping of Formula to Formula
+
+    Raises
+    ------
+    UnitError
+        If an operator does not accept what stands in the place of an argument.
+    """
+    if formula in replaced:
+        return replaced[formula]
+    if isinstance(formula, Call):
+        return Call(formula.operator, *(substitute(arg, replaced) for arg in formula.args))
+    return formula
 
 
 def evaluate(formula, inputs: Mapping, constants: Mapping | None = None, cache: dict | None = None):

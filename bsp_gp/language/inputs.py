@@ -26,6 +26,7 @@ STATE_INPUTS = {
     "p_i": Type("point", _METRE),
     "p_j": Type("point", _METRE),
     "p_c": Type("point", _METRE),
+    "origin": Type("point", _METRE),
     "v_i": Type("vector", _SPEED),
     "v_j": Type("vector", _SPEED),
     "s_i": Type("shape"),

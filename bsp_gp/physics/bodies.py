@@ -100,6 +100,8 @@ class _Inputs(Mapping):
     def _compute(self, name):
         if name in DIRECTIONS:
             return self.bodies.direction(name)
+        if name == "origin":
+            return np.zeros(self.bodies.n_dims)
         if name in ("p_i", "p_j", "v_i", "v_j"):
             return self._state(self.positions if name[0] == "p" else self.velocities, name[-1])
         if name in ("s_i", "s_j"):

@@ -22,7 +22,7 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
-__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear"]
+__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear", "term_gradient"]
 
 _MASS = ("m_i", "mass_i")
 
@@ -95,10 +95,13 @@ class ForceLaw:
     terms : tuple of Term
     constants : mapping of str to float, or to a mapping of entity name to float
         Every constant that the terms name. A mapping means one value per receiver.
+    frame : tuple of Instrument
+        Through what bodies are seen; fits to tracks alone know of it (`bsp_gp.fitting.seen`).
     """
 
     terms: tuple[Term, ...] = ()
     constants: Mapping = field(default_factory=dict)
+    frame: tuple = ()
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
@@ -113,12 +116,13 @@ class ForceLaw:
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in self.constants.items()
         }
-        return (ForceLaw, (self.terms, plain))
+        return (ForceLaw, (self.terms, plain, self.frame))
 
     @property
     def names(self):
-        """Names of the free constants, in order of appearance."""
-        return tuple(dict.fromkeys(n for term in self.terms for n in term.formula.constants))
+        """Names of the free constants, in order of appearance, those of the frame first."""
+        seen = [name for part in self.frame for name in part.names]
+        return tuple(dict.fromkeys(seen + [n for t in self.terms for n in t.formula.constants]))
 
     def with_constants(self, constants):
         """The same law with (some) constants changed."""
@@ -136,12 +140,12 @@ class ForceLaw:
 
     def plus(self, term, constants=None):
         """The law with one more term."""
-        return ForceLaw((*self.terms, term), {**self.constants, **(constants or {})})
+        return replace(self.with_constants(constants or {}), terms=(*self.terms, term))
 
     def without(self, index):
         """The law without its term number `index`; constants that nothing names are dropped."""
         terms = self.terms[:index] + self.terms[index + 1 :]
-        law = ForceLaw(terms, {})
+        law = ForceLaw(terms, {}, self.frame)
         return law.with_constants({n: self.constants[n] for n in law.names if n in self.constants})
 
     def values(self, bodies):

@@ -24,6 +24,7 @@ from bsp_gp.report.drawing import (
     time_scaled,
 )
 from bsp_gp.report.hidden_map import draw_hidden_map
+from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import adopted_rounds
 from bsp_gp.report.traces import trace_figure
 from bsp_gp.report.tracks import draw_errors, draw_tracks, pick_overlays, wants_errors
@@ -77,6 +78,7 @@ def build_figures(report):
         for the rounds whose residual was traced, hidden_1, … for those that tell of an unseen
         body, in this order.
     """
+    report = page_of(report)
     makers = {
         "tracks": _tracks,
         "track_errors": _track_errors,

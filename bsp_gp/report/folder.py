@@ -11,6 +11,7 @@ from bsp_gp.output.place import claim
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.html import render_html
 from bsp_gp.report.numbers import format_constant, is_number
+from bsp_gp.report.page import page_of
 from bsp_gp.report.typeset import law_document
 
 __all__ = ["KIND", "write_report"]
@@ -75,7 +76,7 @@ def _contents(report, run_info):
     files = {
         "report.html": render_html(report, run_info, figures),
         "report.json": _json(data),
-        "law.txt": _law_text(report),
+        "law.txt": _law_text(page_of(report)),
         "law.tex": law_document(report),
         "residuals.csv": _residuals(report.residuals),
         "run.json": _json(run),

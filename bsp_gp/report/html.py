@@ -20,6 +20,7 @@ from bsp_gp.report.numbers import (
     rounded,
     with_unit,
 )
+from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
     adopted_rounds,
     caveats,
@@ -52,9 +53,12 @@ _KINDS = {
     "hidden_body": "unseen body",
     "measurement": "measurement",
     "declared_term_change": "change of a declared term",
+    "noise": "noise",
 }
 _TONES = {
     "effect adopted": "found",
+    "effective law": "found",
+    "the noise is not as assumed": "open",
     "nothing missing": "clean",
     "seen, not adopted": "open",
     "cannot tell": "open",
@@ -78,6 +82,7 @@ def render_html(report, run_info=None, figures=None):
         A complete HTML document.
     """
     figures = build_figures(report) if figures is None else figures
+    report = page_of(report)
     sentence, detail = verdict_parts(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
@@ -256,6 +261,8 @@ def _round(r, report):
         "entities": _names(effect.entities) if effect else "",
         "table": [] if table == _total_table(report) else table,
         "rivals": rivals,
+        "hypotheses": getattr(r, "hypotheses", ()),
+        "n_hypotheses": getattr(r, "n_hypotheses", 0),
         "n_rivals_left": max(len(r.rivals) - _MAX_RIVALS, 0),
         "held_out": _table_of_dicts(r.held_out),
         "overturned_by": overturned_by(r),

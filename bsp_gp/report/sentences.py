@@ -96,6 +96,11 @@ def verdict_parts(report):
     if report.verdict == "effect adopted" and adopted:
         text = _findings(adopted)
         return text[:1].upper() + text[1:] + ".", ""
+    if report.verdict == "effective law" and adopted:
+        text = f"On these tracks the motion is as if there were {_joined(map(_either, adopted))}."
+        return text, "It describes them; that it is the cause is not shown."
+    if report.verdict == "the noise is not as assumed":
+        return "The noise of the measurement is not as it was assumed.", ""
     if report.verdict == "nothing missing":
         text = "Nothing is missing from the declared model: what it leaves unexplained is noise."
         return text, _detectable(last.missing) if last else ""

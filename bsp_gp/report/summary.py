@@ -6,6 +6,7 @@ import textwrap
 
 from bsp_gp.data.scene import CHECK
 from bsp_gp.report.numbers import format_constant, format_number, format_p, format_value, with_unit
+from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
     caveats,
     constant_groups,
@@ -38,6 +39,7 @@ def summary_text(report):
         Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no
         newline at the end.
     """
+    report = page_of(report)
     lines = _wrapped(f"{report.dataset.get('name', 'data')}: {report.verdict}", 1)
     lines += _wrapped(verdict_sentence(report), 4)
     lines += _wrapped(headline(report)["text"], 2)

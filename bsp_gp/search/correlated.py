@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.search.columns import BATCH_BYTES, Columns
+from bsp_gp.search.moments import MomentScorer
 from bsp_gp.search.products import Block, Side
 from bsp_gp.search.scoring import COLLINEAR, GroupScorer, values_of
 
-__all__ = ["CorrelatedScorer"]
+__all__ = ["CorrelatedScorer", "group_scorer"]
 
 
 class CorrelatedScorer(GroupScorer):
@@ -35,8 +36,8 @@ class CorrelatedScorer(GroupScorer):
         return numerators, denominator, None
 
     def _grouped(self, block):
-        scorer = GroupScorer(self.search, block, self.vector, self.q, self.ys, self.mask)
-        return scorer.products()[:2]
+        scorer = group_scorer(self.search.regression)
+        return scorer(self.search, block, self.vector, self.q, self.ys, self.mask).products()[:2]
 
     def _moving(self, rows, columns, numerators, denominator):
         """Products of two factors that both vary along time, as whitened columns."""
@@ -54,6 +55,11 @@ class CorrelatedScorer(GroupScorer):
                 size = raw - np.square(spread @ self.q).sum(axis=1)
                 numerators[:, a, part] = (spread @ self.ys).T
                 denominator[a, part] = np.where(size > COLLINEAR * raw, size, 0.0)
+
+
+def group_scorer(regression):
+    """Scores products whose left factors are constant in time."""
+    return MomentScorer if regression.method == "response" else GroupScorer
 
 
 class _Parts:

@@ -31,12 +31,12 @@ from bsp_gp.search.banks import (
 )
 from bsp_gp.search.candidate import Candidate, Certificate, SearchResult, front_of, merge_equal
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.search.correlated import CorrelatedScorer
+from bsp_gp.search.correlated import CorrelatedScorer, group_scorer
 from bsp_gp.search.factoring import plan_of
 from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.room import require_room
-from bsp_gp.search.scoring import GroupScorer, RowScorer
+from bsp_gp.search.scoring import RowScorer
 
 __all__ = ["MOST_TIES", "Exhaustive", "law_pool", "search_exhaustive"]
 
@@ -400,7 +400,7 @@ class Exhaustive:
     def _score(self, block, directed):
         self.n_scored += int(block.allowed.sum())
         if block.is_static(self.rows):
-            scorer = GroupScorer
+            scorer = group_scorer(self.regression)
         else:
             scorer = CorrelatedScorer if self.is_correlated else RowScorer
         gain = np.zeros(block.allowed.shape)

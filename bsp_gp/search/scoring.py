@@ -171,7 +171,7 @@ class GroupScorer:
         vectors = rows.unflatten(self.vector)
         start = 0
         for index, batch in enumerate(regression.batches):
-            size = batch.target.size
+            size = batch.kept.size
             part = slice(start, start + size)
             start += size
             found = numerators, raw if known is None else None, explained

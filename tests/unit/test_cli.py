@@ -108,6 +108,52 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
     assert cli._data_name("/") == "data"
 
 
+def test_close_on_hypotheses_writes_the_same_files(closed, data, tmp_path):
+    out = tmp_path / "report"
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2"]
+    assert main([*command, "--max-levels", "5", "--quiet"]) == 0
+    names = {p.relative_to(closed).as_posix() for p in closed.glob("*") if p.is_file()}
+    assert names == {p.relative_to(out).as_posix() for p in out.glob("*") if p.is_file()}
+    told = json.loads((out / "report.json").read_text())
+    assert told["schema"] == "bsp_gp/report/2"
+    assert json.loads((out / "run.json").read_text())["settings"]["time_limit"] is None
+    assert (out / "law.txt").read_text().startswith(told["law"]["text"])
+    header = [(folder / "residuals.csv").read_text().splitlines()[0] for folder in (closed, out)]
+    assert header[0] == header[1]
+
+
+def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):
+    from bsp_gp.closing import close
+
+    out = tmp_path / "report"
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2", "--quiet",
+               "--max-levels", "5"]  # fmt: skip
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(close, "prune", interrupted)
+        assert main(command) == 130
+    kept = tmp_path / "report.rounds.json"
+    assert kept.is_file()
+    assert not out.exists()
+    assert main([*command, "--resume", "--max-rounds", "4"]) == 2
+    assert "other data or settings" in capsys.readouterr().err
+    assert main([*command, "--resume"]) == 0
+    assert not kept.exists()
+    again = tmp_path / "again"
+    assert main([*command[:4], "--out", str(again), *command[6:]]) == 0
+    reports = [json.loads((place / "report.json").read_text()) for place in (out, again)]
+    for told in reports:
+        told.pop("wall_s")
+        told.pop("n_fits")
+        for done in told["rounds"]:
+            done.pop("seconds")
+    assert reports[0] == reports[1]
+    assert (out / "residuals.csv").read_bytes() == (again / "residuals.csv").read_bytes()
+
+
 def test_seed_and_settings_reach_the_report(closed):
     report = json.loads((closed / "report.json").read_text("utf-8"))
     assert (report["seed"], report["alpha"], len(report["rounds"])) == (0, 0.01, 1)

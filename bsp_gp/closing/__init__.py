@@ -1,0 +1,1 @@
+"""Closing the loop: what a declared law lacks is found, named, added, and judged."""

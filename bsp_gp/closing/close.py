@@ -1,0 +1,277 @@
+"""Closing the loop on a data set: made ready, rounds, removal of what is superfluous, report."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from bsp_gp.closing import writing_up
+from bsp_gp.closing.accounts import Accounts
+from bsp_gp.closing.backward import prune
+from bsp_gp.closing.clock import Clock
+from bsp_gp.closing.criteria import VERDICTS, Criteria
+from bsp_gp.closing.kept import rounds_from
+from bsp_gp.closing.loop import run_rounds
+from bsp_gp.closing.outcome import LoopReport
+from bsp_gp.closing.proposers import standard
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.split import choose_split
+from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.law_fit import (
+    about_noise,
+    about_outliers,
+    constant_estimates,
+    training_part,
+    unset,
+)
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.physics.aliasing import aliasing_notes
+from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.masses import check_properties, with_usable_masses
+from bsp_gp.physics.metrics import METRICS
+
+__all__ = ["close_loop"]
+
+WRITING_SHARE = 0.25
+"""Part of a time limit that is kept for what comes after the rounds."""
+SEARCHES = ("exhaustive", "auto")
+
+
+def close_loop(
+    dataset, declared=(), *, rng, grammar="physics", criteria=None, alpha=None, max_rounds=5,
+    max_levels=8, search="exhaustive", starts=None, bounds=None, time_limit=None, n_bootstrap=40,
+    exclude=("t",), seed=None, workers=None, progress=None, on_round=None,
+    earlier=None,
+):  # fmt: skip
+    """Find what a declared model lacks, add it, and report the error before and after.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    declared : ForceLaw or sequence of str
+        The model that is believed: typed laws. Empty: no force at all.
+    rng : numpy.random.Generator
+        Splits, simulated noise, resampling.
+    grammar : str, path or Grammar
+        What may be missing.
+    criteria : Criteria, optional
+        Levels on which the verdict depends.
+    alpha : float, optional
+        One of them, in place of that of `criteria`.
+    max_rounds, max_levels : int
+        Rounds, and levels of a derivation in the search, at the most.
+    search : str
+        "exhaustive" or "auto", which is the same so far.
+    starts, bounds : dict, optional
+        Of constants of the declared model, SI: where they begin, and between what they stay.
+    time_limit : float, optional
+        Seconds. What there is no time for is told, and never makes a verdict stronger.
+    n_bootstrap : int
+        Simulated copies of the held-out data behind the floor and intervals; 0 = none.
+    exclude : sequence of str
+        Inputs that laws may not use.
+    seed : int, optional
+        Recorded in the report.
+    workers : concurrent.futures.Executor, optional
+        Not used so far: rounds are faster than handing data to workers.
+    progress : callable, optional
+        ``progress(text)`` at every stage.
+    on_round : callable, optional
+        ``on_round(round)`` after every round; `bsp_gp.closing.kept.text_of` makes text of them.
+    earlier : str, optional
+        Such text of a run with the same data and settings, to go on from.
+
+    Returns
+    -------
+    LoopReport
+
+    Raises
+    ------
+    BspError
+        If the data, the law or a setting is unusable.
+    """
+    began = time.monotonic()
+    criteria = _criteria(criteria, alpha)
+    _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
+    says = progress or (lambda text: None)
+    clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
+    split_rng, round_rng, account_rng = rng.spawn(3)
+    says("reading the data set")
+    ready = _Ready(dataset, declared, split_rng)
+    grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
+    unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})
+    if unknown:
+        raise SettingsError(
+            f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
+            f"{', '.join(sorted(grammar.inputs))}"
+        )
+    hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law))
+    known = {"starts": starts, "bounds": bounds}
+    if earlier is not None:
+        earlier = rounds_from(earlier, hypothesis, ready.train, **known)
+    rounds = run_rounds(
+        hypothesis, ready.train,
+        standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude)),
+        rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
+        on_round=on_round, earlier=earlier, progress=progress,
+    )  # fmt: skip
+    pruned = prune(rounds, ready.train, bounds=bounds, clock=clock, progress=progress)
+    says("writing up")
+    whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
+    written = _written(ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole)
+    left_out = [code for done in rounds for code in done.left_out]
+    left_out += [] if pruned.is_complete else ["removal"]
+    left_out += written.pop("left_out")
+    return LoopReport(
+        declared=tuple(
+            {"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in ready.law.terms
+        ),
+        grammar={"name": grammar.name, "fingerprint": grammar.fingerprint},
+        search=search, seed=seed, criteria=asdict(criteria),
+        stop_reason=_stop_reason(rounds), left_out=tuple(dict.fromkeys(left_out)),
+        n_fits=sum(len(done.fits) - 1 for done in rounds) + 1 + pruned.n_fits,
+        versions=writing_up.versions(), wall_s=time.monotonic() - began, **written,
+    )  # fmt: skip
+
+
+class _Ready:
+    """A data set as fits take it.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        All scenes.
+    law : ForceLaw
+        The declared one.
+    split : Split
+    train : Dataset
+        What is learned from.
+    far_off : str
+        Rows in it that are far off their neighbours.
+    noise : NoiseEstimate
+    """
+
+    def __init__(self, dataset, declared, rng):
+        declared = (declared,) if isinstance(declared, str) else declared
+        is_law = isinstance(declared, ForceLaw)
+        self.law = declared if is_law else read_law(dataset, declared)
+        self.dataset = with_usable_masses(dataset)
+        self.split = choose_split(self.dataset, rng)
+        self.noise = estimate_noise(self.dataset)
+        self.train, self.far_off = training_part(self.dataset, self.split.train, self.noise)
+        check_properties(stack(self.train.scenes, dataset.up), self.law)
+
+    def notes(self, found):
+        """What is known of the data beside a law that was fitted to them."""
+        is_left_out = self.train.scenes is not self.split.train
+        return (
+            *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
+            *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
+        )  # fmt: skip
+
+
+def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
+    """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
+    first, last, dataset = rounds[0].entering, pruned.fit, ready.train
+    left_out = ["intervals"] if n_copies and clock.is_over else []
+    fits = _scored(rounds, last)
+    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies)
+    at = {id(f): k for k, f in enumerate(fits)}
+    records = [
+        writing_up.record_of(
+            done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed
+        )
+        for done in rounds
+    ]
+    verdict = min((r.verdict for r in records), key=VERDICTS.index)
+    effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
+    constants = constant_estimates(last, dataset, bounds)
+    units = {c.name: c.unit for c in constants if not c.entity}
+    return {
+        "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
+        "noise": about_noise(last.noise, ready.noise, dataset.units),
+        "rounds": tuple(records), "law": last.law, "law_text": last.law.text(units=units),
+        "law_latex": last.law.latex(units=units), "constants": constants,
+        "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
+        "probability": math.nan if effect is None else effect.probability,
+        "equivalents": () if effect is None else effect.equivalents,
+        "overlays": writing_up.overlays(accounts, at[id(first)]),
+        "residuals": writing_up.residual_table(first, last, ready.dataset, ready.split),
+        "fit": last, "hypothesis": pruned.hypothesis, "left_out": left_out,
+    }  # fmt: skip
+
+
+def _scored(rounds, last):
+    """Fits that are scored on held-out scenes, the last one last.
+
+    What was seen in the last round and not adopted is among them.
+    """
+    fits = [done.entering for done in rounds]
+    end = rounds[-1]
+    if end.decision.best is not None:
+        fits.append(end.fits[end.decision.best.id])
+    others = {id(f): f for f in fits if f is not last}
+    return [*others.values(), last]
+
+
+def _total(accounts, begin, end):
+    """Errors of the declared and the final law."""
+    return {
+        "before": accounts.errors(begin), "after": accounts.errors(end), "floor": accounts.floor,
+        "ratio": accounts.ratio(begin, end),
+        "ratios": {metric: accounts.ratio(begin, end, metric) for metric in METRICS},
+    }  # fmt: skip
+
+
+def _fits_of(done, at):
+    """Which fits entered a round and came out of it; a cause that was only seen counts as well."""
+    best = done.decision.best
+    return at[id(done.entering)], None if best is None else at.get(id(done.fits.get(best.id)))
+
+
+def _stop_reason(rounds):
+    """Why there was no further round, of `STOP_REASONS`."""
+    last = rounds[-1]
+    if last.left_out:
+        return "time_is_up"
+    if last.decision.is_adopted:
+        return "most_rounds"
+    if last.decision.reason == "declared_model_not_fitted":
+        return "failed"
+    return "nothing_left" if last.decision.verdict == "nothing missing" else "nothing_adopted"
+
+
+def _criteria(criteria, alpha):
+    criteria = criteria or Criteria()
+    return criteria if alpha is None else replace(criteria, alpha=alpha)
+
+
+def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
+    """Refuse settings that cannot be."""
+    if dataset.latents:
+        names = ", ".join(latent.name for latent in dataset.latents)
+        raise SettingsError(
+            f"latents must be none for this loop so far, got {names}; give their values, or use "
+            "infer"
+        )
+    if not isinstance(rng, np.random.Generator):
+        raise SettingsError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
+    if not 0 < criteria.alpha < 1:
+        raise SettingsError(f"alpha must be between 0 and 1, got {criteria.alpha!r}")
+    if search not in SEARCHES:
+        raise SettingsError(f"search must be one of {', '.join(SEARCHES)}, got {search!r}")
+    numbers = {"max_rounds": max_rounds, "max_levels": max_levels, "n_bootstrap": n_bootstrap}
+    for name, value in numbers.items():
+        least = 0 if name == "n_bootstrap" else 1
+        if value < least:
+            raise SettingsError(f"{name} must be at least {least}, got {value!r}")
+    if time_limit is not None and not 0 < time_limit < math.inf:
+        raise SettingsError(
+            f"time_limit must be a positive number of seconds, got {time_limit!r:.60}"
+        )

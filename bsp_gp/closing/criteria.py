@@ -1,0 +1,75 @@
+"""Every level on which a verdict depends, and the closed lists of codes that are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "CAUSES", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria",
+]  # fmt: skip
+
+VERDICTS = (
+    "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",
+    "cannot tell", "nothing missing",
+)  # fmt: skip
+"""In the order of precedence in which a report takes that of its rounds."""
+REASONS = (
+    "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
+    "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
+    "superseded",
+)  # fmt: skip
+"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
+LEFT_OUT = ("proposers", "fits", "removal", "intervals")
+"""What a time limit can leave undone."""
+STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
+CAUSES = (
+    "law", "exponent", "number", "period", "scale", "clock", "tilt", "slant", "drift", "offset",
+    "delay", "exposure", "lens", "perspective", "swapped_tracks", "lost_track", "bad_row",
+    "hidden_body", "contact", "noise",
+)  # fmt: skip
+"""What a hypothesis adds."""
+NOISE_FINDINGS = (
+    "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
+    "grid", "row",
+)  # fmt: skip
+"""In what noise may not be as assumed."""
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Levels that can change a verdict.
+
+    Attributes
+    ----------
+    alpha : float
+        Chance of calling something missing where nothing is, selection counted.
+    separation : float
+        Chi-squared by which a rival form must lie above the best for the best to be a fact: four
+        standard deviations. A rule that keeps 95 % of true forms would state a form that is one
+        standard deviation away as a fact in 83 % of its sets.
+    class_nats, equal_nats : float
+        Rivals are told whose log posterior, or log evidence, is within this of the best.
+    fitted_nats : float
+        Proposals whose promise is within this of the best are fitted to whole tracks.
+    nonlinear : float
+        Part of a promise that a fit to whole tracks may add to it.
+    most_fits : int
+        Proposals that are fitted in a round at the most.
+    tie_nats : float
+        Odds within which an error of the measurement and a force are not told apart.
+    noise_nats : float
+        Odds by which a cause must be likelier than noise of another kind.
+    promise : float
+        Part of the gain that a hypothesis promises for held-out tracks, which it must keep.
+    """
+
+    alpha: float = 0.01
+    separation: float = 16.0
+    class_nats: float = 8.0
+    equal_nats: float = 4.0
+    fitted_nats: float = 8.0
+    nonlinear: float = 0.2
+    most_fits: int = 12
+    tie_nats: float = 2.0
+    noise_nats: float = 4.0
+    promise: float = 0.3

@@ -1,0 +1,110 @@
+"""What a table of hypotheses says: the one place in which the loop decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bsp_gp.closing.criteria import Criteria
+
+__all__ = ["Decision", "decide"]
+
+INSTRUMENT = (
+    "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
+    "perspective", "swapped_tracks", "lost_track", "bad_row",
+)  # fmt: skip
+"""Causes that lie in the measurement."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What follows from a table.
+
+    Attributes
+    ----------
+    verdict, reason : str
+        Codes.
+    best : Row or None
+        The likeliest cause, whether it is adopted or not.
+    is_adopted : bool
+    rivals : tuple of Row
+        What is not told apart from it, the likeliest first.
+    is_fact : bool
+        Whether the form of the best is told apart from all rivals.
+    """
+
+    verdict: str
+    reason: str
+    best: object = None
+    is_adopted: bool = False
+    rivals: tuple = ()
+    is_fact: bool = False
+
+
+def decide(table, criteria=None):
+    """Decide from a table alone.
+
+    Parameters
+    ----------
+    table : HypothesisTable
+    criteria : Criteria, optional
+
+    Returns
+    -------
+    Decision
+    """
+    criteria = criteria or Criteria()
+    if not table.base.is_fit:
+        return Decision("cannot tell", "declared_model_not_fitted")
+    if not table.p_value <= criteria.alpha:
+        return Decision("nothing missing", "not_significant")
+    candidates = table.candidates
+    if not candidates:
+        return Decision("seen, not adopted", "no_candidate_fits")
+    best = candidates[0]
+    noise = next((row for row in candidates if row.code == "noise"), None)
+    if noise is not None and best.log_posterior - noise.log_posterior < criteria.noise_nats:
+        return Decision("the noise is not as assumed", "noise_explains", noise, True)
+    rivals = tuple(
+        row for row in _comparable(table)
+        if row.id != best.id and _is_rival(row, best, criteria)
+    )  # fmt: skip
+    if best.log_posterior <= table.base.log_posterior:
+        return Decision("seen, not adopted", "no_better_than_before", best, False, rivals)
+    if _is_refused(best, criteria):
+        return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
+    tied = [
+        row for row in rivals
+        if kind_of(row) != kind_of(best)
+        and best.log_posterior - row.log_posterior < criteria.tie_nats
+    ]  # fmt: skip
+    is_fact = not any(abs(row.chisqr - best.chisqr) < criteria.separation for row in rivals)
+    if tied:
+        return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
+    return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
+
+
+def kind_of(row):
+    """Whether a row says something of the measurement, of a hidden body, or of forces."""
+    if row.code in INSTRUMENT:
+        return "measurement"
+    return row.code if row.code in ("hidden_body", "noise") else "force"
+
+
+def _comparable(table):
+    rows = [r for r in table.rows[1:] if r.is_fit or r.status == "scored"]
+    return sorted(rows, key=lambda r: -r.log_posterior)
+
+
+def _is_rival(row, best, criteria):
+    likely = best.log_posterior - row.log_posterior < criteria.class_nats
+    # What is unlikely beforehand, and explains the data as well, is not ruled out either.
+    equal = best.log_evidence - row.log_evidence < criteria.equal_nats
+    return row.chisqr - best.chisqr < criteria.separation and (likely or equal)
+
+
+def _is_refused(best, criteria):
+    """Whether scenes that were left out speak against the best."""
+    held_out = best.held_out
+    if not held_out.gain == held_out.gain:  # nan: none were left out
+        return False
+    return held_out.gain + 2 * held_out.se < criteria.promise * held_out.promised

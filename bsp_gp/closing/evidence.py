@@ -1,0 +1,72 @@
+"""The one evidence by which hypotheses are compared, in nats, free of units.
+
+Laplace's approximation over everything that was fitted. A strength is as likely in every factor of
+ten of what the data could show (log-uniform); an exponent is normal about what was declared. No
+prior names metres or seconds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bsp_gp.fitting.starts import roles_of
+
+__all__ = ["log_evidence"]
+
+DECADES = 3.0
+"""Factors of ten over which a strength may lie."""
+EXPONENT_WIDTH = 2.0
+"""Standard deviation of an exponent."""
+LEAST = 2.0
+"""Strengths are no likelier below so many standard errors."""
+TURN = 2.0 * math.pi
+
+
+def log_evidence(fit, hypothesis):
+    """Log-evidence of a fit, nats; -inf of a failed one.
+
+    Parameters
+    ----------
+    fit : Fit
+    hypothesis : Hypothesis
+        That was fitted; its parameters may have priors of their own.
+    """
+    if fit.is_failed:
+        return -math.inf
+    total = fit.log_likelihood + fit.state_volume
+    if hypothesis is not None:
+        total += hypothesis.log_density
+    # Numbers of the noise beyond its levels, each known to about the root of the rows.
+    n_more = sum(p.is_free and not p.name.startswith("sigma_") for p in fit.noise.parameters)
+    total -= 0.5 * n_more * math.log(max(fit.n_rows, 2))
+    if not len(fit.values):
+        return total
+    covariance = fit.covariance
+    known = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
+    inner = covariance[np.ix_(known, known)]
+    size = np.sqrt(np.diag(inner))
+    _, volume = np.linalg.slogdet(inner / np.outer(size, size))
+    total += 0.5 * (volume + len(size) * math.log(TURN))
+    roles = roles_of(fit.law)
+    values = fit.values[known]
+    numbers = [p for p, is_known in zip(hypothesis.parameters, known, strict=True) if is_known]
+    for number, value, error in zip(numbers, values.tolist(), size.tolist(), strict=True):
+        total += math.log(error)
+        if number.prior is None:
+            total += _log_prior(roles[number.name], abs(value), error)
+        else:
+            centre, scale = number.prior
+            total -= math.log(math.pi * scale * (1 + ((value - centre) / scale) ** 2))
+    return float(total)
+
+
+def _log_prior(role, value, error):
+    """Logarithm of the prior density of a number, in the units of its own."""
+    if role == "exponent":
+        return -0.5 * (value / EXPONENT_WIDTH) ** 2 - math.log(EXPONENT_WIDTH * math.sqrt(TURN))
+    if role == "phase":
+        return -math.log(max(TURN, error))
+    # Log-uniform, both signs.
+    return -math.log(2.0 * DECADES * math.log(10.0) * max(value, LEAST * error))

@@ -1,0 +1,142 @@
+"""Rounds as text and back, so that a run that was interrupted goes on from them.
+
+What was fitted is not kept: fits are made without chance, and made again they are the same.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+
+from bsp_gp.closing.loop import Round
+from bsp_gp.closing.proposal import Family
+from bsp_gp.errors import DataError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.language.formula import Formula
+from bsp_gp.physics.force import ForceLaw
+
+__all__ = ["joined_texts", "rounds_from", "text_of"]
+
+BARE = ("entering", "fits", "families")
+"""Fields of a round that are made again."""
+
+
+def text_of(rounds):
+    """Rounds as JSON text.
+
+    Parameters
+    ----------
+    rounds : sequence of Round
+    """
+    out = []
+    for done in rounds:
+        best = done.decision.best
+        kept = {
+            "hypotheses": {} if best is None else {best.id: done.hypotheses[best.id]},
+            "proposals": {} if best is None else {best.id: done.proposals[best.id]},
+            "families": tuple((f.name, f.certificate) for f in done.families),
+        }
+        names = [f.name for f in fields(Round) if f.name not in (*BARE, *kept)]
+        out.append(_packed({**{name: getattr(done, name) for name in names}, **kept}))
+    return json.dumps(out)
+
+
+def joined_texts(texts):
+    """The rounds of several texts as one text; None is no rounds."""
+    return json.dumps([each for text in texts if text is not None for each in json.loads(text)])
+
+
+def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None):
+    """Rounds of `text_of`, their fits made again.
+
+    Parameters
+    ----------
+    text : str
+    hypothesis : Hypothesis
+        The declared one.
+    dataset : Dataset
+        Training scenes.
+    starts, bounds : dict, optional
+        As of `run_rounds`.
+
+    Raises
+    ------
+    DataError
+        If the text is none of this version.
+    """
+    found, rounds = fit(hypothesis, dataset, starts=starts, bounds=bounds), []
+    try:
+        kept = [_unpacked(each) for each in json.loads(text)]
+    except (ValueError, TypeError, KeyError, AttributeError, ImportError) as error:
+        raise DataError("kept rounds cannot be read", remedy="start anew") from error
+    for each in kept:
+        fits = {0: found}
+        for number, proposal in each["proposals"].items():
+            mine = {p.name for p in proposal.hypothesis.parameters}
+            limits = {name: pair for name, pair in (bounds or {}).items() if name in mine}
+            fits[number] = fit(
+                proposal.hypothesis, dataset, starts=proposal.starts,
+                bounds={**limits, **proposal.bounds},
+            )  # fmt: skip
+        each["hypotheses"] = {0: hypothesis, **each["hypotheses"]}
+        each["families"] = tuple(Family(name, certificate=c) for name, c in each["families"])
+        done = Round(entering=found, fits=fits, **each)
+        rounds.append(done)
+        found, hypothesis = done.after, done.continuing
+    return rounds
+
+
+def _packed(value):
+    """What JSON can hold of a value; floats keep every bit."""
+    if value is None or isinstance(value, str | bool):
+        return value
+    if hasattr(value, "dtype"):
+        value = value.item()
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        return {"f": value.hex()}
+    if isinstance(value, tuple | list):
+        return [_packed(v) for v in value]
+    if isinstance(value, Mapping):
+        return {"d": [[_packed(k), _packed(v)] for k, v in value.items()]}
+    if isinstance(value, Formula | ForceLaw | Fraction):
+        kind, arguments, *_ = value.__reduce__()
+        return {"c": _name(kind), "a": [_packed(v) for v in arguments]}
+    if is_dataclass(value):
+        own = {f.name: _packed(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {"c": _name(type(value)), "k": own}
+    raise TypeError(f"{type(value).__name__} cannot be kept")
+
+
+def _unpacked(value):
+    if isinstance(value, list):
+        return tuple(_unpacked(v) for v in value)
+    if not isinstance(value, dict):
+        return value
+    if "f" in value:
+        return float.fromhex(value["f"])
+    if "d" in value:
+        return {_unpacked(k): _unpacked(v) for k, v in value["d"]}
+    kind = _kind(value["c"])
+    if "a" in value:
+        return kind(*map(_unpacked, value["a"]))
+    return kind(**{name: _unpacked(v) for name, v in value["k"].items()})
+
+
+def _name(kind):
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _kind(name):
+    """A class of this package by its name; no others are made."""
+    module, _, own = name.partition(":")
+    if name == _name(Fraction):
+        return Fraction
+    kind = getattr(importlib.import_module(module), own) if module.startswith("bsp_gp.") else None
+    if not (isinstance(kind, type) and (is_dataclass(kind) or issubclass(kind, Formula))):
+        raise TypeError(f"{name} is nothing that is kept")
+    return kind

@@ -1,0 +1,293 @@
+"""Closing the loop: propose, fit, compare, decide, until nothing is missing or can be named."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bsp_gp.closing.clock import Clock, TimeIsUp
+from bsp_gp.closing.criteria import Criteria
+from bsp_gp.closing.decide import decide
+from bsp_gp.closing.evidence import log_evidence
+from bsp_gp.closing.proposal import continued
+from bsp_gp.closing.questions import hidden_bound, noise_findings
+from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.closing.view import View, selected
+from bsp_gp.fitting.fit import fit
+
+__all__ = ["Round", "run_rounds"]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One turn of the loop.
+
+    Attributes
+    ----------
+    number : int
+    entering : Fit
+    table : HypothesisTable
+    decision : Decision
+    fits : dict of int to Fit
+        By the id of the row.
+    hypotheses : dict of int to Hypothesis
+    families : tuple of Family
+    proposals : dict of int to Proposal
+    seconds : float
+    left_out : tuple of str
+        What there was no time for, of `LEFT_OUT`.
+    detectable : float, m/s^2
+        Least constant acceleration that would have been seen, see `View.detectable`.
+    noise_findings, varies_with : tuple
+    hidden_bound, trace : object or None
+        What else was asked of the fit that enters.
+    """
+
+    number: int
+    entering: object
+    table: HypothesisTable
+    decision: object
+    fits: dict
+    hypotheses: dict
+    families: tuple
+    proposals: dict = field(default_factory=dict)
+    seconds: float = 0.0
+    left_out: tuple = ()
+    detectable: float = np.nan
+    noise_findings: tuple = ()
+    varies_with: tuple = ()
+    hidden_bound: object = None
+    trace: object = None
+
+    @property
+    def continuing(self):
+        """The hypothesis to go on with."""
+        best = self.decision.best
+        return self.hypotheses[best.id if self.decision.is_adopted else 0]
+
+    @property
+    def after(self):
+        """The fit to go on with."""
+        if self.decision.is_adopted:
+            return self.fits[self.decision.best.id]
+        return self.entering
+
+
+def run_rounds(
+    hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
+    clock=None, on_round=None, earlier=None, progress=None,
+):  # fmt: skip
+    """Rounds up to the first that adopts nothing.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        What is declared.
+    dataset : Dataset
+        Training scenes.
+    proposers : sequence
+        With ``propose(view) -> Family``.
+    rng : numpy.random.Generator
+    criteria : Criteria, optional
+    max_rounds : int
+    starts, bounds : dict, optional
+        Of the constants of what is declared.
+    clock : Clock, optional
+        Ends a round in which something must be left out; such a round adopts nothing.
+    on_round : callable, optional
+        ``on_round(round)`` after every round.
+    earlier : sequence of Round, optional
+        That a run before this one has made; one that its time limit has cut is made again.
+    progress : callable, optional
+
+    Returns
+    -------
+    list of Round
+    """
+    run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
+               progress or (lambda text: None))  # fmt: skip
+    rounds = [done for done in earlier or () if not done.left_out]
+    if rounds:
+        found, hypothesis = rounds[-1].after, rounds[-1].continuing
+    else:
+        run.says("fitting the declared model")
+        found = fit(hypothesis, dataset, starts=starts, bounds=bounds, deadline=run.clock.left)
+    for number, stream in enumerate(rng.spawn(max_rounds), 1):
+        if number <= len(rounds):
+            continue
+        if rounds and not rounds[-1].decision.is_adopted:
+            break
+        done = run.round(number, hypothesis, found, stream)
+        rounds.append(done)
+        if on_round is not None:
+            on_round(done)
+        found, hypothesis = done.after, done.continuing
+    return rounds
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What all rounds share."""
+
+    dataset: object
+    proposers: tuple
+    criteria: Criteria
+    bounds: dict
+    clock: Clock
+    says: object
+
+    def round(self, number, hypothesis, found, rng):
+        started = time.monotonic()
+        turn = _Turn(self, found, hypothesis)
+        asked = {}
+        if turn.rows[0].is_fit:
+            view = View(found, continued(hypothesis, found), self.dataset, rng)
+            view.tick = self.clock.tick
+            turn.propose(number, view)
+            asked = self.asked(view)
+            turn.p_value = _p_of_all(turn.families, view)
+            if turn.p_value <= self.criteria.alpha:
+                turn.fit_best()
+        turn.note_time("fits")
+        table = HypothesisTable(tuple(turn.rows), turn.p_value)
+        table = table.without_repeats().with_probabilities()
+        decision = decide(table, self.criteria)
+        if turn.left_out:  # what was not looked at might have changed it
+            nothing = {"is_adopted": False, "is_fact": False}
+            decision = replace(decision, verdict="cannot tell", reason="time_is_up", **nothing)
+        return Round(
+            number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
+            turn.proposals, time.monotonic() - started, tuple(turn.left_out), **asked,
+        )  # fmt: skip
+
+    def asked(self, view):
+        """What else is asked of the fit that enters, by names of `Round`."""
+        alpha = self.criteria.alpha
+        found = tuple(f for f in noise_findings(view) if f.p_value <= alpha)
+        return {
+            "detectable": view.detectable(alpha), "noise_findings": found,
+            "hidden_bound": hidden_bound(view),
+        }  # fmt: skip
+
+
+class _Turn:
+    """Rows, fits and families of a round while it runs."""
+
+    def __init__(self, run, found, hypothesis):
+        self.run, self.base = run, found
+        base = (found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
+        self.rows = [Row(0, "base", "", "", *base)]
+        self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
+        self.families, self.left_out, self.p_value = [], [], np.nan
+
+    def note_time(self, code):
+        """Note what may be left out; whether the time is up."""
+        if self.run.clock.is_over and code not in self.left_out:
+            self.left_out.append(code)
+        return self.run.clock.is_over
+
+    def propose(self, number, view):
+        """Ask all proposers for which there is time."""
+        for proposer in self.run.proposers:
+            if self.note_time("proposers"):
+                break
+            self.run.says(f"round {number}: {proposer.name}")
+            try:
+                self.families.append(proposer.propose(view))
+            except TimeIsUp:
+                self.note_time("proposers")
+
+    def fit_best(self):
+        """Fit the likeliest proposals of all families; what lies near gets rows without a fit."""
+        criteria = self.run.criteria
+        every = sorted(
+            ((f.name, p) for f in self.families for p in f.proposals),
+            key=lambda pair: -pair[1].promise,
+        )
+        offset = -math.inf
+        controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
+        chosen = [pair for pair in _chosen(every, criteria) if pair not in controls]
+        for source, proposal in [*controls, *chosen]:
+            if self.note_time("fits"):
+                break
+            row = self._fitted(source, proposal)
+            if (source, proposal) not in controls:
+                offset = max(offset, row.log_posterior - proposal.promise)
+        if not math.isfinite(offset):
+            return
+        # What was scored only is told in the terms of what was fitted.
+        least = max(row.log_posterior for row in self.rows[1:]) - offset - criteria.class_nats
+        equal = max(row.log_evidence for row in self.rows[1:]) - offset - criteria.equal_nats
+        known = {row.key for row in self.rows}
+        for source, proposal in every:
+            is_near = proposal.promise > least or 0.5 * proposal.gain > equal
+            if is_near and proposal.key not in known:
+                known.add(proposal.key)
+                self._add(
+                    source, proposal, "scored", offset + 0.5 * proposal.gain,
+                    self.base.chisqr - proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
+                )  # fmt: skip
+
+    def _fitted(self, source, proposal):
+        """Fit a proposal and add its row."""
+        self.run.says(f"fitting {proposal.text}")
+        hypothesis = proposal.hypothesis
+        names = {p.name for p in hypothesis.parameters}
+        bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
+        new = fit(
+            hypothesis, self.run.dataset, starts=proposal.starts,
+            bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
+        )  # fmt: skip
+        self.fits[len(self.rows)] = new
+        return self._add(
+            source, proposal, new.status, log_evidence(new, hypothesis), new.chisqr, new.n_free,
+            held_out_gain(self.base, new),
+        )  # fmt: skip
+
+    def _add(self, source, proposal, status, evidence, chisqr, n_free, held_out):
+        """Add the row of a proposal."""
+        number = len(self.rows)
+        self.hypotheses[number], self.proposals[number] = proposal.hypothesis, proposal
+        self.rows.append(
+            Row(
+                number, proposal.code, proposal.text, source, status, evidence,
+                proposal.log_prior, chisqr, n_free, held_out, key=proposal.key,
+                ties=proposal.texts_of_ties,
+            )
+        )  # fmt: skip
+        return self.rows[-1]
+
+
+def _p_of_all(families, view):
+    """Chance that noise alone shows as much in any family."""
+    chances = [
+        selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
+        for f in families
+        if f.n_tried or f.rank
+    ]
+    if not chances:
+        return 1.0
+    return float(-np.expm1(len(chances) * np.log1p(-min(min(chances), 1 - 1e-16))))
+
+
+def _chosen(every, criteria):
+    """The proposals that are fitted: those near the best, and the first of other families.
+
+    A family's first may be a part of the best's promise behind: promises are linear.
+    """
+    top = every[0][1].promise if every else 0.0
+    near, far = top - criteria.fitted_nats, (1 - criteria.nonlinear) * top - criteria.fitted_nats
+    chosen, families, keys = [], set(), set()
+    for name, proposal in every:
+        if len(chosen) == criteria.most_fits:
+            break
+        is_near = proposal.promise > (near if name in families else far)
+        if is_near and (proposal.key not in keys or proposal.starts):
+            chosen.append((name, proposal))
+            families.add(name)
+            keys.add(proposal.key)
+    return chosen
+

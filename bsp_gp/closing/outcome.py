@@ -1,0 +1,279 @@
+"""What the loop returns: codes and numbers of every round, the final law, and why it stopped.
+
+`LoopReport.to_dict` is ``report.json``, schema "bsp_gp/report/2". All ``low``/``high`` are 90 %
+intervals. Words are made of this in the room of reports.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from bsp_gp.closing.accounts import Ratio
+from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
+
+__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
+
+SCHEMA = "bsp_gp/report/2"
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What is left above the noise.
+
+    Attributes
+    ----------
+    statistic : float
+        Whitened sum of squares per degree of freedom of the fit that enters.
+    p_value : float
+        Chance that noise alone shows as much in the best of everything that was tried; nan where
+        that fit failed.
+    detectable : float
+        Least constant acceleration, one for all bodies, that would have been seen with 95 %
+        power on every axis, `unit`.
+    unit : str
+    """
+
+    statistic: float
+    p_value: float
+    detectable: float = math.nan
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """The likeliest cause of a round.
+
+    Attributes
+    ----------
+    name : str
+        What it adds, as text.
+    code : str
+        One of `CAUSES`.
+    kind : str
+        pair | field | hidden_body | measurement | declared_term_change | noise.
+    law, latex : str
+        The term that it adds; "" where it is no force.
+    entities : tuple of str
+        Bodies on which it acts.
+    constants : tuple of ConstantEstimate
+        That it brought in.
+    p_value, probability : float
+        Selection counted; over the table of the round.
+    equivalents : tuple of str
+        What these data cannot tell from it, the likeliest first.
+    is_fact : bool
+        Whether its form is told apart from all rivals.
+    formula : Formula or None
+    """
+
+    name: str
+    code: str
+    kind: str
+    law: str
+    latex: str
+    entities: tuple[str, ...]
+    constants: tuple[ConstantEstimate, ...]
+    p_value: float
+    probability: float
+    equivalents: tuple[str, ...] = ()
+    is_fact: bool = False
+    formula: object = field(default=None, repr=False, compare=False)
+
+    def to_dict(self):
+        """Everything but the formula."""
+        kept = [name for name in self.__dataclass_fields__ if name != "formula"]
+        return {name: getattr(self, name) for name in kept}
+
+
+@dataclass(frozen=True)
+class RoundRecord:
+    """One round as it is reported.
+
+    Attributes
+    ----------
+    number : int
+    missing : Missing
+    effect : Effect or None
+    hypotheses : tuple of dict
+        Rows of the table of the round.
+    varies_with, noise_findings : tuple of dict
+        ``{term, variable, p_value}``, ``{code, scene, entity, row}``.
+    hidden_bound : dict or None
+        ``{snr, force, unit, percent}``.
+    adopted : bool
+    verdict, reason : str
+        Codes.
+    before, after, floor : Errors
+        `before` is the model that enters; `after` is None where nothing was fitted beside it. One
+        floor, that of the last law, serves all rounds.
+    ratio : Ratio
+    held_out : tuple of dict
+        ``{scene, before, after}`` of the position errors.
+    certificate : str
+    seconds : float
+    trace : object or None
+    """
+
+    number: int
+    missing: Missing
+    effect: Effect | None
+    hypotheses: tuple
+    adopted: bool
+    verdict: str
+    reason: str
+    before: Errors
+    after: Errors | None
+    floor: Errors
+    ratio: Ratio
+    held_out: tuple = ()
+    varies_with: tuple = ()
+    noise_findings: tuple = ()
+    hidden_bound: object = None
+    certificate: str = ""
+    seconds: float = 0.0
+    trace: object = None
+
+    def to_dict(self):
+        """One entry of `rounds`."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        fields["effect"] = self.effect.to_dict() if self.effect is not None else None
+        return fields
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """One held-out entity: what was observed and what the two models predict.
+
+    Attributes
+    ----------
+    scene, entity : str
+    times : ndarray, shape (T,), s
+    observed, declared, adopted : ndarray, shape (T, d), metres
+        nan where there is none. `declared` and `adopted` start from the states fitted on the
+        first `n_initial` rows.
+    n_initial : int
+    """
+
+    scene: str
+    entity: str
+    times: object
+    observed: object
+    declared: object
+    adopted: object
+    n_initial: int
+
+
+@dataclass(frozen=True, eq=False)
+class LoopReport:
+    """Everything that a run of the loop found out.
+
+    Attributes
+    ----------
+    dataset : dict
+        name, n_scenes, n_rows, n_entities, n_dims, train, test, split, units, up, provenance,
+        fingerprint, notes.
+    declared : tuple of dict
+        ``{"law", "latex"}`` of every declared term.
+    grammar : dict
+        name, fingerprint.
+    search : str
+    seed : int or None
+    criteria : dict
+        Of `Criteria`, by name; `alpha` is one of them.
+    noise : dict
+        sigma (per axis), unit, source, correlation_time, tails.
+    rounds : tuple of RoundRecord
+    law : ForceLaw
+        The final law with its constants.
+    law_text, law_latex : str
+    constants : tuple of ConstantEstimate
+        Of the final law.
+    total : dict
+        before, after, floor (Errors) and ratio (Ratio) of declared and final law; ratios by
+        metric.
+    verdict : str
+        The first of `VERDICTS` that any round gave.
+    probability : float
+        Of the cause that gave the verdict; nan where there is none.
+    equivalents : tuple of str
+        What is not told apart from it.
+    stop_reason : str
+    left_out : tuple of str
+        What there was no time for; none where the run is complete.
+    n_fits : int
+    versions : dict
+    wall_s : float
+    overlays : tuple of Overlay
+    residuals : DataFrame or None
+        See `bsp_gp.closing.writing_up.residual_table`.
+    fit, hypothesis : Fit, Hypothesis
+        The last ones.
+    """
+
+    dataset: dict
+    declared: tuple
+    grammar: dict
+    search: str
+    seed: object
+    criteria: dict
+    noise: dict
+    rounds: tuple[RoundRecord, ...]
+    law: object
+    law_text: str
+    law_latex: str
+    constants: tuple[ConstantEstimate, ...]
+    total: dict
+    verdict: str
+    probability: float
+    equivalents: tuple[str, ...]
+    stop_reason: str
+    left_out: tuple[str, ...]
+    n_fits: int
+    versions: dict
+    wall_s: float
+    overlays: tuple[Overlay, ...] = field(default=(), repr=False)
+    residuals: object = field(default=None, repr=False)
+    fit: object = field(default=None, repr=False)
+    hypothesis: object = field(default=None, repr=False)
+
+    @property
+    def alpha(self):
+        return self.criteria["alpha"]
+
+    @property
+    def complete(self):
+        """Whether nothing was left out for want of time."""
+        return not self.left_out
+
+    def to_dict(self):
+        """The contents of report.json: plain dicts, lists, numbers and None for nan."""
+        total = {name: self.total[name] for name in ("before", "after", "floor", "ratio")}
+        kept = (
+            "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
+            "verdict", "probability", "equivalents", "stop_reason", "complete", "left_out",
+            "n_fits", "versions", "wall_s",
+        )  # fmt: skip
+        law = {"text": self.law_text, "latex": self.law_latex, "constants": self.constants}
+        return plain(
+            {
+                "schema": SCHEMA,
+                **{name: getattr(self, name) for name in kept},
+                "rounds": [done.to_dict() for done in self.rounds],
+                "law": law,
+                "total": total,
+            }
+        )
+
+    def table(self):
+        """Every hypothesis of every round as a DataFrame, one row each."""
+        import pandas as pd
+
+        rows = []
+        for done in self.rounds:
+            for row in done.hypotheses:
+                held_out = {f"held_out_{k}": v for k, v in row["held_out"].items()}
+                flat = {k: v for k, v in row.items() if k != "held_out"}
+                rows.append({"round": done.number, **flat, **held_out})
+        return pd.DataFrame(rows)
+

@@ -1,0 +1,155 @@
+"""Declared terms with a power of distance or speed that is not quite right, or another number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.language.formula import Call, Constant, Number, factors
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import ForceLaw, Term
+
+__all__ = ["Declared"]
+
+LOG_PRIOR = -3.0
+"""Of a changed exponent or number: as likely beforehand as the simplest laws of a grammar."""
+MIN_SPREAD = 1e-3
+"""Relative spread of a quantity below which its power cannot be seen."""
+
+
+class Declared:
+    """Exponents and numbers of declared terms as a proposer."""
+
+    name = "declared"
+
+    def propose(self, view):
+        """The family of changed exponents and numbers.
+
+        Parameters
+        ----------
+        view : View
+        """
+        proposals, null = [], np.zeros(view.moment_draws.shape[1])
+        law = view.fit.law
+        for index, term in enumerate(law.terms):
+            if not term.is_declared:
+                continue
+            for base, power, typical in _powers(view, term):
+                ratio = Call("div", base, Number(typical, base.type.unit))
+                slope = Call("mul", Call("log", ratio), term.formula)
+                score, chance = self._scored(view, Term(slope, term.kind))
+                null = np.maximum(null, chance)
+                if score.rank:
+                    proposals.append(self._exponent(view, index, base, power, typical, score))
+            if not term.formula.constants:
+                score, chance = self._scored(view, term)
+                null = np.maximum(null, chance)
+                if score.rank:
+                    proposals.append(self._number(view, index, score))
+        proposals.sort(key=lambda p: -p.promise)
+        best = max(proposals, key=lambda p: p.gain, default=None)
+        return Family(
+            self.name, tuple(proposals), best.gain if best else 0.0, best.rank if best else 0,
+            null, n_tried=len(proposals),
+        )  # fmt: skip
+
+    def _scored(self, view, term):
+        """Score of a term with the constants of the law, and its gains on noise."""
+        law = view.fit.law
+        known = {name: law.constants[name] for name in term.formula.constants}
+        column = view.response.moments_of(ForceLaw((term,), known))[:, None]
+        return view.score_forces(column), view.null_forces(column)
+
+    def _exponent(self, view, index, base, power, typical, score):
+        law = view.fit.law
+        term = law.terms[index]
+        name = fresh_name(law, "n")
+        unit = Number(typical, base.type.unit, f"{typical:.3g} [{base.type.unit}]")
+        factor = Call("pow", Call("div", base, unit), Constant(name))
+        freed = replace(term, formula=Call("mul", factor, term.formula))
+        return Proposal(
+            "exponent", f"exponent of {to_text(base)} in {to_text(term.formula)}",
+            _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
+            LOG_PRIOR, score.statistic, starts={name: float(score.amplitudes[0])},
+        )  # fmt: skip
+
+    def _number(self, view, index, score):
+        law = view.fit.law
+        term = law.terms[index]
+        name = fresh_name(law, "s")
+        factor = Call("add", Number(1.0), Constant(name))
+        freed = replace(term, formula=Call("mul", factor, term.formula))
+        return Proposal(
+            "number", f"number of {to_text(term.formula)}",
+            _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
+            LOG_PRIOR, score.statistic, starts={name: float(score.amplitudes[0])},
+        )  # fmt: skip
+
+
+def _with_term_at(hypothesis, index, term, constants):
+    """The hypothesis with one of its terms, counted over all parts, in another form."""
+    parts, seen = [], 0
+    for part in hypothesis.parts:
+        if isinstance(part, Forces):
+            count = len(part.law.terms)
+            if seen <= index < seen + count:
+                terms = list(part.law.terms)
+                terms[index - seen] = term
+                part = replace(
+                    part, law=ForceLaw(tuple(terms), {**part.law.constants, **constants})
+                )
+            seen += count
+        parts.append(part)
+    return Hypothesis(tuple(parts))
+
+
+def _powers(view, term):
+    """Factors of a term that change with the motion: (base, power, typical value)."""
+    found = {}
+    for sign, parts in zip((1, -1), factors(term.formula), strict=True):
+        for part in parts:
+            base, power = _base(part, sign)
+            is_scalar = part.type.shape == "scalar" and not part.constants
+            if is_scalar and any(not property_of(name) for name in base.inputs):
+                found[base] = found.get(base, 0) + power
+    for base, power in found.items():
+        if isinstance(base, Call) and base.operator in ("norm", "abs"):
+            typical = _typical(view, term, base)
+            if typical is not None:
+                yield base, power, typical
+
+
+def _base(part, power):
+    while isinstance(part, Call):
+        if part.operator == "square":
+            power, part = 2 * power, part.args[0]
+        elif part.operator == "inverse":
+            power, part = -power, part.args[0]
+        elif part.operator == "pow" and isinstance(part.args[1], Number):
+            power, part = power * part.args[1].value, part.args[0]
+        else:
+            break
+    return part, power
+
+
+def _typical(view, term, base):
+    """Typical value of a factor where the term acts, to three digits; None if it hardly varies."""
+    regression, constants = view.response.regression, view.fit.law.constants
+    ratios = []
+    with_base = Term(Call("mul", base, term.formula), term.kind, True)
+    for batch in regression.batches:
+        plain, more = (
+            np.linalg.norm(regression.predict(batch, ForceLaw((t,), constants)), axis=-1)
+            for t in (term, with_base)
+        )
+        acts = (plain > 0) & batch.valid.any(axis=-1)
+        ratios.append(more[acts] / plain[acts])
+    ratios = np.concatenate(ratios)
+    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
+    if not len(ratios) or np.ptp(np.log(ratios)) < MIN_SPREAD:
+        return None
+    return float(f"{np.median(ratios):.3g}")

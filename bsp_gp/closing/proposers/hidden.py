@@ -1,0 +1,234 @@
+"""A body that no track shows: places far and near, each with the pull that visible bodies have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of
+from bsp_gp.language.formula import evaluate
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.bodies import dataset_types, law_inputs
+from bsp_gp.physics.force import ForceLaw, Term
+
+__all__ = ["Hidden"]
+
+LOG_PRIOR = -4.0
+"""Of an unseen source: its place and strength pay for themselves in the evidence."""
+FARTHEST = 30.0
+"""Places are sought up to so many sizes of the data from their middle."""
+N_NEAR, N_RINGS, N_WAYS = 21, 12, 36
+"""Places along an axis within twice the data, distances beyond, and directions of each."""
+ALIKE = 0.95
+"""Correlation of moments above which two places are one start."""
+N_STARTS = 2
+CHUNK = 1 << 22
+"""Numbers in one array at a time."""
+PULLS = (
+    "m_i * norm(p_j - p_i)^-2 * normalize(p_j - p_i)",
+    "p_j - p_i",
+)
+"""Where no law says how a source acts: a pull falling with distance, a spring to a rest point."""
+
+
+class Hidden:
+    """Unseen sources as a proposer."""
+
+    name = "hidden"
+
+    def propose(self, view):
+        """The family of sources at rest, and for a single recording of moving ones.
+
+        Parameters
+        ----------
+        view : View
+        """
+        stage = _Stage(view)
+        null = np.zeros(view.moment_draws.shape[1])
+        proposals, n_tried = [], 0
+        draws = view.beside(view.moment_draws)
+        for terms in _pulls(view, stage.names):
+            columns = np.concatenate([stage.columns(terms, part) for part in stage.chunks], axis=1)
+            rows = view.beside(columns)
+            size = np.square(rows).sum(axis=0)
+            good = size > 1e-8 * np.square(columns).sum(axis=0)
+            unit = np.where(good, rows / np.sqrt(np.where(good, size, 1.0)), 0.0)
+            gains = np.square(unit.T @ view.left)
+            null = np.maximum(null, np.square(unit.T @ draws).max(axis=0))
+            n_tried += len(gains)
+            for k in _apart(unit, gains):
+                strength = float(unit[:, k] @ view.left / np.sqrt(size[k]))
+                proposals += stage.proposals(terms, k, strength, float(gains[k]))
+        proposals.sort(key=lambda p: -p.promise)
+        best = max((p.gain for p in proposals), default=0.0)
+        return Family(
+            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
+            is_continuum=True,
+        )  # fmt: skip
+
+
+def _pulls(view, names):
+    """Sets of terms by which one source may act."""
+    strength = fresh_name(view.fit.law, "M")
+    law, columns = view.fit.law, {}
+    for term in law.terms:
+        pull = pull_of(term, strength, names) if term.kind == "pair" else None
+        if pull is not None:
+            of_source = sorted(
+                n for n in term.formula.inputs if n.endswith("_j") and n[0] not in "pv"
+            )
+            columns.setdefault(tuple(of_source), []).append((term, pull))
+    if columns:
+        return [tuple(both) for both in columns.values()]
+    types = {**dataset_types(view.dataset)}
+    from bsp_gp.language.inputs import STATE_INPUTS
+
+    types |= {name: STATE_INPUTS[name] for name in ("p_j", "v_j")}
+    out = []
+    for text in PULLS:
+        term = Term(parse_formula(text, types), "pair")
+        out.append(((term, pull_of(term, strength, names)),))
+    return out
+
+
+class _Stage:
+    """Places at which a source is sought."""
+
+    def __init__(self, view):
+        self.view = view
+        batches = view.response.regression.batches
+        shown = [b.positions[b.valid.any(axis=(2, 3))] for b in batches]
+        places = np.concatenate([p.reshape(-1, p.shape[-1]) for p in shown])
+        low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+        self.middle, self.size = (low + high) / 2, float(np.max(high - low)) / 2 or 1.0
+        v = np.concatenate([b.velocities[b.valid.any(axis=(2, 3))].ravel() for b in batches])
+        self.speed = float(np.sqrt(np.nanmean(np.square(v)))) or 1.0
+        self.n_dims = len(self.middle)
+        law = view.fit.law
+        self.names = tuple(fresh_name(law, f"h_{axis}") for axis in "xyz"[: self.n_dims])
+        self.places = self.middle + self.size * _grid(self.n_dims)
+        per_place = sum(b.target.size for b in batches)
+        step = max(CHUNK // per_place, 1)
+        self.chunks = [self.places[k : k + step] for k in range(0, len(self.places), step)]
+
+    def columns(self, terms, places):
+        """Moments of the pull of unit strength from places (C, d), (n, C)."""
+        view = self.view
+        constants = {
+            name: value
+            for name, value in view.fit.law.constants.items()
+            if not hasattr(value, "items")
+        }
+        constants |= dict(zip(self.names, places.T, strict=True))
+        constants |= {name: 1.0 for _, pull in terms for name in pull.formula.constants
+                      if name not in constants}  # fmt: skip
+        parts = []
+        for batch in view.response.regression.batches:
+            lookup = _Spread(batch)
+            total = 0.0
+            for _, pull in terms:
+                force = evaluate(pull.acceleration_formula, lookup, constants)
+                if pull.needs_mass:
+                    force = force / lookup["m_i"][..., None]
+                total = total + force
+            shape = (*batch.target.shape[:3], len(places), self.n_dims)
+            total = np.broadcast_to(np.where(np.isfinite(total), total, 0.0), shape)
+            moments = batch.whiten(total)
+            parts.append(np.moveaxis(moments[:, :, 0, :, 0], -1, 0).reshape(len(places), -1))
+        return np.concatenate(parts, axis=1).T
+
+    def proposals(self, terms, k, strength, gain):
+        """A source at a place, at rest; in one recording also moving."""
+        view = self.view
+        place = self.places[k]
+        name = next(n for n in terms[0][1].formula.constants if n.startswith("M"))
+        starts = {name: strength, **dict(zip(self.names, map(float, place), strict=True))}
+        common = {"middle": tuple(map(float, self.middle)), "size": self.size, "speed": self.speed}
+        texts = " + ".join(to_text(term.formula) for term, _ in terms)
+        rest = ForceLaw(tuple(pull for _, pull in terms), _known(view, terms, starts))
+        part = HiddenSource(rest, None, self.names, (), **common)
+        out = [
+            Proposal(
+                "hidden_body", f"at rest: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
+                1 + self.n_dims, starts,
+            )
+        ]  # fmt: skip
+        if len(view.dataset.scenes) == 1:
+            out.append(self._moving(terms, starts, gain, common, texts))
+        return out
+
+    def _moving(self, terms, starts, gain, common, texts):
+        view = self.view
+        times = view.dataset.scenes[0].times
+        speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[: self.n_dims])
+        name = next(n for n in starts if n.startswith("M"))
+        epoch = float(times[0] + times[-1]) / 2
+        pulls = tuple(pull_of(term, name, self.names, speeds, epoch) for term, _ in terms)
+        starts = {**starts, **dict.fromkeys(speeds, 0.0)}
+        part = HiddenSource(
+            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **common
+        )
+        return Proposal(
+            "hidden_body", f"moving: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
+            1 + 2 * self.n_dims, starts,
+        )  # fmt: skip
+
+
+def _known(view, terms, starts):
+    """Constants of the pulls: those of the law, and where the others begin."""
+    names = {n for _, pull in terms for n in pull.formula.constants} | set(starts)
+    law = view.fit.law.constants
+    return {n: starts.get(n, law.get(n)) for n in names}
+
+
+class _Spread(Mapping):
+    """Inputs of field laws with an axis for candidates behind those of the rows."""
+
+    def __init__(self, batch):
+        self._inputs = law_inputs(
+            "field", batch.bodies, batch.positions, batch.velocities, batch.times
+        )
+
+    def __getitem__(self, name):
+        value = np.asarray(self._inputs[name])
+        if value.ndim == 1:  # a direction
+            return value
+        vector = name in ("p_i", "v_i")
+        return value[..., None, :] if vector else value[..., None]
+
+    def __iter__(self):
+        return iter(self._inputs)
+
+    def __len__(self):
+        return len(self._inputs)
+
+
+def _grid(n_dims):
+    """Places about the middle, in sizes of the data: a lattice near, rings far away."""
+    axis = np.linspace(-2.0, 2.0, N_NEAR if n_dims == 2 else N_NEAR // 2)
+    near = np.stack(np.meshgrid(*(axis,) * n_dims, indexing="ij"), axis=-1).reshape(-1, n_dims)
+    far = np.geomspace(2.0, FARTHEST, N_RINGS)
+    if n_dims == 2:
+        angle = 2 * np.pi * np.arange(N_WAYS) / N_WAYS
+        ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    else:
+        k = np.arange(3 * N_WAYS) + 0.5
+        polar, turn = np.arccos(1 - 2 * k / len(k)), np.pi * (1 + 5**0.5) * k
+        ways = np.stack(
+            [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1
+        )
+    return np.concatenate([near, (far[:, None, None] * ways).reshape(-1, n_dims)])
+
+
+def _apart(unit, gains):
+    """The best places that do not look alike."""
+    chosen = []
+    for k in np.argsort(-gains):
+        if len(chosen) == N_STARTS:
+            break
+        if all(abs(unit[:, k] @ unit[:, other]) < ALIKE for other in chosen):
+            chosen.append(int(k))
+    return chosen

@@ -1,0 +1,108 @@
+"""What a measurement may have done to places and times, every kind scored as columns on rows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+from threadpoolctl import threadpool_limits
+
+from bsp_gp.closing.proposal import Family, Proposal
+from bsp_gp.closing.view import gains
+from bsp_gp.fitting.parts.instrument import LARGE, Instrument
+from bsp_gp.fitting.tangent import instrument_columns
+
+__all__ = ["Measurement", "kinds_of"]
+
+LOG_PRIOR = -3.0
+"""Of a kind of error: as likely beforehand as the simplest laws of a grammar."""
+FRAMES = 3.0
+"""Delays and exposures that are believed, in median time steps."""
+FAR = 0.1
+"""Offsets that are believed, in half the width of the picture."""
+MOST_BODIES, MOST_SCENES = 6, 20
+"""Bodies and scenes up to which each is asked for a delay and a drift of its own."""
+
+
+class Measurement:
+    """Errors of the measurement as a proposer."""
+
+    name = "measurement"
+
+    def propose(self, view):
+        """The family of all kinds that make sense for the data.
+
+        Parameters
+        ----------
+        view : View
+        """
+        known = set(view.fit.law.constants)
+        parts = [p for p in kinds_of(view.dataset, view.fit) if known.isdisjoint(p.names)]
+        codes, tried = [part.code for part in parts], []
+        for part in parts:
+            with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
+                columns = instrument_columns(view.fit, part)
+            score = view.tangent.score(columns)
+            log_prior = LOG_PRIOR - math.log(codes.count(part.code))
+            proposal = _proposal(view, part, score, log_prior)
+            if proposal is not None:
+                by_chance = gains(view.tangent.projected(columns), view.row_draws)
+                tried.append((proposal, score, by_chance))
+        if not tried:
+            return Family(self.name)
+        best = min((score for _, score, _ in tried), key=lambda s: (s.p_value, -s.statistic))
+        chances = np.min([stats.chi2.sf(gain, score.rank) for _, score, gain in tried], axis=0)
+        null = stats.chi2.isf(chances, best.rank)
+        proposals = sorted((p for p, _, _ in tried), key=lambda p: -p.promise)
+        return Family(
+            self.name, tuple(proposals), best.statistic, best.rank, null, n_tried=len(tried)
+        )  # fmt: skip
+
+
+def _proposal(view, part, score, log_prior):
+    """A part with its numbers as the score has them; None if it gains nothing that is believed.
+
+    Data that leave all numbers more open than what is believed do not see the part.
+    """
+    known = score.errors < part.limit
+    start = np.where(np.isfinite(score.errors), score.amplitudes, 0.0)
+    values = np.clip(start, part.lowest, part.limit)
+    lost = float(np.square((start - values)[known] / score.errors[known]).sum())
+    gain = score.statistic - lost - 2.0 * (score.rank - 1)  # more numbers take more of noise
+    if not known.any() or not gain > 0:
+        return None
+    hypothesis = view.hypothesis + replace(part, values=tuple(values.tolist()))
+    return Proposal(part.code, part.describe(), hypothesis, log_prior, gain, score.rank)
+
+
+def kinds_of(dataset, fit):
+    """The kinds of errors that make sense for scenes, at zero; a fit says which axes move."""
+    scenes = dataset.scenes
+    axes = tuple(np.flatnonzero(np.isfinite(fit.noise.levels)).tolist())
+    places = np.concatenate([s.positions.reshape(-1, s.n_dims) for s in scenes])
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    size = float(np.max(high - low)) / 2 or 1.0
+    picture = {"middle": tuple(((low + high) / 2).tolist()), "size": size}
+    step = float(np.median(np.concatenate([np.diff(s.times) for s in scenes])))
+    span = max(float(np.ptp(s.times)) for s in scenes)
+    drift = Instrument(
+        "drift", axes, LARGE * size / span, epoch=min(float(s.times[0]) for s in scenes)
+    )
+    out = [Instrument("scale"), Instrument("clock"), drift]
+    out.append(Instrument("exposure", (), (FRAMES * step) ** 2))
+    if len(axes) > 1:
+        out += [Instrument("tilt", plane) for plane in combinations(axes, 2)]
+        for k in axes:
+            out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
+        out.append(Instrument("lens", axes, **picture))
+    if any(e.is_static for s in scenes for e in s.entities):
+        out.append(Instrument("offset", axes, FAR * size))
+    if 1 < len(scenes) <= MOST_SCENES:
+        out.append(replace(drift, whose=tuple(s.name for s in scenes)))
+    names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
+    if max(len(s.entities) for s in scenes) > 1 and len(names) <= MOST_BODIES:
+        out += [Instrument("delay", (), FRAMES * step, whose=(name,)) for name in names]
+    return out

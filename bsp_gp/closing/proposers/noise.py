@@ -1,0 +1,63 @@
+"""Noise of another kind as a cause: what looks like a force may be noise with a memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal
+from bsp_gp.fitting.hypothesis import TrackNoise
+
+__all__ = ["Noise"]
+
+LOG_PRIOR = -1.0
+"""Of a memory, where the level is estimated: many trackers have one."""
+TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.5, 0.9)
+"""Correlation times, in median steps, and shares of the variance to begin with."""
+
+
+class Noise:
+    """A memory of the noise as a proposer: a rival, not a finding of its own.
+
+    Memory is asked for in every fit, on what is left beside forces that know no physics; on few
+    rows there is not enough of that. Here it stands beside the forces that would do as well.
+    """
+
+    name = "noise"
+
+    def propose(self, view):
+        """Noise with a memory where the noise is estimated and has none.
+
+        Parameters
+        ----------
+        view : View
+        """
+        model = view.fit.noise
+        if not model.is_free.any() or model.correlated or model.is_correlation_known:
+            return Family(self.name)
+        step = np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes]))
+        plain = model.plain()
+        models = [
+            replace(plain, correlated=share, correlation_time=float(time * step))
+            for time in TIMES for share in SHARES
+        ]  # fmt: skip
+        gains = [_gain(view, remembered) for remembered in models]
+        best = int(np.argmax(gains))
+        noise = TrackNoise(models[best], is_given=True)
+        proposal = Proposal(
+            "noise", "a memory of the noise", view.hypothesis + noise, LOG_PRIOR, gains[best], 2
+        )
+        return Family(self.name, (proposal,), is_control=True)
+
+
+def _gain(view, model):
+    """Twice the gain of the likelihood of the residual, its level as it comes."""
+    channels, rows = view.fit.channels, np.nan_to_num(view.fit.residual)
+    heights = []
+    for noise in (view.fit.noise, model):
+        whitener = noise.whitener(channels)
+        size = float(np.square(whitener.whiten(rows)).sum())
+        count = int(channels.seen.sum())
+        heights.append(-count * np.log(size / count) - whitener.log_det)
+    return float(heights[1] - heights[0])

@@ -1,0 +1,165 @@
+"""A push with a period: the same for all bodies, or in proportion to their masses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.tangent import INDEPENDENT, as_pair
+from bsp_gp.language.formula import Call, Constant, Input
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
+
+__all__ = ["Periods"]
+
+LOG_PRIOR = -5.0
+"""Of a push along an axis that has time in it, as that of a short law of a grammar."""
+MASS = -2.8
+"""Of a factor more, the mass."""
+OVERSAMPLING = 4
+MOST_FREQUENCIES = 2000
+NYQUIST = 0.9
+BLOCK = 128
+"""Frequencies that are scored at a time."""
+
+
+class Periods:
+    """Pushes with a period as a proposer."""
+
+    name = "periods"
+
+    def propose(self, view):
+        """The family of all periods.
+
+        Parameters
+        ----------
+        view : View
+        """
+        rates = _rates(view)
+        axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
+        null = np.zeros(view.moment_draws.shape[1])
+        if not len(rates):
+            return Family(self.name, null=null)
+        draws = view.beside(view.moment_draws)
+        scan = _Scan(view, rates, np.column_stack([view.left, draws]))
+        proposals, best = [], 0.0
+        for has_mass, weights, ties in _variants(view):
+            gains = scan.gains([scan.kernels(weights, axis) for axis in axes])
+            for along, gain in gains.items():
+                even = as_pair(gain, 2 * len(along))  # all as if of two numbers
+                null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
+                k = int(np.argmax(gain[:, 0]))
+                chosen = tuple(axes[list(along)])
+                proposals.append(_proposal(view, rates, k, chosen, has_mass, gain[k, 0], ties))
+        proposals.sort(key=lambda p: -p.promise)
+        return Family(
+            self.name, tuple(proposals), float(best), 2, null,
+            n_tried=len(rates) * len(proposals), is_continuum=True,
+        )  # fmt: skip
+
+
+class _Scan:
+    """Gains of cosines and sines of many rates on targets (n, 1 + B): the data, and noise."""
+
+    def __init__(self, view, rates, targets):
+        self.view, self.rates, self.targets = view, rates, targets
+        self.batches = view.response.regression.batches
+
+    def kernels(self, weights, axis):
+        """Moments by the push along an axis at every instant, (S, m, n) per batch."""
+        out = []
+        for batch, weight in zip(self.batches, weights, strict=True):
+            acting = np.where(batch.valid[..., axis], weight, 0.0)  # (n, S, R)
+            out.append(np.einsum("smnr,nsr->smn", batch.whitener[..., axis], acting))
+        return out
+
+    def gains(self, kernels):
+        """Chi-squared gained by axes, each alone and all together: ``{axes: (F, 1 + B)}``."""
+        n = len(kernels)
+        alone = [(k,) for k in range(n)]
+        out = {along: [] for along in (alone if n == 1 else [*alone, tuple(range(n))])}
+        for first in range(0, len(self.rates), BLOCK):
+            waves = [self._waves(kernel, self.rates[first : first + BLOCK]) for kernel in kernels]
+            for along, found in out.items():
+                found.append(self._gain(np.concatenate([waves[k] for k in along], axis=2)))
+        return {along: np.concatenate(found) for along, found in out.items()}
+
+    def _waves(self, kernel, rates):
+        """Moments of cosines and sines, (n, F, 2)."""
+        parts = []
+        for batch, matrix in zip(self.batches, kernel, strict=True):
+            angle = np.nan_to_num(batch.times).T[:, :, None] * rates  # (S, n, F)
+            waves = [np.swapaxes(matrix @ f(angle), 0, 1) for f in (np.cos, np.sin)]  # (m, S, F)
+            parts.append(np.stack(waves, axis=-1).reshape(-1, len(rates), 2))
+        return np.concatenate(parts)
+
+    def _gain(self, columns):
+        """Gains of columns (n, F, c), (F, 1 + B)."""
+        n, f, c = columns.shape
+        size = np.sqrt(np.square(columns).sum(axis=0))
+        flat = (columns / np.where(size > 0, size, 1.0)).reshape(n, f * c)
+        flat = self.view.beside(flat)
+        dots = (flat.T @ self.targets).reshape(f, c, -1)
+        unit = flat.reshape(n, f, c).transpose(1, 2, 0)
+        values, vectors = np.linalg.eigh(unit @ np.swapaxes(unit, 1, 2))
+        inverse = np.where(values > INDEPENDENT, 1 / np.maximum(values, INDEPENDENT), 0.0)
+        return (np.square(np.swapaxes(vectors, 1, 2) @ dots) * inverse[..., None]).sum(axis=1)
+
+
+def _rates(view):
+    """From one turn a recording up to near the Nyquist frequency of the median row, rad/s."""
+    groups = view.fit.groups
+    span = max(float(np.nanmax(np.nanmax(c.times, 0) - np.nanmin(c.times, 0))) for c in groups)
+    step = float(np.nanmedian(np.concatenate([np.diff(c.times, axis=0).ravel() for c in groups])))
+    low, high = 2 * np.pi / span, NYQUIST * np.pi / step
+    count = int(OVERSAMPLING * (high / low - 1)) + 1
+    return low * (1 + np.arange(min(count, MOST_FREQUENCIES)) / OVERSAMPLING) if high > low else []
+
+
+def _variants(view):
+    """The push as a force and in proportion to the mass: (has mass, weights per batch, ties)."""
+    batches, masses = view.response.regression.batches, view.masses
+    is_one = masses is not None and np.ptp(np.concatenate([m.ravel() for m in masses])) == 0
+    if masses is not None:
+        yield False, [1 / m for m in masses], is_one
+    if not is_one:
+        yield True, [np.ones(b.valid.shape[1:3]) for b in batches], False
+
+
+def _proposal(view, rates, k, axes, has_mass, gain, ties):
+    terms, constants = _push(view, axes, has_mass)
+    name = next(reversed(constants))
+    constants[name] = rate = float(rates[k])
+    other = [_text(_push(view, axes, True)[0])] if ties else []
+    return Proposal(
+        "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
+        LOG_PRIOR + (MASS if has_mass else 0.0), float(gain), 2 * len(axes) + 1,
+        {name: rate}, {name: (float(rates[0]), float(rates[-1]))}, ties=tuple(other),
+    )  # fmt: skip
+
+
+def _text(terms):
+    return " + ".join(to_text(term.formula) for term in terms)
+
+
+def _push(view, axes, has_mass):
+    """Terms of one rate, one per axis, and their constants, the rate last."""
+    types, constants = dataset_types(view.dataset), {}
+    rate = Constant(fresh_name(view.fit.law, "w"))
+    angle = Call("mul", rate, Input("t", types["t"]))
+    terms, stems = [], iter(("a", "b", "g", "h", "k", "l"))
+    for axis in axes:
+        parts = []
+        for wave in ("cos", "sin"):
+            name = fresh_name(view.fit.law, next(stems))
+            constants[name] = np.nan
+            parts.append(Call("mul", Constant(name), Call(wave, angle)))
+        formula = Call("add", *parts)
+        if has_mass:
+            formula = Call("mul", formula, Input("m_i", types["m_i"]))
+        direction = f"e_{'xyz'[axis]}"
+        formula = Call("mul", formula, Input(direction, types[direction]))
+        terms.append(Term(formula, "field"))
+    return tuple(terms), {**constants, rate.name: np.nan}

@@ -1,0 +1,186 @@
+"""The table of everything that was fitted: one row per hypothesis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+__all__ = ["HeldOut", "HypothesisTable", "Row", "held_out_gain"]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What scenes that were left out say of a hypothesis beside the one that it extends.
+
+    Attributes
+    ----------
+    gain, se : float, nats
+        Of the predictive log-scores, summed over the scenes, and its standard error.
+    promised : float, nats
+        The gain that the hypothesis itself foresees.
+    """
+
+    gain: float = math.nan
+    se: float = math.nan
+    promised: float = math.nan
+
+
+@dataclass(frozen=True)
+class Row:
+    """A hypothesis that was fitted, or one that was scored only (status "scored").
+
+    Attributes
+    ----------
+    id : int
+    code : str
+        What it adds, of `CAUSES`; "base" for the model that enters the round.
+    text : str
+        What it adds.
+    source : str
+        Proposer.
+    status : str
+        Of its fit.
+    log_evidence, log_prior : float, nats
+    chisqr : float
+        Of the tracks under the noise of the base row.
+    n_free : int
+    held_out : HeldOut
+    p_value : float
+        Selection counted.
+    probability : float
+    key : tuple
+        Identity of what it adds.
+    ties : tuple of str
+    """
+
+    id: int
+    code: str
+    text: str
+    source: str
+    status: str
+    log_evidence: float
+    log_prior: float
+    chisqr: float
+    n_free: int
+    held_out: HeldOut = field(default_factory=HeldOut)
+    p_value: float = math.nan
+    probability: float = math.nan
+    key: tuple = ()
+    ties: tuple = ()
+
+    @property
+    def log_posterior(self):
+        """Up to what all rows share, nats."""
+        return self.log_evidence + self.log_prior
+
+    @property
+    def is_fit(self):
+        return self.status in ("converged", "at_bound", "refuted")
+
+
+@dataclass(frozen=True)
+class HypothesisTable:
+    """All rows of a round, the base first.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+    p_value : float
+        Chance that noise alone shows as much in the best of everything that was tried.
+    """
+
+    rows: tuple[Row, ...]
+    p_value: float
+
+    @property
+    def base(self):
+        return self.rows[0]
+
+    @property
+    def candidates(self):
+        """Rows that add something and can be compared, the likeliest first."""
+        able = [r for r in self.rows[1:] if r.is_fit and np.isfinite(r.log_posterior)]
+        return sorted(able, key=lambda r: -r.log_posterior)
+
+    def without_repeats(self):
+        """The same without rows that are another descent of one hypothesis."""
+        best = {}
+        for row in self.rows:
+            if row.key not in best or _height(row) > _height(best[row.key]):
+                best[row.key] = row
+        return HypothesisTable(tuple(r for r in self.rows if best[r.key] is r), self.p_value)
+
+    def with_probabilities(self):
+        """The same with probabilities over all rows that can be compared."""
+        heights = np.array([r.log_posterior if r.is_fit or r.status == "scored" else -np.inf
+                            for r in self.rows])  # fmt: skip
+        heights = np.where(np.isfinite(heights), heights, -np.inf)
+        if not np.isfinite(heights).any():
+            return self
+        weights = np.exp(heights - heights.max())
+        weights = weights / weights.sum()
+        rows = tuple(
+            replace(row, probability=float(w)) for row, w in zip(self.rows, weights, strict=True)
+        )
+        return HypothesisTable(rows, self.p_value)
+
+
+def _height(row):
+    return (row.is_fit, row.log_posterior)
+
+
+def held_out_gain(base, other):
+    """Predictive log-scores of two fits, scene by scene left out.
+
+    The scores follow in closed form from what each scene says of the constants (its compressed
+    residual and derivatives): those of the others, and the residual of the scene under them, with
+    its own initial states free.
+
+    Parameters
+    ----------
+    base, other : Fit
+
+    Returns
+    -------
+    HeldOut
+        nan where there are fewer than two scenes.
+    """
+    names = np.unique(base.row_scenes)
+    if len(names) < 2 or base.is_failed or other.is_failed:
+        return HeldOut()
+    scale = _level(other) / _level(base)
+    a, b = _scores(base, names, scale), _scores(other, names, 1.0)
+    gains = b - a
+    if not np.isfinite(gains).all():
+        return HeldOut()
+    se = float(np.sqrt(len(gains)) * gains.std(ddof=1))
+    promised = _promised(base, other)
+    return HeldOut(float(gains.sum()), se, promised)
+
+
+def _level(fit):
+    levels = np.array(fit.noise.levels)
+    return float(np.sqrt(np.nanmean(np.square(levels))))
+
+
+def _scores(fit, names, scale):
+    """Log-scores of every scene from the others, noise levels divided by `scale`."""
+    jacobian, rows = fit.jacobian / scale, fit.rows / scale
+    information = jacobian.T @ jacobian
+    out = []
+    for name in names:
+        mine = fit.row_scenes == name
+        j, r = jacobian[mine], rows[mine]
+        others = np.linalg.pinv(information - j.T @ j, hermitian=True)
+        left = r + j @ (others @ (j.T @ r))
+        covariance = np.eye(len(r)) + j @ others @ j.T
+        _, size = np.linalg.slogdet(covariance)
+        out.append(-0.5 * left @ np.linalg.solve(covariance, left) - 0.5 * size)
+    return np.array(out)
+
+
+def _promised(base, other):
+    """Half the chi-squared that the base would leave of tracks made by the other, in nats."""
+    return 0.5 * max(float(base.chisqr) - float(other.chisqr), 0.0)

@@ -1,0 +1,175 @@
+"""A fit as proposers look at it: its tangent, its response to forces, noise that was simulated."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.fitting.response import respond
+from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
+from bsp_gp.physics.force import Term
+
+__all__ = ["View", "gains", "selected"]
+
+N_DRAWS = 49
+"""Simulated residuals behind the effective number of things that were tried."""
+
+
+class View:
+    """One fit to the training scenes.
+
+    Parameters
+    ----------
+    fit : Fit
+    hypothesis : Hypothesis
+    dataset : Dataset
+        Training scenes.
+    rng : numpy.random.Generator
+
+    Attributes
+    ----------
+    tick : callable or None
+        Asked by long work as it goes on; raises where the time is up.
+    """
+
+    def __init__(self, fit, hypothesis, dataset, rng):
+        self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
+        self.tick = None
+        self._rows_rng, self._moments_rng = rng.spawn(2)
+
+    @cached_property
+    def tangent(self):
+        return Tangent(self.fit)
+
+    @cached_property
+    def response(self):
+        return respond(self.fit, self.dataset)
+
+    @property
+    def noise_dof(self):
+        return self.tangent.noise_dof
+
+    @cached_property
+    def row_draws(self):
+        """Residuals of noise alone, beside everything free, (B, n)."""
+        return self.tangent.noise(self._rows_rng, N_DRAWS)
+
+    @cached_property
+    def moment_draws(self):
+        """Moments of noise alone, (n, B)."""
+        kept = np.concatenate([b.kept.ravel() for b in self.response.regression.batches])
+        return self._moments_rng.standard_normal((len(kept), N_DRAWS)) * kept[:, None]
+
+    @cached_property
+    def masses(self):
+        """Masses of receivers, (S, R) per batch of the response; None where one is not known."""
+        batches = self.response.regression.batches
+        masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
+        return masses if all(np.isfinite(m).all() for m in masses) else None
+
+    # --- forces ----------------------------------------------------------------------------------
+
+    @cached_property
+    def _moments(self):
+        """Moments left beside the constants, and the basis of what these can take up."""
+        from bsp_gp.search.columns import orthonormal
+
+        target, columns = self.response.left()
+        q = orthonormal(columns, len(target))
+        return target - q @ (q.T @ target), q
+
+    @property
+    def left(self):
+        """Moments that the constants leave, (n,)."""
+        return self._moments[0]
+
+    @property
+    def n_left(self):
+        """Independent moments beside the constants."""
+        kept = sum(int(b.kept.sum()) for b in self.response.regression.batches)
+        return kept - self._moments[1].shape[1]
+
+    def beside(self, columns):
+        """Moments (n, c) beside what the constants of the law can take up."""
+        q = self._moments[1]
+        return columns - q @ (q.T @ columns)
+
+    def force_columns(self, formulas, kind="field"):
+        """Moments of forces without constants, (n, c)."""
+        terms = [Term(formula, kind) for formula in formulas]
+        return np.concatenate([self.response.regression.column(t)[0] for t in terms], axis=1)
+
+    def score_forces(self, columns):
+        """Score of moments (n, c)."""
+        size = np.square(columns).sum(axis=0)
+        return score_of(self.beside(columns).T, self.left, size, self.noise_dof)
+
+    def null_forces(self, columns):
+        """Gains of the same columns on simulated noise, (B,)."""
+        rows = self.beside(columns).T
+        draws = self.beside(self.moment_draws)
+        return gains(rows, draws.T)
+
+    def detectable(self, alpha):
+        """Least constant acceleration, one for all bodies, seen with 95 % on every axis, m/s^2.
+
+        Beside the constants of the law; nan where these imitate it on every axis.
+        """
+        needed = stats.norm.isf(alpha / 2) + stats.norm.isf(0.05)
+        worst = np.nan
+        for axis in np.eye(self.dataset.n_dims):
+            parts = [
+                b.whiten(np.broadcast_to(axis, b.target.shape)).ravel()
+                for b in self.response.regression.batches
+            ]
+            column = np.concatenate(parts)
+            left = np.linalg.norm(self.beside(column[:, None]))
+            if left > 1e-4 * np.linalg.norm(column):
+                worst = np.fmax(worst, needed / left)
+        return float(worst)
+
+
+def gains(rows, draws):
+    """Chi-squared that rows (c, n) gain together on each draw (B, n)."""
+    size = np.linalg.norm(rows, axis=1)
+    unit = rows[size > 0] / size[size > 0, None]
+    if not len(unit):
+        return np.zeros(len(draws))
+    _, s, basis = np.linalg.svd(unit, full_matrices=False)
+    return np.square(draws @ basis[s > 1e-6 * s[0]].T).sum(axis=1)
+
+
+def selected(gain, rank, null, noise_dof=np.inf, is_continuum=False):
+    """Chance that noise alone shows as much to the best of all that was tried.
+
+    The effective number of independent trials is read off the greatest gains on simulated noise,
+    where these are large; the chance of a single one is exact, however small.
+
+    Parameters
+    ----------
+    gain : float
+        Greatest gain of chi-squared on the data.
+    rank : int
+        Of what gained it.
+    null : ndarray, shape (B,)
+        Greatest gains on simulated noise, in whose making the level was known.
+    noise_dof : float
+    is_continuum : bool
+        Whether what was tried runs through a continuum, of rates or places (Davies 1977).
+    """
+    if not np.isfinite(gain) or not rank:
+        return 1.0
+    if not len(null):
+        return float(p_of_gain(gain, rank, noise_dof))
+    # Of trials M, the expected number beyond a bar is M sf(bar): counted at the upper half.
+    chance = np.sort(p_of_gain(null, rank))[: max(len(null) // 2, 1)]
+    bar = chance[-1]
+    share = len(chance) / (len(null) + 1)
+    trials = max(np.log1p(-share) / np.log1p(-min(bar, 1 - 1e-12)), 1.0)
+    height = float(np.sort(null)[::-1][len(chance) - 1])
+    if is_continuum and gain > height > 0:  # more of its trials are apart, the higher the bar
+        trials *= np.sqrt(gain / height)
+    one = min(float(p_of_gain(gain, rank, noise_dof)), 1 - 1e-16)
+    return float(-np.expm1(trials * np.log1p(-one)))

@@ -1,0 +1,259 @@
+"""From rounds to a report: what is told of each, of the data, and of the tracks held out."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from bsp_gp.closing.accounts import Ratio
+from bsp_gp.closing.decide import INSTRUMENT
+from bsp_gp.closing.outcome import Effect, Missing, Overlay, RoundRecord
+from bsp_gp.fitting.held_out import regression_of
+from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.units import ACCELERATION, FORCE
+
+__all__ = [
+    "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "versions",
+]  # fmt: skip
+
+PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
+MOST_OVERLAYS = 12
+
+
+def record_of(done, scored, accounts, dataset, bounds, is_removed):
+    """The record of a round.
+
+    Parameters
+    ----------
+    done : Round
+    scored : tuple of int or None
+        Which fits of the accounts entered the round, and came out of it (None: none).
+    accounts : Accounts
+    dataset : Dataset
+        Training scenes.
+    bounds : dict
+    is_removed : bool
+        Whether backward removal has taken back what it adopted.
+
+    Returns
+    -------
+    RoundRecord
+    """
+    decision, (before, after) = done.decision, scored
+    verdict, reason = decision.verdict, decision.reason
+    if is_removed:
+        verdict, reason = "seen, not adopted", "superseded"
+    return RoundRecord(
+        number=done.number,
+        missing=Missing(
+            done.entering.chi2_red, done.table.p_value, done.detectable,
+            dataset.units.text(ACCELERATION),
+        ),
+        effect=None if decision.best is None else _effect(done, dataset, bounds),
+        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in done.table.rows),
+        adopted=decision.is_adopted and not is_removed,
+        verdict=verdict,
+        reason=reason,
+        before=accounts.errors(before),
+        after=None if after is None else accounts.errors(after),
+        floor=accounts.floor,
+        ratio=Ratio() if after is None else accounts.ratio(before, after),
+        held_out=() if after is None else tuple(accounts.by_scene(before, after)),
+        varies_with=tuple(done.varies_with),
+        noise_findings=tuple(asdict(finding) for finding in done.noise_findings),
+        hidden_bound=_bound(done.hidden_bound, dataset.units),
+        certificate="\n".join(f.certificate for f in done.families if f.certificate),
+        seconds=done.seconds,
+        trace=done.trace,
+    )  # fmt: skip
+
+
+def _bound(bound, units):
+    """What may still be hidden; None where nothing was asked."""
+    if bound is None:
+        return None
+    return {
+        "snr": bound.snr, "force": bound.force, "unit": units.text(FORCE),
+        "percent": 100 * bound.share,
+    }  # fmt: skip
+
+
+def _hypothesis(row, p_value):
+    """One row of a table; what was fitted shares the p-value of the selection."""
+    return {
+        "id": row.id, "code": row.code, "law": row.text, "source": row.source,
+        "status": row.status, "log_evidence": row.log_evidence,
+        "held_out": asdict(row.held_out),
+        "p_value": p_value if math.isnan(row.p_value) and row.id else row.p_value,
+        "probability": row.probability,
+    }  # fmt: skip
+
+
+def _effect(done, dataset, bounds):
+    """The likeliest cause of a round."""
+    best, proposal = done.decision.best, done.proposals[done.decision.best.id]
+    fit = done.fits[best.id]
+    old = {name for name, _ in done.entering.parameters}
+    formula = proposal.formula
+    others = dict.fromkeys(row.text for row in done.decision.rivals)
+    return Effect(
+        name=best.text,
+        code=best.code,
+        kind=_kind(best.code, fit.law),
+        law="" if formula is None else to_text(formula),
+        latex="" if formula is None else to_latex(formula),
+        entities=tuple(
+            dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
+        ),
+        constants=tuple(c for c in constant_estimates(fit, dataset, bounds) if c.name not in old),
+        p_value=done.table.p_value,
+        probability=best.probability,
+        equivalents=tuple(dict.fromkeys((*best.ties, *others))),
+        is_fact=done.decision.is_fact,
+        formula=formula,
+    )  # fmt: skip
+
+
+def _kind(code, law):
+    """What kind of thing a cause is."""
+    if code in INSTRUMENT:
+        return "measurement"
+    if code in ("exponent", "number"):
+        return "declared_term_change"
+    return code if code in ("hidden_body", "noise") else law.terms[-1].kind
+
+
+def about_data(dataset, split, notes):
+    """What the report says of the data.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    split : Split
+    notes : tuple of str
+        What was found when the data were made ready.
+    """
+    return {
+        "name": dataset.name,
+        "n_scenes": len(dataset.scenes),
+        "n_rows": int(sum(np.isfinite(s.positions).all(axis=-1).sum() for s in dataset.scenes)),
+        "n_entities": len({n for s in dataset.scenes for n in s.names}),
+        "n_dims": dataset.n_dims,
+        "train": [s.name for s in split.train],
+        "test": [s.name for s in split.test],
+        "split": split.note,
+        "units": dict(dataset.units.declared),
+        "symbols": dict(dataset.units.symbols),
+        "up": dataset.up,
+        "provenance": dict(dataset.provenance),
+        "fingerprint": dataset_digest(dataset),
+        "notes": [*dataset.notes, *notes],
+    }
+
+
+def dataset_digest(dataset):
+    """Fingerprint of what was measured."""
+    digest = hashlib.sha256()
+    for scene in dataset.scenes:
+        digest.update(scene.name.encode())
+        digest.update(scene.times.tobytes())
+        digest.update(scene.positions.tobytes())
+    return digest.hexdigest()
+
+
+def versions():
+    """Versions of what the numbers come from."""
+    out = {}
+    for package in PACKAGES:
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:  # running from a source tree
+            out[package] = "source"
+    return out
+
+
+def overlays(accounts, begin):
+    """Held-out tracks as observed and as the declared and the last fit foresee them.
+
+    Parameters
+    ----------
+    accounts : Accounts
+    begin : int
+        Which of its fits is the declared one.
+
+    Returns
+    -------
+    tuple of Overlay
+    """
+    out = []
+    rows = zip(accounts.scenes, accounts.rows[begin], accounts.rows[-1], strict=False)
+    for scene, first, last in rows:
+        for r, index in enumerate(scene.dynamic):
+            if len(out) < MOST_OVERLAYS:
+                out.append(
+                    Overlay(
+                        scene.name, scene.names[index], scene.times, scene.positions[:, index],
+                        first["foreseen"][:, r], last["foreseen"][:, r], first["n_initial"],
+                    )
+                )  # fmt: skip
+    return tuple(out)
+
+
+def residual_table(first, last, dataset, split):
+    """Residual accelerations under two laws, row by row.
+
+    Parameters
+    ----------
+    first, last : Fit
+    dataset : Dataset
+    split : Split
+
+    Returns
+    -------
+    DataFrame or None
+        scene, entity, split ("train" or "test"), t, speed, distance (to the nearest other body,
+        nan if there is none), size of the residual acceleration before and after, and its part
+        along the velocity. None where a law has no finite constants.
+    """
+    import pandas as pd
+
+    if not (np.isfinite(first.values).all() and np.isfinite(last.values).all()):
+        return None
+    tables = []
+    for name, scenes in (("train", split.train), ("test", split.test)):
+        if scenes:
+            regression = regression_of(last, dataset, scenes)
+            with np.errstate(all="ignore"):  # of a law that runs away
+                laws = [regression.raw_residuals(fit.law) for fit in (first, last)]
+                for batch, before, after in zip(regression.batches, *laws, strict=True):
+                    tables.append(pd.DataFrame(_rows(batch, before, after, name)))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _rows(batch, before, after, split):
+    """Columns of the table, track after track."""
+    s, r, row = np.nonzero(np.moveaxis(batch.valid.any(axis=-1), 0, -1))
+    index = np.array(batch.bodies.receivers)[r]
+    v = batch.velocities[row, s, index]
+    speed = np.linalg.norm(v, axis=-1)
+    unit = v / np.where(speed > 0, speed, 1.0)[:, None]
+    places = batch.positions[row, s]
+    gaps = np.linalg.norm(places - batch.positions[row, s, index][:, None], axis=-1)
+    gaps[np.arange(len(gaps)), index] = np.nan
+    names = np.array(batch.bodies.names, dtype=object)
+    columns = {
+        "scene": np.array(batch.scene_names, dtype=object)[s], "entity": names[s, index],
+        "split": split, "t": batch.times[row, s], "speed": speed,
+        "distance": np.fmin.reduce(gaps, axis=1),
+    }  # fmt: skip
+    left = [np.nan_to_num(values[row, s, r]) for values in (before, after)]
+    for name, values in zip(("before", "after"), left, strict=True):
+        columns[name] = np.linalg.norm(values, axis=-1)
+    for name, values in zip(("before_along", "after_along"), left, strict=True):
+        columns[name] = (values * unit).sum(axis=-1)
+    return columns

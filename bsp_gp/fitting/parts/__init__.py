@@ -1,0 +1,1 @@
+"""Parts that hypotheses are put together from, one short file for each kind."""

@@ -1,0 +1,148 @@
+"""What a measurement may do to places and times: parts of a hypothesis, one function each.
+
+A function says how what is seen (x, t) is undone, as an expression: the law is then moved to seen
+coordinates with exact derivatives (`bsp_gp.fitting.seen`). The last part is undone first. Numbers
+are 0 where the measurement is as declared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.units import DIMENSIONLESS, Unit
+
+__all__ = ["LARGE", "Instrument"]
+
+LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
+LARGE = 0.3
+"""A relative error or an angle beyond which nobody would believe a measurement."""
+UNITS = {"drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2}
+TEXTS = {
+    "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",
+    "slant": "X - M = (1 + {}) (x - M) along the axis",
+    "perspective": "X - M = (1 + {} u) (x - M)", "lens": "X - M = (1 + {} r^2) (x - M)",
+    "drift": "x = X + ({}) t of moving bodies", "offset": "x = X + ({}) of fixed bodies",
+    "delay": "x(t) = X(t - {})", "exposure": "x = X + {} / 2 X''",
+}  # fmt: skip
+"""What is seen of the true X and T; u and r are ways from the middle M in its sizes."""
+
+
+@dataclass(frozen=True)
+class Instrument(Part):
+    """One way in which a measurement may be wrong.
+
+    Attributes
+    ----------
+    code : str
+        Of `TEXTS`.
+    axes : tuple of int
+        Along which it acts.
+    limit : float
+        The largest value that is believed, SI.
+    values : tuple of float
+        Where a fit begins; none = at zero.
+    whose : tuple of str
+        The body of a delay; the scenes of a drift that differs between them.
+    middle, size : tuple of float, float, metres
+        Of the picture; half its width.
+    epoch : float, s
+        When what drifts is where it should be.
+    """
+
+    code: str
+    axes: tuple = ()
+    limit: float = LARGE
+    values: tuple = ()
+    whose: tuple = ()
+    middle: tuple = ()
+    size: float = 1.0
+    epoch: float = 0.0
+    kind = "instrument"
+
+    @property
+    def names(self):
+        """Of its numbers: offsets and drifts have one per axis."""
+        axes = ["xyz"[k] for k in self.axes]
+        marks = axes if self.code in ("drift", "offset") else ["".join(axes)]
+        return tuple(
+            "_".join(filter(None, (self.code, mark, who)))
+            for who in self.whose or ("",) for mark in marks
+        )  # fmt: skip
+
+    @property
+    def lowest(self):
+        """The least value that is believed; an exposure is a variance of times."""
+        return 0.0 if self.code == "exposure" else -self.limit
+
+    @property
+    def parameters(self):
+        """One per name."""
+        unit, values = UNITS.get(self.code, DIMENSIONLESS), self.values or (0.0,) * len(self.names)
+        return tuple(
+            Parameter(name, "", unit, self.lowest, self.limit, float(value))
+            for name, value in zip(self.names, values, strict=True)
+        )
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        return replace(self, values=tuple(float(values[name]) for name in self.names))
+
+    def undo(self, g, place, time, is_driven):
+        """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""
+        numbers = [g.constant(name) for name in self.names]
+        if self.code == "clock":
+            return place, g.div(time, g.add(g.one, numbers[0]))
+        if self.code in _UNDO:
+            place = _UNDO[self.code](self, g, place, time, is_driven, numbers)
+        return tuple(place), time
+
+    def describe(self):
+        """Formula-like."""
+        each = " in each scene" if len(self.whose) > 1 else ""
+        shown = self.names[: len(self.axes)] if each else self.names
+        return TEXTS[self.code].format(", ".join(shown)) + each
+
+
+def _scale(part, g, place, time, is_driven, c):
+    return [g.div(x, g.add(g.one, c[0])) for x in place]
+
+
+def _tilt(part, g, place, time, is_driven, c):
+    first, second = part.axes
+    cos, sin, place = g.call("cos", c[0]), g.call("sin", c[0]), list(place)
+    x, y = place[first], place[second]
+    place[first] = g.add(g.mul(cos, x), g.mul(sin, y))
+    place[second] = g.sub(g.mul(cos, y), g.mul(sin, x))
+    return place
+
+
+def _picture(part, g, place, time, is_driven, c):
+    """Distances from the middle grow by a number, and across the picture or away from there."""
+    away = [g.sub(x, g.number(m)) for x, m in zip(place, part.middle, strict=True)]
+    sizes = [g.div(away[k], g.number(part.size)) for k in part.axes]
+    growth = {"slant": g.one, "perspective": sizes[0], "lens": g.dot(sizes, sizes)}[part.code]
+    by, axes = g.mul(c[0], growth), range(len(place)) if part.code == "perspective" else part.axes
+    return [g.add(x, g.mul(by, away[k])) if k in axes else x for k, x in enumerate(place)]
+
+
+def _drift(part, g, place, time, is_driven, c):
+    late = g.mul(g.sub(g.one, is_driven), g.sub(time, g.number(part.epoch)))
+    place, n = list(place), len(part.axes)
+    for k, number in enumerate(c):
+        way = g.mul(number, late)
+        if part.whose:
+            way = g.mul(way, g.input("is_scene", part.whose[k // n]))
+        place[part.axes[k % n]] = g.sub(place[part.axes[k % n]], way)
+    return place
+
+
+def _offset(part, g, place, time, is_driven, c):
+    by = dict(zip(part.axes, c, strict=True))
+    return [g.sub(x, g.mul(is_driven, by[k])) if k in by else x for k, x in enumerate(place)]
+
+
+_UNDO = {
+    "scale": _scale, "tilt": _tilt, "slant": _picture, "perspective": _picture, "lens": _picture,
+    "drift": _drift, "offset": _offset,
+}  # fmt: skip

@@ -1,0 +1,154 @@
+"""Pieces of tracks, short enough that what forces do to them is a small matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.fitting.driven import Driven
+from bsp_gp.fitting.shooting import cut_windows
+from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.physics.bodies import Bodies
+from bsp_gp.physics.geometry import Shapes
+
+__all__ = ["Pieces", "cut_pieces"]
+
+MOST_COORDINATES = 300
+"""Coordinates of a piece at the most, and its least number of rows."""
+LEAST_ROWS = 12
+MOST_PIECES = 64
+"""Pieces of a group of chains that are looked at, spread evenly over it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """W pieces of like-built chains; those of bodies of one scene at one time stand P apart.
+
+    Attributes
+    ----------
+    chain, first, stop : ndarray of int, shape (W,)
+    count : int
+        Pieces of one body, P.
+    bodies : Bodies
+        Of every piece: its own bodies first, other moving ones, driven ones.
+    """
+
+    chain: np.ndarray
+    first: np.ndarray
+    stop: np.ndarray
+    count: int
+    bodies: Bodies
+
+    @property
+    def n_rows(self):
+        return int((self.stop - self.first).sum())
+
+    @property
+    def _gather(self):
+        rows = self.first + np.arange(int((self.stop - self.first).max()))[:, None]
+        inside = rows < self.stop
+        return np.where(inside, rows, self.first), inside
+
+    def chains(self, chains):
+        """The pieces as chains of their own."""
+        return chains.pieces(self.chain, self.first, self.stop)
+
+    def noise(self, noise):
+        """The noise of their rows."""
+        rows, inside = self._gather
+        inside_ = inside[..., None, None]
+        return ChainNoise(
+            np.where(inside, noise.times[rows, self.chain], np.nan),
+            np.where(inside_, noise.variance[rows, self.chain], np.nan),
+            np.where(inside_, noise.amplitude[rows, self.chain], 0.0), noise.correlation_time,
+        )  # fmt: skip
+
+    def nodes(self, nodes):
+        """States of their rows, (2, R, d, L, W); nan behind their ends."""
+        rows, inside = self._gather
+        return np.where(inside, nodes[..., rows, self.chain], np.nan)
+
+    def tolerance(self, noise):
+        """Errors that integrations may have, (W,), m."""
+        seen = np.isfinite(noise.variance)
+        size = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))[self.chain]
+        return 1e-2 * np.where(np.isfinite(size), size, size[np.isfinite(size)].min())
+
+    def states(self, chains, times, nodes):
+        """Positions and velocities of all bodies, (n, W, N, d) each.
+
+        Parameters
+        ----------
+        chains : Chains
+            The pieces.
+        times : ndarray, shape (n, W), s
+        nodes : ndarray, shape (2, R, d, n, W)
+        """
+        own = np.moveaxis(nodes, (3, 4), (1, 2))  # (2, n, W, R, d)
+        n_groups = nodes.shape[-1] // self.count
+        apart = own.reshape(2, len(times), n_groups, self.count, *own.shape[3:])
+        others = [
+            np.concatenate([apart[:, :, h] for h in range(n_groups) if h != g], axis=3)
+            if n_groups > 1 else apart[:, :, g, :, :0]
+            for g in range(n_groups)
+        ]  # fmt: skip
+        parts = [own, np.concatenate(others, axis=2)]
+        driven = Driven(chains)
+        if driven.count:
+            n, w = times.shape
+            chain = np.broadcast_to(np.arange(w), (n, w)).ravel()
+            places = driven.at(times.ravel(), chain)  # (2, D, d, n W)
+            parts.append(np.moveaxis(places.reshape(*places.shape[:3], n, w), (3, 4), (1, 2)))
+        whole = np.concatenate(parts, axis=3)
+        return whole[0], whole[1]
+
+
+def cut_pieces(chains, noise, batch):
+    """Cut chains into pieces.
+
+    Parameters
+    ----------
+    chains : Chains
+    noise : ChainNoise
+    batch : Batch
+        Of the scenes that the chains are of.
+    """
+    n_scenes = len(batch.scenes)
+    n_groups = chains.n_chains // n_scenes
+    per_row = chains.n_moving * chains.n_dims
+    rows = max(MOST_COORDINATES // per_row, LEAST_ROWS)
+    windows = cut_windows(chains.lengths[:n_scenes], rows)
+    chosen = np.arange(len(windows.chain))
+    if len(chosen) > MOST_PIECES:
+        chosen = np.unique(np.linspace(0, len(chosen) - 1, MOST_PIECES).astype(int))
+    scene = windows.chain[chosen]
+    moving = batch.bodies.receivers
+    driven = np.setdiff1d(np.arange(batch.bodies.shapes.code.shape[1]), moving)
+    groups = [moving] if n_groups == 1 else [np.array([k]) for k in moving]
+    order = [np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups]
+    return Pieces(
+        chain=np.concatenate([g * n_scenes + scene for g in range(n_groups)]),
+        first=np.tile(windows.first[chosen], n_groups),
+        stop=np.tile(windows.stop[chosen], n_groups),
+        count=len(scene),
+        bodies=_bodies(batch.bodies, scene, order, len(groups[0])),
+    )
+
+
+def _bodies(bodies, scene, order, n_own):
+    """Bodies of the pieces, in the order of each group."""
+
+    def taken(values):
+        return np.concatenate([values[scene][:, rows] for rows in order])
+
+    shapes = bodies.shapes
+    return replace(
+        bodies,
+        names=tuple(tuple(bodies.names[s][k] for k in rows) for rows in order for s in scene),
+        receivers=np.arange(n_own),
+        properties={name: taken(values) for name, values in bodies.properties.items()},
+        shapes=Shapes(
+            *(taken(getattr(shapes, name)) for name in ("code", "radius", "width", "height"))
+        ),
+    )

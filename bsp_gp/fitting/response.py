@@ -1,0 +1,427 @@
+"""What forces beside a fitted law would do to its tracks, as a regression for searches.
+
+A force that acts along a track moves it by the response of the linearised motion (MECHANICS,
+"Effect of a force on a track"). In few moments of the track, of independent errors of size one and
+with all initial states projected out, this is a linear regression in the force: laws of a grammar,
+smooth forces that know no physics, and noise that was simulated are all weighed on the same rows,
+whether they are dense or coarse.
+
+Forces are evaluated where the bodies were: on tracks smoothed by a free force (white in time) as
+strong as the data ask for, so that the answer does not hang on how wrong the fitted law is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bsp_gp.fitting.flow import Flow
+from bsp_gp.fitting.motion import Motion
+from bsp_gp.fitting.pieces import cut_pieces
+from bsp_gp.fitting.seen import sight
+from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.language.formula import evaluate
+from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.evaluation import Settling
+from bsp_gp.physics.force import term_gradient
+from bsp_gp.physics.regression import Regression, RegressionBatch, checked
+
+__all__ = ["Response", "ResponseBatch", "ResponseRegression", "respond"]
+
+PHASE = 0.4
+"""Radians that a motion may turn between two instants at which forces are evaluated."""
+MOST_INSTANTS = 8
+"""Instants per row at the most."""
+LOST, LEAST_SHOWN = 0.1, 100.0
+"""Chi-squared that moments may lose which are left out, where forces show so much at least."""
+PASSES = 3
+STRENGTHS = np.logspace(-4, 6, 41)
+"""Of the free force that smooths tracks, squared, in units of what one moment would show."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseBatch(RegressionBatch):
+    """Pieces of tracks of like-built scenes.
+
+    Attributes
+    ----------
+    whitener : ndarray, shape (S, m, n, R, d)
+        Moments of unit error by the acceleration at every instant.
+    kept : ndarray of bool, shape (m, S, 1, 1)
+    moments : ndarray, shape (m, S)
+        What is to be explained.
+    """
+
+    moments: np.ndarray | None = None
+
+    def whiten(self, values):
+        """Moments of accelerations (n, S, R, ..., d), shape (m, S, 1, ..., 1)."""
+        valid = self.valid[(slice(None),) * 3 + (None,) * (values.ndim - 4)]
+        values = np.where(valid, values, 0.0)
+        n, s, r, d = (*values.shape[:3], values.shape[-1])
+        flat = np.moveaxis(values, (1, -1), (0, 3)).reshape(s, n * r * d, -1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            out = self.whitener.reshape(s, -1, n * r * d) @ flat
+        return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
+
+    def whitened_target(self):
+        """The moments, shape (m, S, 1, 1)."""
+        return self.moments[..., None, None]
+
+    def whitened_residual(self, predicted):
+        """Moments less those of predicted accelerations."""
+        return self.whitened_target() - self.whiten(predicted)
+
+
+class ResponseRegression(Regression):
+    """A regression on moments of tracks."""
+
+    def column(self, term, per_entity=False, cache=None):
+        """As `Regression.column`; bodies are told apart before their moments are taken."""
+        if not per_entity:
+            return super().column(term, False, cache)
+        names = self.receiver_names()
+        parts = [[] for _ in names]
+        for batch in self.batches:
+            lookup = law_inputs(
+                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
+            value = Settling(term, batch.bodies, True)(
+                evaluate(term.acceleration_formula, lookup), batch.target.shape
+            )
+            value = checked(value, batch)
+            for part, name in zip(parts, names, strict=True):
+                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
+                part.append(batch.whiten(value * mine[..., None]))
+        return np.stack([self._flat(part) for part in parts], axis=1), names
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The response of a fit.
+
+    Attributes
+    ----------
+    regression : ResponseRegression
+        What is left of the tracks, in moments, at the smoothed states.
+    columns : ndarray, shape (n, k)
+        Moments of the changes by the constants of the law.
+    share : float
+        Part of the rows that is looked at.
+    """
+
+    regression: ResponseRegression
+    columns: np.ndarray
+    share: float
+
+    def left(self):
+        """Residual and columns, as searches take them."""
+        return self.regression.target(), self.columns
+
+    def moments_of(self, law):
+        """Moments of a law with values, (n,)."""
+        parts = [
+            batch.whiten(checked(self.regression.predict(batch, law), batch)).ravel()
+            for batch in self.regression.batches
+        ]
+        return np.concatenate(parts)
+
+
+def respond(fit, dataset, scenes=None):
+    """The response of a fit to forces beside its law.
+
+    Parameters
+    ----------
+    fit : Fit
+    dataset : Dataset
+        That it was fitted to.
+    scenes : sequence of Scene, optional
+        Versions of its scenes in which some bodies are no receivers.
+
+    Returns
+    -------
+    Response
+    """
+    with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
+        batches, used, total = [], 0, 0
+        first = 0
+        for chains, nodes, batch in zip(
+            fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
+        ):
+            count = int(np.prod(chains.observed.shape[1:]))
+            noise = _noise(fit, chains, slice(first, first + count))
+            first += count
+            pieces = cut_pieces(chains, noise, batch)
+            group = _Group(fit, chains, nodes, noise, pieces)
+            batches.append(group.batch())
+            used += pieces.n_rows
+            total += int(chains.lengths.sum())
+    regression = ResponseRegression(
+        tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
+    )
+    return Response(regression, _columns(regression, fit), used / max(total, 1))
+
+
+def _columns(regression, fit):
+    """Moments of the changes by the constants, (n, k): by the routine that has those of laws."""
+    parts = []
+    for batch in regression.batches:
+        slopes = np.zeros((len(fit.parameters), *batch.target.shape))
+        for term in fit.law.terms:
+            _, found = term_gradient(
+                fit.law, term, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
+            for slope, (name, entity) in zip(slopes, fit.parameters, strict=True):
+                if name in found:
+                    mine = np.array([
+                        [entity in ("", n) for n in names] for names in batch.bodies.receiver_names
+                    ])  # fmt: skip
+                    slope += np.where(mine[..., None], np.nan_to_num(found[name]), 0.0)
+        moments = batch.whiten(np.moveaxis(slopes, 0, 3))
+        parts.append(moments[:, :, 0, :, 0].reshape(batch.moments.size, len(fit.parameters)))
+    return np.concatenate(parts)
+
+
+def _noise(fit, chains, part):
+    """The noise of the rows of a group of chains."""
+    white, amplitude = fit.noise.parts(fit.channels)
+    shape = chains.observed.shape
+    return ChainNoise(
+        chains.times, white[: shape[0], part].reshape(shape),
+        np.nan_to_num(amplitude[: shape[0], part]).reshape(shape), fit.noise.correlation_time,
+    )  # fmt: skip
+
+
+class _Group:
+    """The pieces of one group of like-built chains."""
+
+    def __init__(self, fit, chains, nodes, noise, pieces):
+        self.fit, self.pieces = fit, pieces
+        self.chains, self.noise = pieces.chains(chains), pieces.noise(noise)
+        self.motion = Motion(fit.law, self.chains, fit.parameters)
+        self.motion.set_constants(fit.values)
+        self.tolerance = pieces.tolerance(noise)
+        self.rows = pieces.nodes(nodes)
+        self.per_row = 1 if fit.paper_steps else self._instants_per_row()
+        self.fine = _refined(self.chains, self.per_row)
+        self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
+        self.nodes = self._between()
+        self.n_own, self.n_dims = chains.n_moving, chains.n_dims
+
+    def _flow(self, chains):
+        motion = self.motion.on(chains, self.fit.law)
+        motion.set_constants(self.fit.values)
+        return Flow(motion, self.tolerance, self.fit.paper_steps)
+
+    def _instants_per_row(self):
+        """How many instants it takes that the motion turns little between two of them."""
+        flow = self._flow(self.chains)
+        points = flow.points(self.rows[..., flow.row, flow.chain], flow.start, flow.chain)
+        by_state, _ = flow.motion.slopes(points)
+        half = flow.n_state // 2
+        stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
+        v = points.state[1].reshape(half, -1)
+        a = flow.motion.acceleration(points).reshape(half, -1)
+        size = np.square(v).sum(axis=0)
+        across = np.where(size > 0, np.square(a).sum(axis=0) / np.where(size > 0, size, 1.0), 0.0)
+        rate = np.sqrt(np.maximum(stiffness, np.minimum(across, stiffness + across)))
+        turned = np.nan_to_num(rate * flow.length)
+        typical = float(np.quantile(turned, 0.9)) if len(turned) else 0.0
+        return int(np.clip(np.ceil(typical / PHASE), 1, MOST_INSTANTS))
+
+    def _between(self):
+        """States at all instants, from those of the rows."""
+        fine, step = self.fine, self.per_row
+        n, w = fine.times.shape
+        nodes = np.full((*self.rows.shape[:3], n, w), np.nan)
+        nodes[..., self.at_rows, :] = self.rows
+        if step > 1:
+            flow = self._flow(self.chains)
+            row, chain = flow.row, flow.chain
+            for k in range(1, step):
+                at = row * step + k
+                state = self.rows[..., row, chain]
+                nodes[..., at, chain] = flow.advance(
+                    state, chain, flow.start, fine.times[at, chain]
+                )
+        return nodes
+
+    # --- the linearised motion -------------------------------------------------------------------
+
+    def linearised(self):
+        """Changes of places at rows, by forces, states, constants, and what nodes lack to join.
+
+        Returns
+        -------
+        changes : ndarray, shape (L, W, n, F + n + k + 1)
+            Of the whole state at every instant, F = L R d accelerations first.
+        """
+        flow = self._flow(self.fine)
+        mesh = flow.quick_mesh(self.nodes)
+        ends, transitions = flow.run(self.nodes, mesh)
+        n, k = flow.n_state, flow.n_constants
+        half = n // 2
+        n_fine, n_pieces = self.fine.times.shape
+        gaps = (ends - self.nodes[..., flow.row + 1, flow.chain]).reshape(n, -1).T
+        good = np.isfinite(gaps).all(axis=1) & np.isfinite(transitions).all(axis=(1, 2))
+        if not good.all():
+            transitions, gaps = transitions.copy(), np.where(good[:, None], gaps, 0.0)
+            transitions[~good] = np.eye(n, n + k)
+        n_forces = n_fine * half
+        before, after_ = self._kicks()
+        changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
+        changes[0, :, np.arange(n), n_forces + np.arange(n)] = 1.0
+        number = np.full((n_fine, n_pieces), -1)
+        number[flow.row, flow.chain] = np.arange(flow.n_intervals)
+        own = half + np.arange(half)
+        for row in range(n_fine):
+            at = row * half + np.arange(half)
+            changes[row, :, own, at] += before[row]
+            open_ = np.flatnonzero(number[row] >= 0)
+            if row + 1 == n_fine or not len(open_):
+                break
+            kicked = changes[row, open_]
+            kicked[:, own, at] += after_[row, open_, None]
+            moved = transitions[number[row, open_]]
+            later = moved[:, :, :n] @ kicked
+            later[:, :, n_forces + n : n_forces + n + k] += moved[:, :, n:]
+            later[:, :, -1] += gaps[number[row, open_]]
+            changes[row + 1, open_] = later
+        return changes
+
+    def _kicks(self):
+        """Change of velocity by an acceleration of one, up to and from every instant, (L, W)."""
+        step = np.nan_to_num(np.diff(self.fine.times, axis=0))
+        zero = np.zeros((1, step.shape[1]))
+        if self.fit.paper_steps:  # v += a h, and then p += v h
+            return np.zeros((len(step) + 1, step.shape[1])), np.concatenate([step, zero])
+        return np.concatenate([zero, step]) / 2, np.concatenate([step, zero]) / 2
+
+    def _white(self, changes):
+        """Whitened changes and residuals of the rows, (W, L R d, F + n + k + 1)."""
+        at = changes[self.at_rows]
+        n_rows, n_pieces = at.shape[:2]
+        nodes = self.nodes[..., self.at_rows, :]
+        seen = sight(self._flow(self.chains), nodes)
+        shape, first = seen.places.shape, at.shape[-1] - 1 - len(self.fit.values)
+        shown = seen.shown(at, np.arange(n_rows)[:, None], np.arange(n_pieces), first)
+        left = self.chains.observed - seen.places - shown[..., -1].reshape(shape)
+        moved = np.moveaxis(shown[..., :-1], -1, 0).reshape(-1, *shape)
+        moved = np.where(np.isfinite(self.chains.observed), moved, np.nan)
+        stacked = np.concatenate([moved, left[None]])
+        rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
+        white = self.noise.whiten(stacked, rows, np.arange(n_pieces))
+        return np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
+
+    def moments(self):
+        """Tracks smoothed, then moments by force, of what is left, and which of them count.
+
+        Returns
+        -------
+        by_force : ndarray, shape (W, m, L, R, d)
+        left : ndarray, shape (W, m)
+        kept : ndarray of bool, shape (W, m)
+        """
+        n = 2 * self.n_own * self.n_dims
+        for turn in range(PASSES):
+            changes = self.linearised()
+            white = self._white(changes)
+            n_forces = white.shape[2] - n - len(self.fit.values) - 1
+            own = white[:, :, n_forces : n_forces + n]
+            q = _orthonormal(own)
+            beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
+            by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
+            values, vectors = np.linalg.eigh(by_force @ np.swapaxes(by_force, 1, 2))
+            if turn + 1 == PASSES or not self._smoothed(
+                changes, white, by_force, left, values, vectors
+            ):
+                break
+        keep = self._kept(values, left)
+        count = int(keep.sum(axis=1).max(initial=1))
+        # Eigenvalues rise: the strongest moments stand last.
+        vectors = vectors[:, :, -count:] * keep[:, None, -count:]
+        turned = np.swapaxes(vectors, 1, 2)
+        shape = (len(by_force), count, -1, self.n_own, self.n_dims)
+        moments = (turned @ left[..., None])[..., 0]
+        return (turned @ by_force).reshape(shape), moments, keep[:, -count:]
+
+    def _kept(self, values, left):
+        """Moments without which less than `LOST` is lost of what a force white in time may show."""
+        shown = max(float(np.square(left).sum()) - left.size, LEAST_SHOWN)
+        values = np.maximum(values, 0.0)
+        tail = np.cumsum(values, axis=1)  # eigenvalues rise
+        return tail * shown > LOST * tail[:, -1:].max()
+
+    def _smoothed(self, changes, white, by_force, left, values, vectors):
+        """Move the nodes to tracks smoothed by a free force; whether they moved at all."""
+        turned = np.square((np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0])
+        values = np.maximum(values, 0.0)
+        top = values.max(axis=1, keepdims=True)
+        if not np.any(top > 0):
+            return False
+        scaled = values / np.where(top > 0, top, 1.0)
+        # One strength for all pieces, by marginal likelihood; 0 is the fitted law alone.
+        height = [
+            -0.5 * float((turned / (1 + s * scaled) + np.log1p(s * scaled)).sum())
+            for s in (0.0, *STRENGTHS)
+        ]
+        best = int(np.argmax(height))
+        if best == 0 or height[best] < height[0] + 1.0:
+            return False
+        strength = STRENGTHS[best - 1] / np.where(top > 0, top, 1.0)
+        weight = strength / (1 + strength * values)
+        inner = (vectors * weight[:, None]) @ (np.swapaxes(vectors, 1, 2) @ left[..., None])
+        force = (np.swapaxes(by_force, 1, 2) @ inner)[..., 0]
+        n_forces, n = by_force.shape[2], 2 * self.n_own * self.n_dims
+        own = white[:, :, n_forces : n_forces + n]
+        rest = white[:, :, -1] - (white[:, :, :n_forces] @ force[..., None])[..., 0]
+        start = (np.linalg.pinv(own) @ rest[..., None])[..., 0]
+        k = len(self.fit.values)
+        weights = np.concatenate(
+            [force, start, np.zeros((len(force), k)), np.ones((len(force), 1))], axis=1
+        )
+        change = np.einsum("lwij,wj->lwi", changes, weights)
+        shape = (*change.shape[:2], 2, self.n_own, self.n_dims)
+        self.nodes = self.nodes + np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
+        return True
+
+    # --- a batch of the regression ---------------------------------------------------------------
+
+    def batch(self):
+        """The pieces as a batch of a regression."""
+        by_force, left, kept = self.moments()
+        times = self.fine.times
+        positions, velocities = self.pieces.states(self.chains, times, self.nodes)
+        own = slice(None, self.n_own)
+        valid = np.isfinite(positions[:, :, own]) & np.isfinite(velocities[:, :, own])
+        kept = np.swapaxes(kept, 0, 1)[..., None, None]
+        return ResponseBatch(
+            bodies=self.pieces.bodies, times=times, positions=positions, velocities=velocities,
+            target=np.zeros(valid.shape), valid=valid, scale=np.ones(valid.shape),
+            scene_names=self.chains.scenes, whitener=by_force, kept=kept, moments=left.T,
+        )  # fmt: skip
+
+
+def _orthonormal(matrices):
+    """Orthonormal bases of the columns of matrices (W, m, n); columns without effect give none."""
+    size = np.linalg.norm(matrices, axis=1, keepdims=True)
+    u, s, _ = np.linalg.svd(matrices / np.where(size > 0, size, 1.0), full_matrices=False)
+    return u * (s > 1e-9 * s.max(axis=1, keepdims=True))[:, None]
+
+
+def _refined(chains, per_row):
+    """Chains with instants between their rows, at which nothing was seen."""
+    if per_row == 1:
+        return chains
+    times = chains.times
+    share = np.arange(per_row) / per_row
+    between = times[:-1, None] + np.diff(times, axis=0)[:, None] * share[:, None]
+    fine = np.concatenate([between.reshape(-1, times.shape[1]), times[-1:]])
+    observed = np.full((len(fine), *chains.observed.shape[1:]), np.nan)
+    observed[::per_row] = chains.observed
+    # The last row of a shorter chain is followed by nothing.
+    last = (chains.lengths - 1) * per_row
+    fine[last, np.arange(times.shape[1])] = times[chains.lengths - 1, np.arange(times.shape[1])]
+    return replace(chains, times=fine, observed=observed, sigma=None, velocities=None)

@@ -1,0 +1,117 @@
+"""One identity for laws that are equal up to algebra, however they are written.
+
+Two formulas are the same law if they take the same values, up to one factor, wherever they are
+evaluated; points at random settle that to as many digits as are compared (Schwartz 1980).
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from bsp_gp.language.formula import Constant, Input, evaluate, factors, product, walk
+from bsp_gp.language.inputs import property_of
+
+__all__ = ["canonical_key", "same_law"]
+
+N_POINTS = 24
+DIGITS = 9
+"""Values that agree to this many digits are one."""
+
+
+def canonical_key(formula, n_dims=2):
+    """A key that equal laws share.
+
+    The value of a constant that multiplies the whole law does not matter, nor do the names of
+    others, which are told apart by the order in which they appear.
+
+    Parameters
+    ----------
+    formula : Formula
+    n_dims : int
+
+    Returns
+    -------
+    str
+        Of the same length for all laws.
+    """
+    above, below = factors(formula)
+    inner = [
+        c for part in (*above, *below) if not isinstance(part, Constant) for c in part.constants
+    ]
+    free = [p for p in above if not (isinstance(p, Constant) and p.name not in inner)]
+    rest = product(free)
+    values = np.asarray(_ratio(rest, below, _points(formula, n_dims), dict.fromkeys(inner)))
+    values = np.broadcast_to(values, np.broadcast_shapes(values.shape, (N_POINTS, n_dims)))
+    finite = np.where(np.isfinite(values), values, 0.0).ravel()
+    size = np.abs(finite).max()
+    if size > 0:
+        finite = finite / finite[np.argmax(np.abs(finite) > 1e-3 * size)]
+        with np.errstate(divide="ignore"):
+            step = 10.0 ** (np.floor(np.log10(np.abs(finite))) - DIGITS + 1)
+        finite = np.where(finite == 0, 0.0, np.round(finite / np.where(step > 0, step, 1)) * step)
+        finite = np.array([float(f"{x:.{DIGITS - 2}g}") for x in finite.tolist()])
+    mark = hashlib.sha256(np.ascontiguousarray(finite + 0.0).tobytes())
+    mark.update(np.isfinite(values).tobytes())
+    return mark.hexdigest()[:24]
+
+
+def same_law(one, other, n_dims=2):
+    """Whether two formulas are one law."""
+    return canonical_key(one, n_dims) == canonical_key(other, n_dims)
+
+
+def _ratio(above, below, points, inner):
+    rng = np.random.default_rng(20)
+    constants = {
+        name: float(v) for name, v in zip(inner, rng.uniform(0.6, 1.9, len(inner)), strict=True)
+    }
+    value = evaluate(above, points, constants)
+    for part in below:
+        with np.errstate(all="ignore"):
+            under = evaluate(part, points, constants)
+            value = value / (under[..., None] if np.ndim(value) > np.ndim(under) else under)
+    return value
+
+
+def _points(formula, n_dims):
+    """Random values of all inputs of a formula, the same for an input in every formula."""
+    return {
+        node.name: _value(node.name, node.type, n_dims)
+        for node in walk(formula)
+        if isinstance(node, Input)
+    }
+
+
+class _Discs:
+    """Bodies with an extent, as the conditions of contact ask for them."""
+
+    def __init__(self, radius):
+        self.radius = radius
+
+    def collides(self, own, other, place):
+        gap = np.square(np.asarray(own) - place).sum(axis=-1)
+        return (gap < np.square(self.radius + other.radius)).astype(float)
+
+    def is_on(self, own, other, place):
+        gap = np.abs(np.asarray(own) - place)
+        return (gap < other.radius[..., None]).all(axis=-1).astype(float)
+
+
+def _value(name, type_, n_dims):
+    known = property_of(name)
+    key = "_".join(known) if known else name
+    seed = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big")
+    rng = np.random.default_rng(seed)
+    if name in ("origin",):
+        return np.zeros(n_dims)
+    if name[:2] == "e_":
+        return np.eye(n_dims)["xyz".index(name[2])]
+    if name in ("up", "down"):
+        return np.eye(n_dims)[1] * (1.0 if name == "up" else -1.0)
+    if type_.shape == "shape":
+        return _Discs(rng.uniform(0.3, 0.9, N_POINTS))
+    if type_.shape in ("vector", "point"):
+        return rng.uniform(-1.0, 1.0, (N_POINTS, n_dims))
+    return rng.uniform(0.2, 2.5, N_POINTS)

@@ -1,0 +1,318 @@
+"""The new loop from a data set to its report: contract, time limit, removal, words."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.closing.backward import prune
+from bsp_gp.closing.clock import Clock, TimeIsUp
+from bsp_gp.closing.close import close_loop
+from bsp_gp.closing.criteria import CAUSES, LEFT_OUT, REASONS, STOP_REASONS, VERDICTS, Criteria
+from bsp_gp.closing.decide import Decision
+from bsp_gp.closing.kept import text_of
+from bsp_gp.closing.loop import Round, run_rounds
+from bsp_gp.closing.proposal import continued, with_term
+from bsp_gp.closing.proposers.exponents import Declared
+from bsp_gp.closing.proposers.laws import Laws
+from bsp_gp.closing.table import HypothesisTable, Row
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.fitting.fit import STATUSES, fit
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.report import page
+from bsp_gp.report.html import render_html
+from bsp_gp.report.summary import summary_text
+from tests import worlds
+from tests.worlds import WEIGHT
+
+TOP = {
+    "schema", "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
+    "rounds", "law", "total", "verdict", "probability", "equivalents", "stop_reason", "complete",
+    "left_out", "n_fits", "versions", "wall_s",
+}  # fmt: skip
+ROUND = {
+    "missing": {"statistic", "p_value", "detectable"},
+    "effect": {
+        "name", "code", "kind", "law", "latex", "entities", "constants", "p_value", "probability",
+        "equivalents",
+    },
+    "hypotheses": None, "varies_with": None, "noise_findings": None, "hidden_bound": None,
+    "adopted": None, "reason": None, "held_out": None, "certificate": None,
+    "before": {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "unit"},
+    "after": {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "unit"},
+    "floor": {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "unit"},
+    "ratio": {"value", "low", "high"},
+}  # fmt: skip
+HYPOTHESIS = {
+    "id", "code", "law", "source", "status", "log_evidence", "held_out", "p_value", "probability",
+}  # fmt: skip
+
+
+def dragged():
+    """Two held-out flights: intervals are parametric."""
+    return worlds.flights(3, worlds.linear_drag, n_train=5, n_test=2)
+
+
+@pytest.fixture(scope="module")
+def report():
+    return close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), seed=0)
+
+
+# --- the report -----------------------------------------------------------------------------------
+
+
+def test_report_json_has_the_contracts_keys_and_closed_codes(report):
+    data = report.to_dict()
+    json.dumps(data, allow_nan=False)
+    assert set(data) == TOP
+    assert data["schema"] == "bsp_gp/report/2"
+    assert {"text", "latex"} <= set(data["law"])
+    assert set(data["total"]) == {"before", "after", "floor", "ratio"}
+    assert {"sigma", "unit", "source", "correlation_time", "tails"} <= set(data["noise"])
+    assert data["alpha"] == data["criteria"]["alpha"] == Criteria().alpha
+    assert data["verdict"] in VERDICTS
+    assert data["stop_reason"] in STOP_REASONS
+    for done in data["rounds"]:
+        assert set(ROUND) <= set(done)
+        for name, keys in ROUND.items():
+            if keys is not None and done[name] is not None:
+                assert keys <= set(done[name]), name
+        assert done["reason"] in REASONS
+        for row in done["hypotheses"]:
+            assert set(row) == HYPOTHESIS
+            assert row["code"] in ("base", *CAUSES)
+            assert row["status"] in ("scored", *STATUSES)
+            assert set(row["held_out"]) == {"gain", "se", "promised"}
+
+
+def test_a_drag_is_found_with_its_constant_and_its_errors(report):
+    assert report.verdict == "effect adopted"
+    assert report.stop_reason == "nothing_left"
+    assert report.complete
+    first, last = report.rounds
+    assert first.effect.kind == "field"
+    (constant,) = first.effect.constants
+    assert constant.low < -0.3 < constant.high
+    assert constant.unit == "kg/s"
+    assert not last.adopted
+    assert last.reason == "not_significant"
+    total = report.total
+    assert total["ratio"].low < total["ratio"].value < total["ratio"].high < 0.5
+    assert total["ratio"].method == "parametric"
+    assert 0.3 < total["after"].rollout_rmse / total["floor"].rollout_rmse < 2
+    low, high = total["before"].intervals["rollout_rmse"]
+    assert low < total["before"].rollout_rmse < high
+
+
+def test_the_table_has_every_hypothesis(report):
+    table = report.table()
+    assert len(table) == sum(len(done.hypotheses) for done in report.rounds)
+    assert (table[table["round"] == 1]["probability"].sum()) == pytest.approx(1.0)
+
+
+def test_tracks_and_residuals_are_those_of_the_data(report):
+    assert [o.scene for o in report.overlays] == ["5", "6"]
+    overlay = report.overlays[0]
+    late = slice(overlay.n_initial, None)
+    errors = [np.abs(overlay.observed - p)[late].max() for p in (overlay.declared, overlay.adopted)]
+    assert errors[1] < 0.2 * errors[0]
+    table = report.residuals
+    assert set(table.split) == {"train", "test"}
+    assert len(table.t) == 7 * 38  # second differences have two rows less
+    # Along the velocity drag takes 0.3 v / m away, and nothing is left of it afterwards.
+    assert abs(np.mean(table.after_along)) < 0.3 * abs(np.mean(table.before_along))
+
+
+def test_one_seed_gives_one_report(report):
+    again = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), seed=0).to_dict()
+    for data in (again, once := report.to_dict()):
+        data.pop("wall_s")
+        for done in data["rounds"]:
+            done.pop("seconds")
+    assert again == once
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"search": "luck"}, "search must be one of"),
+        ({"alpha": 1.5}, "alpha must be between"),
+        ({"max_rounds": 0}, "max_rounds must be at least 1"),
+        ({"time_limit": 0.0}, "time_limit must be a positive"),
+        ({"exclude": ("nonsense",)}, "exclude names"),
+    ],
+)
+def test_unusable_settings_are_refused(settings, said):
+    with pytest.raises(SettingsError, match=said):
+        close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), **settings)
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+
+def test_every_code_has_words():
+    assert set(page._REASONS) == set(REASONS)
+    assert set(page._STOPS) == set(STOP_REASONS)
+    assert set(page._LEFT_OUT) == set(LEFT_OUT)
+    assert set(page._CAUSES) >= set(CAUSES) - {"law"}
+
+
+def test_page_and_summary_say_what_was_found(report):
+    text = summary_text(report)
+    assert "lacks drag, linear in speed" in text
+    assert "nothing is left above the noise" in text
+    html = render_html(report)
+    assert "Everything that was weighed" in html
+    assert ">None<" not in html
+    assert "nan" not in text
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+class Asked(Clock):
+    """A clock that is over once it has been asked so often."""
+
+    def __init__(self, times):
+        super().__init__()
+        self.times = times
+
+    @property
+    def is_over(self):
+        self.times -= 1
+        return self.times < 0
+
+
+def test_less_time_never_adopts_more_and_says_what_it_left_out():
+    data = worlds.flights(3, worlds.head_wind, n_train=4, n_test=0, sigma=0.02)
+    data = replace(data, train=(), test=())
+    hypothesis = Hypothesis.from_laws(data, [WEIGHT])
+    grammar = load_grammar("physics")
+
+    def adopted(clock):
+        rounds = run_rounds(
+            hypothesis, data, (Laws(grammar, data, max_levels=5), Declared()), max_rounds=3,
+            rng=np.random.default_rng(0), clock=clock,
+        )  # fmt: skip
+        return rounds, [r.decision.best.text for r in rounds if r.decision.is_adopted]
+
+    whole, full = adopted(Clock())
+    assert full
+    assert not any(done.left_out for done in whole)
+    told = set()
+    for times in (0, 1, 5, 12, 20):
+        rounds, some = adopted(Asked(times))
+        assert some == full[: len(some)]
+        last = rounds[-1]
+        if last.left_out:
+            told |= set(last.left_out)
+            assert last.decision.verdict == "cannot tell"
+            assert last.decision.reason in ("time_is_up", "declared_model_not_fitted")
+            assert not last.decision.is_adopted
+    assert {"proposers", "fits"} <= told <= set(LEFT_OUT)
+
+
+def test_a_time_limit_that_is_no_time_ends_with_a_report():
+    done = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), time_limit=1e-3)
+    assert not done.complete
+    assert done.stop_reason == "time_is_up"
+    assert done.verdict == "cannot tell"
+    assert not any(r.adopted for r in done.rounds)
+    assert "time limit" in summary_text(done)
+    assert set(done.to_dict()) == TOP
+
+
+def test_a_clock_counts_down():
+    assert Clock().left is None
+    assert not Clock().is_over
+    Clock().tick()
+    over = Clock(0.0)
+    assert over.left == 0.0
+    with pytest.raises(TimeIsUp):
+        over.tick(3, 7)
+
+
+# --- going on ------------------------------------------------------------------------------------
+
+
+def test_a_run_goes_on_from_its_rounds_to_the_same_bits(report):
+    """From none, from the first and from all of them."""
+    rounds = []
+
+    def run(**settings):
+        done = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), seed=0, **settings)
+        data = done.to_dict()
+        data.pop("wall_s")
+        data.pop("n_fits")  # those of an earlier run are not counted again
+        for each in data["rounds"]:
+            each.pop("seconds")
+        return data
+
+    whole = run(on_round=rounds.append)
+    assert len(rounds) == 2
+    for count in (1, 2):
+        made = []
+        again = run(earlier=text_of(rounds[:count]), on_round=made.append)
+        assert len(made) == 2 - count
+        assert again == whole
+
+
+def test_what_is_no_round_is_refused():
+    other = '[{"c": "pathlib:Path", "k": {}}]'
+    for text in ("", "[[", '[{"c": "os:system", "a": ["true"]}]', other):
+        with pytest.raises(DataError, match="kept rounds cannot be read"):
+            close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), earlier=text)
+
+
+# --- removal --------------------------------------------------------------------------------------
+
+
+def rounds_of(data, *texts):
+    """Rounds that adopt these laws one after the other, whatever the evidence says."""
+    hypothesis = Hypothesis.from_laws(data, [WEIGHT])
+    found, rounds = fit(hypothesis, data), []
+    for number, text in enumerate(texts, 1):
+        hypothesis = continued(hypothesis, found)
+        law = read_law(data, [text])
+        more = with_term(hypothesis, replace(law.terms[0], is_declared=False), law.constants)
+        new = fit(more, data)
+        best = Row(1, "law", text, "test", new.status, 0.0, -3.0, new.chisqr, new.n_free)
+        table = HypothesisTable((best,), 0.0)
+        decision = Decision("effect adopted", "adopted", best, True)
+        rounds.append(
+            Round(number, found, table, decision, {0: found, 1: new}, {0: hypothesis, 1: more}, ())
+        )
+        found, hypothesis = new, more
+    return rounds
+
+
+def unsplit(world):
+    return replace(worlds.flights(3, world, n_train=6, n_test=0, noise=None), train=(), test=())
+
+
+def test_what_later_causes_explain_is_taken_back():
+    data = unsplit(worlds.linear_drag)
+    # A push along x is what a drag looks like to flights that mostly go one way.
+    pruned = prune(rounds_of(data, "a * e_x", "-c * v_i"), data)
+    assert pruned.removed == {1}
+    assert pruned.is_complete
+    assert pruned.n_fits == 1
+    assert [name for name, _ in pruned.fit.parameters] == ["c"]
+    assert pruned.fit.values[0] == pytest.approx(0.3, abs=4 * pruned.fit.errors[0])
+
+
+def test_what_the_evidence_asks_for_stays():
+    data = unsplit(worlds.head_wind)
+    rounds = rounds_of(data, "a * e_x", "-c * v_i")
+    pruned = prune(rounds, data)
+    assert pruned.removed == frozenset()
+    assert pruned.fit is rounds[-1].after
+
+
+def test_removal_without_time_says_so():
+    data = unsplit(worlds.linear_drag)
+    pruned = prune(rounds_of(data, "a * e_x", "-c * v_i"), data, clock=Clock(0.0))
+    assert not pruned.is_complete
+    assert pruned.removed == frozenset()

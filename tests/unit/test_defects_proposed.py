@@ -1,0 +1,162 @@
+"""Defects of recordings as parts of a hypothesis: found, undone, and paid for."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bsp_gp.closing.criteria import CAUSES
+from bsp_gp.closing.evidence import log_evidence
+from bsp_gp.closing.proposers.defects import Defects
+from bsp_gp.closing.view import selected
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.parts.defects import LeftOut, Shifted, Swapped
+from tests.closing_views import GRAVITY, edited, throws, view_of
+
+
+def swap(positions):
+    positions[17:] = positions[17:, ::-1]
+
+
+def spoil(positions):
+    positions[12, 0] += (0.3, -0.2)
+
+
+def lose(positions):
+    positions[25:, 1] = positions[25, 1] + 0.4
+
+
+def drop(positions):
+    positions[20:-2] = positions[22:]
+    positions[-2:] = np.nan
+
+
+def repeat(positions):
+    positions[21:] = positions[20:-1].copy()
+    positions[20] = positions[19] + 1e-4
+
+
+def best_of(data):
+    """The family, and the likeliest of its proposals once fitted, beside the base."""
+    view = view_of(data)
+    family = Defects().propose(view)
+    heights = [
+        log_evidence(fit(p.hypothesis, data), p.hypothesis) + p.log_prior for p in family.proposals
+    ]
+    k = int(np.argmax(heights))
+    chance = selected(family.gain, family.rank, family.null, view.noise_dof)
+    return family.proposals[k], heights[k] - log_evidence(view.fit, view.hypothesis), chance
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "text"),
+    [
+        (swap, "swapped_tracks", "1, 2 swapped[2, 17:]"),
+        (spoil, "bad_row", "1 left out[2, 12:13]"),
+        (lose, "lost_track", "2 left out[2, 25:40]"),
+        (drop, "bad_row", "t +0.05 s[2, 20:]"),
+        (repeat, "bad_row", "t -0.025 s[2, 20:]"),
+    ],
+)
+def test_a_defect_is_named_with_its_row(change, code, text):
+    data = edited(throws(np.random.default_rng(2), n_bodies=2), change, scene=1)
+    best, gain, chance = best_of(data)
+    assert (best.code, best.text) == (code, text)
+    assert code in CAUSES
+    assert gain > 20
+    assert chance < 1e-6
+
+
+def test_two_bad_rows_are_left_out_at_once():
+    def change(positions):
+        positions[5, 0, 0] += 0.2
+        positions[30, 1, 1] -= 0.2
+
+    data = edited(throws(np.random.default_rng(2), n_bodies=2), change)
+    best, _, _ = best_of(data)
+    assert set(best.text.split("; ")) == {"1 left out[1, 5:6]", "2 left out[1, 30:31]"}
+
+
+def test_a_promise_is_what_the_fit_keeps():
+    data = edited(throws(np.random.default_rng(2), n_bodies=2), lose, scene=1)
+    view = view_of(data)
+    base = log_evidence(view.fit, view.hypothesis)
+    best = Defects().propose(view).proposals[0]
+    height = log_evidence(fit(best.hypothesis, data), best.hypothesis) + best.log_prior
+    assert best.code == "lost_track"
+    assert height - base == pytest.approx(best.promise, abs=5)  # less the volume of the states
+
+
+def test_without_defects_none_is_likelier_than_the_law_alone():
+    for seed in range(3):
+        _, gain, _ = best_of(throws(np.random.default_rng(seed), n_bodies=2))
+        assert gain < 0
+
+
+def test_bodies_that_meet_and_are_explained_are_not_swapped():
+    def meet(t, mass):
+        return 0.0 * t[:, None]
+
+    data = throws(np.random.default_rng(2), n_bodies=2, move=meet)
+
+    def cross(positions):  # two tracks through one point, as the law has them
+        positions[:, 1] = positions[:, 0] + 0.1 * np.linspace(-1, 1, 40)[:, None] * [1, 0]
+        positions[:, 1, 1] += 0.001
+
+    family = Defects().propose(view_of(edited(data, cross)))
+    assert all(p.code != "swapped_tracks" for p in family.proposals)
+
+
+def test_swapping_twice_is_nothing_and_other_scenes_are_left_alone():
+    data = throws(np.random.default_rng(0), n_bodies=2)
+    part = Swapped("2", 10, "1", "2")
+    once = part.seen(data)
+    assert np.array_equal(once.scenes[1].positions[10:], data.scenes[1].positions[10:, ::-1])
+    assert np.array_equal(once.scenes[1].positions[:10], data.scenes[1].positions[:10])
+    assert once.scenes[0] is data.scenes[0]
+    both = (Hypothesis() + part + part).seen(data)
+    assert np.array_equal(both.scenes[1].positions, data.scenes[1].positions)
+
+
+def test_rows_left_out_are_not_seen_and_are_paid_for():
+    data = throws(np.random.default_rng(0), n_bodies=2)
+    part = LeftOut("1", 3, 5, "2", n_left_out=4, extent=5.0)
+    positions = part.seen(data).scenes[0].positions
+    assert np.isnan(positions[3:5, 1]).all()
+    assert np.isfinite(positions).sum() == data.scenes[0].positions.size - 4
+    assert np.isnan(LeftOut("1", 3, 4, "").seen(data).scenes[0].positions[3]).all()
+    whole = Hypothesis.from_laws(data, [GRAVITY])
+    found = fit(whole + part, data)
+    assert found.n_rows == fit(whole, data).n_rows - 4
+    paid = log_evidence(found, whole + part) - log_evidence(found, whole)
+    assert paid == pytest.approx(-4 * math.log(5.0))
+
+
+def test_repeated_frames_are_cut_and_missing_ones_open_a_gap():
+    data = throws(np.random.default_rng(0))
+    later = Shifted("1", 20, 0.05).seen(data).scenes[0]
+    assert np.diff(later.times)[19] == pytest.approx(0.075)
+    assert len(later.times) == 40
+    shorter = Shifted("1", 20, -0.025).seen(data).scenes[0]
+    assert np.diff(shorter.times) == pytest.approx(np.full(38, 0.025))
+    assert np.array_equal(shorter.positions[20:], data.scenes[0].positions[21:])
+
+
+def test_evidence_of_a_defect_does_not_change_with_the_unit_of_length():
+    """What is left out has a density in metres, as what is kept has."""
+    gains = []
+    for unit in (1.0, 1000.0):
+        data = throws(np.random.default_rng(4), n_bodies=1)
+        data = edited(data, spoil)
+        from dataclasses import replace
+
+        scenes = tuple(replace(s, positions=s.positions * unit) for s in data.scenes)
+        data = replace(data, scenes=scenes, noise=(data.noise[0] * unit,))
+        view = view_of(data, f"{-9.81 * unit} [m/s^2] * m_i * e_y")
+        best = next(p for p in Defects().propose(view).proposals if p.code == "bad_row")
+        new = fit(best.hypothesis, data)
+        gains.append(
+            log_evidence(new, best.hypothesis) - log_evidence(view.fit, view.hypothesis)
+        )
+    assert gains[0] == pytest.approx(gains[1], abs=1e-4)
