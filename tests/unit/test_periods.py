@@ -45,7 +45,7 @@ def test_a_period_is_found_with_its_rate_axis_and_mass(has_mass):
     assert "e_y" not in best.text
     assert found["w1"] == pytest.approx(RATE, rel=0.02)
     assert np.hypot(found["a1"], found["b1"]) == pytest.approx(force, rel=0.1)
-    assert heights[k] > log_evidence(view.fit) + 10
+    assert heights[k] > log_evidence(view.fit, view.hypothesis) + 10
 
 
 def test_gains_are_those_of_a_score_test_of_the_same_columns():
