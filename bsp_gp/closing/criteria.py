@@ -16,7 +16,7 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
-    "superseded",
+    "superseded", "not_tested",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
 LEFT_OUT = ("proposers", "fits", "removal", "intervals")

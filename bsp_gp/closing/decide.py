@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from bsp_gp.closing.criteria import Criteria
@@ -55,7 +56,9 @@ def decide(table, criteria=None):
     criteria = criteria or Criteria()
     if not table.base.is_fit:
         return Decision("cannot tell", "declared_model_not_fitted")
-    if not table.p_value <= criteria.alpha:
+    if not math.isfinite(table.p_value):
+        return Decision("cannot tell", "not_tested")
+    if table.p_value > criteria.alpha:
         return Decision("nothing missing", "not_significant")
     candidates = table.candidates
     if not candidates:

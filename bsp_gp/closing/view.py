@@ -13,8 +13,8 @@ from bsp_gp.physics.force import Term
 
 __all__ = ["View", "gains", "selected"]
 
-N_DRAWS = 49
-"""Simulated residuals behind the effective number of things that were tried."""
+N_DRAWS, N_ROW_DRAWS = 49, 99
+"""Simulated moments behind the effective number of forces that were tried; residuals row by row."""
 
 
 class View:
@@ -54,7 +54,7 @@ class View:
     @cached_property
     def row_draws(self):
         """Residuals of noise alone, beside everything free, (B, n)."""
-        return self.tangent.noise(self._rows_rng, N_DRAWS)
+        return self.tangent.noise(self._rows_rng, N_ROW_DRAWS)
 
     @cached_property
     def moment_draws(self):

@@ -29,6 +29,7 @@ _REASONS = {
     "kinds_tie": "a cause of another kind is as likely",
     "held_out_refuses": "scenes that were left out do not gain what it promises",
     "no_candidate_fits": "nothing that was tried could be fitted",
+    "not_tested": "what is left could not be tested",
     "declared_model_not_fitted": "the declared model could not be fitted to the tracks",
     "noise_explains": "the noise is not as assumed, and explains it",
     "time_is_up": "the time was up before everything was looked at",

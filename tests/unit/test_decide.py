@@ -1,0 +1,131 @@
+"""Verdicts follow from tables alone; the evidence knows no units."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.closing.criteria import CAUSES, REASONS, VERDICTS, Criteria
+from bsp_gp.closing.decide import decide
+from bsp_gp.closing.evidence import log_evidence
+from bsp_gp.closing.table import HeldOut, HypothesisTable, Row
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from tests.unit.test_response import thrown
+
+BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, 500.0, 4)
+
+
+def row(number, code="law", gain=100.0, prior=-4.0, status="converged", **changes):
+    made = Row(
+        number, code, f"cause {number}", code, status, 0.5 * gain - 5.0, prior, 500.0 - gain, 5,
+        key=(code, str(number)),
+    )  # fmt: skip
+    return replace(made, **changes)
+
+
+def decided(*rows, p=1e-6, base=BASE, criteria=None):
+    return decide(HypothesisTable((base, *rows), p).with_probabilities(), criteria)
+
+
+def test_codes_are_those_of_the_closed_lists():
+    shown = [
+        decided(), decided(row(1)), decided(row(1), p=0.5), decided(row(1, "noise")),
+        decided(row(1), base=replace(BASE, status="unconverged")), decided(row(1, gain=5.0)),
+        decided(row(1), row(2, "tilt")), decided(row(1, status="nonfinite")),
+    ]  # fmt: skip
+    assert {d.verdict for d in shown} <= set(VERDICTS)
+    assert {d.reason for d in shown} <= set(REASONS)
+    assert all(d.best is None or d.best.code in CAUSES for d in shown)
+
+
+def test_nothing_is_missing_where_chance_shows_as_much():
+    said = decided(row(1), p=0.02)
+    assert (said.verdict, said.is_adopted) == ("nothing missing", False)
+    assert decided(row(1), p=0.02, criteria=Criteria(alpha=0.05)).is_adopted
+
+
+def test_a_failed_fit_is_never_nothing_missing():
+    for status in ("nonfinite", "unconverged", "aliased"):
+        said = decided(base=replace(BASE, status=status), p=np.nan)
+        assert (said.verdict, said.reason) == ("cannot tell", "declared_model_not_fitted")
+    assert decided(row(1), p=np.nan).reason == "not_tested"
+    assert decided(row(1, status="unconverged")).verdict == "seen, not adopted"
+
+
+def test_a_form_is_a_fact_only_without_near_rivals():
+    assert decided(row(1), row(2, gain=60.0)).is_fact
+    near = decided(row(1), row(2, gain=92.0))
+    assert not near.is_fact
+    assert [r.id for r in near.rivals] == [2]
+
+
+def test_what_is_unlikely_beforehand_is_told_where_it_explains_as_well():
+    said = decided(row(1), row(2, gain=101.0, prior=-16.0))
+    assert said.best.id == 1
+    assert [r.id for r in said.rivals] == [2]
+
+
+def test_a_measurement_and_a_force_that_tie_cannot_be_told():
+    said = decided(row(1), row(2, "tilt", gain=99.0))
+    assert (said.verdict, said.reason) == ("cannot tell", "kinds_tie")
+    assert decided(row(1), row(2, "tilt", gain=90.0)).verdict == "effect adopted"
+    assert decided(row(1), row(2, gain=99.9)).verdict == "effect adopted"  # both are forces
+
+
+def test_noise_goes_before_causes():
+    said = decided(row(1), row(2, "noise", gain=95.0))
+    assert (said.verdict, said.best.code) == ("the noise is not as assumed", "noise")
+    assert decided(row(1), row(2, "noise", gain=60.0)).verdict == "effect adopted"
+
+
+def test_left_out_scenes_can_refuse_and_never_confirm_alone():
+    refused = row(1, held_out=HeldOut(-3.0, 1.0, 45.0))
+    assert decided(refused).reason == "held_out_refuses"
+    assert decided(row(1, held_out=HeldOut(20.0, 15.0, 45.0))).is_adopted
+    assert not decided(row(1, gain=8.0, held_out=HeldOut(30.0, 1.0, 4.0))).is_adopted
+
+
+def test_probabilities_add_up():
+    table = HypothesisTable((BASE, row(1), row(2, gain=90.0)), 0.0).with_probabilities()
+    assert sum(r.probability for r in table.rows) == pytest.approx(1.0)
+    assert table.rows[1].probability > table.rows[2].probability > table.rows[0].probability
+
+
+def test_one_hypothesis_has_one_row():
+    worse = row(2, gain=80.0, key=("law", "1"))
+    table = HypothesisTable((BASE, row(1), worse), 0.0).without_repeats()
+    assert [r.id for r in table.rows] == [0, 1]
+
+
+def test_criteria_are_few_and_each_has_its_reason():
+    names = [field.name for field in fields(Criteria)]
+    assert len(names) <= 15
+    assert all(name in Criteria.__doc__ for name in names)
+
+
+# --- evidence -------------------------------------------------------------------------------------
+
+
+def in_feet(dataset):
+    """The same recording told in units of length 0.3048 times as long."""
+    scenes = tuple(replace(s, positions=s.positions / 0.3048) for s in dataset.scenes)
+    return replace(dataset, scenes=scenes, noise=tuple(x / 0.3048 for x in dataset.noise))
+
+
+def test_evidence_gained_does_not_depend_on_units():
+    gains = []
+    for data in (thrown(0.05), in_feet(thrown(0.05))):
+        heights = []
+        for laws in (["-g * m_i * e_y"], ["-g * m_i * e_y", "-c * v_i"]):
+            hypothesis = Hypothesis.from_laws(data, laws)
+            heights.append(log_evidence(fit(hypothesis, data), hypothesis))
+        gains.append(heights[1] - heights[0])
+    assert gains[0] == pytest.approx(gains[1], abs=1e-4)
+
+
+def test_a_failed_fit_has_no_evidence():
+    data = thrown(0.0)
+    hypothesis = Hypothesis.from_laws(data, ["-g * m_i * e_y"])
+    failed = replace(fit(hypothesis, data), status="unconverged")
+    assert log_evidence(failed, hypothesis) == -np.inf
