@@ -39,6 +39,8 @@ class Proposal:
         Of a law: the term that is added.
     ties : tuple of Formula or str
         What would be the same on these data.
+    n_dims : int
+        Of the space of `formula`.
     """
 
     code: str
@@ -51,11 +53,14 @@ class Proposal:
     bounds: dict = field(default_factory=dict)
     formula: object = None
     ties: tuple = ()
+    n_dims: int = 2
 
     @cached_property
     def key(self):
         """Its identity: laws that are equal up to algebra have one."""
-        return self.code, self.text if self.formula is None else canonical_key(self.formula)
+        if self.formula is None:
+            return self.code, self.text
+        return self.code, canonical_key(self.formula, self.n_dims)
 
     @property
     def texts_of_ties(self):

@@ -47,6 +47,15 @@ def test_other_laws_are_others(one, other):
     assert not same_law(law(one), law(other))
 
 
+def test_laws_in_space_have_keys_of_their_own():
+    types = input_types({}, n_dims=3)
+    texts = ("c * e_z", "c * cross(e_z, v_i)", "c * v_i", "c * e_x")
+    keys = [canonical_key(parse_formula(text, types), 3) for text in texts]
+    assert len(set(keys)) == len(texts)
+    turned = parse_formula("-c * cross(v_i, e_z)", types)
+    assert canonical_key(turned, 3) == keys[1]
+
+
 def test_keys_have_one_length():
     texts = ("c * v_i", "0 [N] * e_x", "g * e_y")
     assert len({len(canonical_key(law(text))) for text in texts}) == 1

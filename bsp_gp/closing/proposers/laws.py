@@ -115,6 +115,7 @@ class Laws:
         return Proposal(
             "law", to_text(candidate.formula), with_term(view.hypothesis, term, {name: value}),
             -candidate.complexity, candidate.share * total, formula=formula, ties=candidate.ties,
+            n_dims=view.dataset.n_dims,
         )  # fmt: skip
 
 

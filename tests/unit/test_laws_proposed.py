@@ -1,0 +1,28 @@
+"""Laws as a proposer: in space as in the plane."""
+
+import numpy as np
+
+from bsp_gp.closing.proposers.laws import Laws
+from bsp_gp.closing.view import View
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.grammar import load_grammar
+from tests.fitted_tracks import body, dataset_of, scene_of
+
+
+def test_laws_in_space_are_told_apart():
+    rng, times = np.random.default_rng(0), np.linspace(0.0, 1.0, 25)
+    scenes = []
+    for k in range(3):
+        start = rng.uniform(-3.0, 3.0, 3)
+        places = start * times[:, None] + np.array([0.0, 0.0, 0.2]) * times[:, None] ** 2
+        places = places + 0.005 * rng.standard_normal(places.shape)
+        scenes.append(scene_of(times, (body("ball"),), places[:, None], name=f"s{k}"))
+    data = dataset_of(scenes, noise=(0.005, 0.005, 0.005))
+    hypothesis = Hypothesis.from_laws(data, [])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    family = Laws(load_grammar("physics"), data, max_levels=6).propose(view)
+    first = family.proposals[0]
+    assert "e_z" in first.text
+    keys = [p.key for p in family.proposals[:50]]
+    assert len(set(keys)) > 1 and keys.count(first.key) == 1
