@@ -35,9 +35,7 @@ def log_evidence(fit, hypothesis):
     """
     if fit.is_failed:
         return -math.inf
-    total = fit.log_likelihood + fit.state_volume
-    if hypothesis is not None:
-        total += hypothesis.log_density
+    total = fit.log_likelihood + fit.state_volume + hypothesis.log_density
     # Numbers of the noise beyond its levels, each known to about the root of the rows.
     n_more = sum(p.is_free and not p.name.startswith("sigma_") for p in fit.noise.parameters)
     total -= 0.5 * n_more * math.log(max(fit.n_rows, 2))

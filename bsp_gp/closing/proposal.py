@@ -9,11 +9,10 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
-from bsp_gp.language.formula import Call, Constant
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Family", "Proposal", "continued", "fresh_name", "renamed", "with_term"]
+__all__ = ["Family", "Proposal", "continued", "with_term"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,20 +120,3 @@ def continued(hypothesis, fit):
 def with_term(hypothesis, term, constants):
     """The hypothesis with a force more."""
     return hypothesis + Forces(ForceLaw((term,), constants), None)
-
-
-def fresh_name(law, stem="c"):
-    """A constant name that the law does not use."""
-    k = 1
-    while f"{stem}{k}" in law.names:
-        k += 1
-    return f"{stem}{k}"
-
-
-def renamed(formula, old, new):
-    """The formula with one constant renamed."""
-    if isinstance(formula, Constant):
-        return Constant(new) if formula.name == old else formula
-    if isinstance(formula, Call):
-        return Call(formula.operator, *(renamed(arg, old, new) for arg in formula.args))
-    return formula

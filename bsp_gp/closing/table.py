@@ -44,7 +44,7 @@ class Row:
         Of its fit.
     log_evidence, log_prior : float, nats
     chisqr : float
-        Of the tracks under the noise of the base row.
+        Of the tracks, each fit under its own noise: comparable where that is known.
     n_free : int
     held_out : HeldOut
     p_value : float

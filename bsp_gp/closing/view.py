@@ -10,6 +10,7 @@ from scipy import stats
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.physics.force import Term
+from bsp_gp.search.columns import orthonormal
 
 __all__ = ["View", "gains", "selected"]
 
@@ -74,8 +75,6 @@ class View:
     @cached_property
     def _moments(self):
         """Moments left beside the constants, and the basis of what these can take up."""
-        from bsp_gp.search.columns import orthonormal
-
         target, columns = self.response.left()
         q = orthonormal(columns, len(target))
         return target - q @ (q.T @ target), q
@@ -96,6 +95,11 @@ class View:
         q = self._moments[1]
         return columns - q @ (q.T @ columns)
 
+    @cached_property
+    def draws_left(self):
+        """Of the draws, what the constants of the law cannot take up, (n, B)."""
+        return self.beside(self.moment_draws)
+
     def force_columns(self, formulas, kind="field"):
         """Moments of forces without constants, (n, c)."""
         terms = [Term(formula, kind) for formula in formulas]
@@ -108,9 +112,7 @@ class View:
 
     def null_forces(self, columns):
         """Gains of the same columns on simulated noise, (B,)."""
-        rows = self.beside(columns).T
-        draws = self.beside(self.moment_draws)
-        return gains(rows, draws.T)
+        return gains(self.beside(columns).T, self.draws_left.T)
 
     def detectable(self, alpha):
         """Least constant acceleration, one for all bodies, seen with 95 % on every axis, m/s^2.

@@ -5,17 +5,9 @@ from __future__ import annotations
 from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.physics.force import split_linear
+from bsp_gp.physics.force import fresh_name, split_linear
 
 __all__ = ["describe", "form_of", "fresh_name", "rename_constant"]
-
-
-def fresh_name(law, stem="c"):
-    """A constant name that the law does not use."""
-    k = 1
-    while f"{stem}{k}" in law.names:
-        k += 1
-    return f"{stem}{k}"
 
 
 def rename_constant(formula, old, new):

@@ -22,7 +22,9 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
-__all__ = ["ForceLaw", "Term", "constant_units", "kind_of", "split_linear", "term_gradient"]
+__all__ = [
+    "ForceLaw", "Term", "constant_units", "fresh_name", "kind_of", "split_linear", "term_gradient",
+]  # fmt: skip
 
 _MASS = ("m_i", "mass_i")
 
@@ -227,6 +229,14 @@ def term_gradient(law, term, bodies, positions, velocities, times):
         for name, slope in gradient.items()
         if slope is not None
     }
+
+
+def fresh_name(law, stem="c"):
+    """A constant name that the law does not use."""
+    k = 1
+    while f"{stem}{k}" in law.names:
+        k += 1
+    return f"{stem}{k}"
 
 
 def split_linear(formula):

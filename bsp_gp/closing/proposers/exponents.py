@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Declared"]
 
@@ -38,13 +38,13 @@ class Declared:
         for index, term in enumerate(law.terms):
             if not term.is_declared:
                 continue
-            for base, power, typical in _powers(view, term):
+            for base, typical in _powers(view, term):
                 ratio = Call("div", base, Number(typical, base.type.unit))
                 slope = Call("mul", Call("log", ratio), term.formula)
                 score, chance = self._scored(view, Term(slope, term.kind))
                 null = np.maximum(null, chance)
                 if score.rank:
-                    proposals.append(self._exponent(view, index, base, power, typical, score))
+                    proposals.append(self._exponent(view, index, base, typical, score))
             if not term.formula.constants:
                 score, chance = self._scored(view, term)
                 null = np.maximum(null, chance)
@@ -64,7 +64,7 @@ class Declared:
         column = view.response.moments_of(ForceLaw((term,), known))[:, None]
         return view.score_forces(column), view.null_forces(column)
 
-    def _exponent(self, view, index, base, power, typical, score):
+    def _exponent(self, view, index, base, typical, score):
         law = view.fit.law
         term = law.terms[index]
         name = fresh_name(law, "n")
@@ -108,32 +108,28 @@ def _with_term_at(hypothesis, index, term, constants):
 
 
 def _powers(view, term):
-    """Factors of a term that change with the motion: (base, power, typical value)."""
-    found = {}
-    for sign, parts in zip((1, -1), factors(term.formula), strict=True):
-        for part in parts:
-            base, power = _base(part, sign)
-            is_scalar = part.type.shape == "scalar" and not part.constants
-            if is_scalar and any(not property_of(name) for name in base.inputs):
-                found[base] = found.get(base, 0) + power
-    for base, power in found.items():
+    """Factors of a term that change with the motion, without their powers: (base, typical value)."""
+    bases = {}
+    for part in (part for parts in factors(term.formula) for part in parts):
+        base = _base(part)
+        is_scalar = part.type.shape == "scalar" and not part.constants
+        if is_scalar and any(not property_of(name) for name in base.inputs):
+            bases[base] = None
+    for base in bases:
         if isinstance(base, Call) and base.operator in ("norm", "abs"):
             typical = _typical(view, term, base)
             if typical is not None:
-                yield base, power, typical
+                yield base, typical
 
 
-def _base(part, power):
+def _base(part):
+    """What a factor is a power of."""
     while isinstance(part, Call):
-        if part.operator == "square":
-            power, part = 2 * power, part.args[0]
-        elif part.operator == "inverse":
-            power, part = -power, part.args[0]
-        elif part.operator == "pow" and isinstance(part.args[1], Number):
-            power, part = power * part.args[1].value, part.args[0]
-        else:
+        is_power = part.operator == "pow" and isinstance(part.args[1], Number)
+        if not is_power and part.operator not in ("square", "inverse"):
             break
-    return part, power
+        part = part.args[0]
+    return part
 
 
 def _typical(view, term, base):

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of
 from bsp_gp.language.formula import evaluate
+from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types, law_inputs
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Hidden"]
 
@@ -49,15 +50,14 @@ class Hidden:
         stage = _Stage(view)
         null = np.zeros(view.moment_draws.shape[1])
         proposals, n_tried = [], 0
-        draws = view.beside(view.moment_draws)
-        for terms in _pulls(view, stage.names):
+        for terms in _pulls(view, stage.strength, stage.names):
             columns = np.concatenate([stage.columns(terms, part) for part in stage.chunks], axis=1)
             rows = view.beside(columns)
             size = np.square(rows).sum(axis=0)
             good = size > 1e-8 * np.square(columns).sum(axis=0)
             unit = np.where(good, rows / np.sqrt(np.where(good, size, 1.0)), 0.0)
             gains = np.square(unit.T @ view.left)
-            null = np.maximum(null, np.square(unit.T @ draws).max(axis=0))
+            null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
             for k in _apart(unit, gains):
                 strength = float(unit[:, k] @ view.left / np.sqrt(size[k]))
@@ -70,22 +70,18 @@ class Hidden:
         )  # fmt: skip
 
 
-def _pulls(view, names):
+def _pulls(view, strength, names):
     """Sets of terms by which one source may act."""
-    strength = fresh_name(view.fit.law, "M")
     law, columns = view.fit.law, {}
     for term in law.terms:
         pull = pull_of(term, strength, names) if term.kind == "pair" else None
         if pull is not None:
-            of_source = sorted(
-                n for n in term.formula.inputs if n.endswith("_j") and n[0] not in "pv"
-            )
+            known = map(property_of, term.formula.inputs)
+            of_source = sorted(one[0] for one in known if one and one[1] == "j")
             columns.setdefault(tuple(of_source), []).append((term, pull))
     if columns:
         return [tuple(both) for both in columns.values()]
-    types = {**dataset_types(view.dataset)}
-    from bsp_gp.language.inputs import STATE_INPUTS
-
+    types = dataset_types(view.dataset)
     types |= {name: STATE_INPUTS[name] for name in ("p_j", "v_j")}
     out = []
     for text in PULLS:
@@ -108,6 +104,7 @@ class _Stage:
         self.speed = float(np.sqrt(np.nanmean(np.square(v)))) or 1.0
         self.n_dims = len(self.middle)
         law = view.fit.law
+        self.strength = fresh_name(law, "M")
         self.names = tuple(fresh_name(law, f"h_{axis}") for axis in "xyz"[: self.n_dims])
         self.places = self.middle + self.size * _grid(self.n_dims)
         per_place = sum(b.target.size for b in batches)
@@ -144,8 +141,7 @@ class _Stage:
         """A source at a place, at rest; in one recording also moving."""
         view = self.view
         place = self.places[k]
-        name = next(n for n in terms[0][1].formula.constants if n.startswith("M"))
-        starts = {name: strength, **dict(zip(self.names, map(float, place), strict=True))}
+        starts = {self.strength: strength, **dict(zip(self.names, map(float, place), strict=True))}
         common = {"middle": tuple(map(float, self.middle)), "size": self.size, "speed": self.speed}
         texts = " + ".join(to_text(term.formula) for term, _ in terms)
         rest = ForceLaw(tuple(pull for _, pull in terms), _known(view, terms, starts))
@@ -164,9 +160,8 @@ class _Stage:
         view = self.view
         times = view.dataset.scenes[0].times
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[: self.n_dims])
-        name = next(n for n in starts if n.startswith("M"))
         epoch = float(times[0] + times[-1]) / 2
-        pulls = tuple(pull_of(term, name, self.names, speeds, epoch) for term, _ in terms)
+        pulls = tuple(pull_of(term, self.strength, self.names, speeds, epoch) for term, _ in terms)
         starts = {**starts, **dict.fromkeys(speeds, 0.0)}
         part = HiddenSource(
             ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **common

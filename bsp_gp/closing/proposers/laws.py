@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, fresh_name, renamed, with_term
+from bsp_gp.closing.proposal import Family, Proposal, with_term
+from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.physics.force import Term, fresh_name, split_linear
 from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
@@ -65,6 +66,7 @@ class Laws:
         target, columns = view.response.left()
         total = float(view.left @ view.left)
         found, null, certificates, n_tried = [], np.zeros(view.moment_draws.shape[1]), [], 0
+        sizes = np.square(view.draws_left).sum(axis=0)
         for kind in self.kinds:
             result = search_exhaustive(
                 regression, self.grammar, kind=kind, target=target,
@@ -72,8 +74,7 @@ class Laws:
                 missing_inputs=self.missing, null_targets=view.moment_draws,
                 max_ties=MOST_TIES, progress=view.tick,
             )  # fmt: skip
-            draws = view.beside(view.moment_draws)
-            null = np.maximum(null, np.array(result.null_gains) * np.square(draws).sum(axis=0))
+            null = np.maximum(null, np.array(result.null_gains) * sizes)
             found += result.candidates
             certificates.append(result.certificate.text())
             n_tried += result.n_evaluated
@@ -85,7 +86,7 @@ class Laws:
             if not _is_parallel(view, candidate, declared)
         ]
         best = max((p.gain for p in proposals), default=0.0)
-        pairs = _pairs(view, [c for c in found[:MOST_PAIRED]], proposals)
+        pairs = _pairs(view, found[:MOST_PAIRED], proposals)
         proposals = sorted([*pairs, *proposals], key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
@@ -107,9 +108,9 @@ class Laws:
 
     def _proposal(self, view, candidate, total):
         law = view.fit.law
-        old, rest = split_linear(candidate.formula)
+        old, _ = split_linear(candidate.formula)
         name = fresh_name(law)
-        formula = renamed(candidate.formula, old, name)
+        formula = rename_constants(candidate.formula, {old: name})
         value = float(candidate.constants[old])
         term = Term(formula, candidate.kind)
         return Proposal(
@@ -154,7 +155,8 @@ def _both(view, one, other, amounts, gain, promise):
     hypothesis, law, formulas = view.hypothesis, view.fit.law, []
     for candidate, amount in zip((one, other), amounts.tolist(), strict=True):
         name = fresh_name(law)
-        formula = renamed(candidate.formula, split_linear(candidate.formula)[0], name)
+        old, _ = split_linear(candidate.formula)
+        formula = rename_constants(candidate.formula, {old: name})
         term = Term(formula, candidate.kind)
         hypothesis, law = (
             with_term(hypothesis, term, {name: amount}),

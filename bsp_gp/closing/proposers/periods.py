@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, fresh_name
+from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.tangent import INDEPENDENT, as_pair
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Periods"]
 
@@ -42,8 +42,7 @@ class Periods:
         null = np.zeros(view.moment_draws.shape[1])
         if not len(rates):
             return Family(self.name, null=null)
-        draws = view.beside(view.moment_draws)
-        scan = _Scan(view, rates, np.column_stack([view.left, draws]))
+        scan = _Scan(view, rates, np.column_stack([view.left, view.draws_left]))
         proposals, best = [], 0.0
         for has_mass, weights, ties in _variants(view):
             gains = scan.gains([scan.kernels(weights, axis) for axis in axes])
