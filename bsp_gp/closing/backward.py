@@ -35,7 +35,7 @@ class Pruned:
     is_complete: bool = True
 
 
-def prune(rounds, dataset, *, bounds=None, clock=None, progress=None):
+def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=None):
     """Refit without each cause that was adopted before the last one.
 
     What the evidence does not ask for is dropped, the least of all first, until nothing is.
@@ -45,6 +45,7 @@ def prune(rounds, dataset, *, bounds=None, clock=None, progress=None):
     rounds : sequence of Round
     dataset : Dataset
         Training scenes.
+    criteria : Criteria, optional
     bounds : dict, optional
         Of the constants of what is declared.
     clock : Clock, optional
@@ -60,7 +61,7 @@ def prune(rounds, dataset, *, bounds=None, clock=None, progress=None):
     removed, n_fits = set(), 0
     while True:
         weakest, least = None, 0.0
-        whole = log_evidence(found, hypothesis)
+        whole = log_evidence(found, hypothesis, criteria)
         for done in adopted[:-1]:
             smaller = None if done.number in removed else _without(hypothesis, done)
             if smaller is None:
@@ -76,7 +77,7 @@ def prune(rounds, dataset, *, bounds=None, clock=None, progress=None):
             n_fits += 1
             if clock.is_over:  # it may have been cut short
                 return Pruned(found, hypothesis, frozenset(removed), n_fits, False)
-            loss = whole + done.decision.best.log_prior - log_evidence(other, smaller)
+            loss = whole - log_evidence(other, smaller, criteria) + done.decision.best.log_prior
             if loss <= least:
                 weakest, least = (done.number, other, smaller), loss
         if weakest is None:

@@ -121,7 +121,9 @@ def close_loop(
         rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
         on_round=on_round, earlier=earlier, progress=progress,
     )  # fmt: skip
-    pruned = prune(rounds, ready.train, bounds=bounds, clock=clock, progress=progress)
+    pruned = prune(
+        rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
+    )
     says("writing up")
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
     written = _written(ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole)

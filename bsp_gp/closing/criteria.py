@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 __all__ = [
-    "CAUSES", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS", "Criteria",
+    "CAUSES", "KINDS", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS",
+    "Criteria",
 ]  # fmt: skip
 
 VERDICTS = (
@@ -28,6 +29,8 @@ CAUSES = (
     "hidden_body", "contact", "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
+KINDS = ("force", "measurement", "hidden_body", "noise")
+"""What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
     "grid", "row",
@@ -61,6 +64,13 @@ class Criteria:
         Odds by which a cause must be likelier than noise of another kind.
     promise : float
         Part of the gain that a hypothesis promises for held-out tracks, which it must keep.
+    cause_nats : float
+        Log odds, beforehand, against a cause that is no law of the grammar: as likely as the
+        simplest laws.
+    decades : float
+        A strength is as likely in every factor of ten over so many of them.
+    exponent_width : float
+        Standard deviation of an exponent about the one that was declared.
     """
 
     alpha: float = 0.01
@@ -71,5 +81,8 @@ class Criteria:
     nonlinear: float = 0.2
     most_fits: int = 12
     tie_nats: float = 2.0
-    noise_nats: float = 4.0
+    noise_nats: float = 3.0
     promise: float = 0.3
+    cause_nats: float = 3.0
+    decades: float = 3.0
+    exponent_width: float = 2.0

@@ -9,13 +9,6 @@ from bsp_gp.closing.criteria import Criteria
 
 __all__ = ["Decision", "decide"]
 
-INSTRUMENT = (
-    "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
-    "perspective", "swapped_tracks", "lost_track", "bad_row",
-)  # fmt: skip
-"""Causes that lie in the measurement."""
-
-
 @dataclass(frozen=True)
 class Decision:
     """What follows from a table.
@@ -64,7 +57,7 @@ def decide(table, criteria=None):
     if not candidates:
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
-    noise = next((row for row in candidates if row.code == "noise"), None)
+    noise = next((row for row in candidates if row.kind == "noise"), None)
     if noise is not None and best.log_posterior - noise.log_posterior < criteria.noise_nats:
         return Decision("the noise is not as assumed", "noise_explains", noise, True)
     rivals = tuple(
@@ -77,20 +70,13 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
     tied = [
         row for row in rivals
-        if kind_of(row) != kind_of(best)
+        if row.kind != best.kind
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
-    is_fact = not any(abs(row.chisqr - best.chisqr) < criteria.separation for row in rivals)
+    is_fact = not any(abs(_apart(best, row)) < criteria.separation for row in rivals)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
-
-
-def kind_of(row):
-    """Whether a row says something of the measurement, of a hidden body, or of forces."""
-    if row.code in INSTRUMENT:
-        return "measurement"
-    return row.code if row.code in ("hidden_body", "noise") else "force"
 
 
 def _comparable(table):
@@ -102,7 +88,12 @@ def _is_rival(row, best, criteria):
     likely = best.log_posterior - row.log_posterior < criteria.class_nats
     # What is unlikely beforehand, and explains the data as well, is not ruled out either.
     equal = best.log_evidence - row.log_evidence < criteria.equal_nats
-    return row.chisqr - best.chisqr < criteria.separation and (likely or equal)
+    return _apart(best, row) < criteria.separation and (likely or equal)
+
+
+def _apart(best, row):
+    """Chi-squared by which a row fits the tracks worse than the best."""
+    return 2 * (best.log_likelihood - row.log_likelihood)
 
 
 def _is_refused(best, criteria):

@@ -11,20 +11,17 @@ import math
 
 import numpy as np
 
+from bsp_gp.closing.criteria import Criteria
 from bsp_gp.fitting.starts import roles_of
 
 __all__ = ["log_evidence"]
 
-DECADES = 3.0
-"""Factors of ten over which a strength may lie."""
-EXPONENT_WIDTH = 2.0
-"""Standard deviation of an exponent."""
 LEAST = 2.0
 """Strengths are no likelier below so many standard errors."""
 TURN = 2.0 * math.pi
 
 
-def log_evidence(fit, hypothesis):
+def log_evidence(fit, hypothesis, criteria=None):
     """Log-evidence of a fit, nats; -inf of a failed one.
 
     Parameters
@@ -32,7 +29,10 @@ def log_evidence(fit, hypothesis):
     fit : Fit
     hypothesis : Hypothesis
         That was fitted; its parameters may have priors of their own.
+    criteria : Criteria, optional
+        With the widths of the other priors.
     """
+    criteria = criteria or Criteria()
     if fit.is_failed:
         return -math.inf
     total = fit.log_likelihood + fit.state_volume + hypothesis.log_density
@@ -53,18 +53,19 @@ def log_evidence(fit, hypothesis):
     for number, value, error in zip(numbers, values.tolist(), size.tolist(), strict=True):
         total += math.log(error)
         if number.prior is None:
-            total += _log_prior(roles[number.name], abs(value), error)
+            total += _log_prior(roles[number.name], abs(value), error, criteria)
         else:
             centre, scale = number.prior
             total -= math.log(math.pi * scale * (1 + ((value - centre) / scale) ** 2))
     return float(total)
 
 
-def _log_prior(role, value, error):
+def _log_prior(role, value, error, criteria):
     """Logarithm of the prior density of a number, in the units of its own."""
     if role == "exponent":
-        return -0.5 * (value / EXPONENT_WIDTH) ** 2 - math.log(EXPONENT_WIDTH * math.sqrt(TURN))
+        width = criteria.exponent_width
+        return -0.5 * (value / width) ** 2 - math.log(width * math.sqrt(TURN))
     if role == "phase":
         return -math.log(max(TURN, error))
     # Log-uniform, both signs.
-    return -math.log(2.0 * DECADES * math.log(10.0) * max(value, LEAST * error))
+    return -math.log(2.0 * criteria.decades * math.log(10.0) * max(value, LEAST * error))

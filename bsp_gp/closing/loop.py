@@ -144,7 +144,7 @@ class _Run:
         turn = _Turn(self, found, hypothesis)
         asked = {}
         if turn.rows[0].is_fit:
-            view = View(found, continued(hypothesis, found), self.dataset, rng)
+            view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
             view.tick = self.clock.tick
             turn.propose(number, view)
             asked = self.asked(view)
@@ -178,7 +178,8 @@ class _Turn:
 
     def __init__(self, run, found, hypothesis):
         self.run, self.base = run, found
-        base = (found.status, log_evidence(found, hypothesis), 0.0, found.chisqr, found.n_free)
+        evidence = log_evidence(found, hypothesis, run.criteria)
+        base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value = [], [], np.nan
@@ -207,7 +208,7 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        offset = -math.inf
+        offset = height = -math.inf
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
         chosen = [pair for pair in _chosen(every, criteria) if pair not in controls]
         for source, proposal in [*controls, *chosen]:
@@ -216,6 +217,7 @@ class _Turn:
             row = self._fitted(source, proposal)
             if (source, proposal) not in controls:
                 offset = max(offset, row.log_posterior - proposal.promise)
+                height = max(height, row.log_likelihood - 0.5 * proposal.gain)
         if not math.isfinite(offset):
             return
         # What was scored only is told in the terms of what was fitted.
@@ -228,7 +230,7 @@ class _Turn:
                 known.add(proposal.key)
                 self._add(
                     source, proposal, "scored", offset + 0.5 * proposal.gain,
-                    self.base.chisqr - proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
+                    height + 0.5 * proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
     def _fitted(self, source, proposal):
@@ -243,19 +245,19 @@ class _Turn:
         )  # fmt: skip
         self.fits[len(self.rows)] = new
         return self._add(
-            source, proposal, new.status, log_evidence(new, hypothesis), new.chisqr, new.n_free,
-            held_out_gain(self.base, new),
+            source, proposal, new.status, log_evidence(new, hypothesis, self.run.criteria),
+            new.log_likelihood, new.n_free, held_out_gain(self.base, new),
         )  # fmt: skip
 
-    def _add(self, source, proposal, status, evidence, chisqr, n_free, held_out):
+    def _add(self, source, proposal, status, evidence, log_likelihood, n_free, held_out):
         """Add the row of a proposal."""
         number = len(self.rows)
         self.hypotheses[number], self.proposals[number] = proposal.hypothesis, proposal
         self.rows.append(
             Row(
                 number, proposal.code, proposal.text, source, status, evidence,
-                proposal.log_prior, chisqr, n_free, held_out, key=proposal.key,
-                ties=proposal.texts_of_ties,
+                proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
+                key=proposal.key, ties=proposal.texts_of_ties,
             )
         )  # fmt: skip
         return self.rows[-1]

@@ -40,6 +40,8 @@ class Proposal:
         What would be the same on these data.
     n_dims : int
         Of the space of `formula`.
+    kind : str
+        One of `KINDS`.
     """
 
     code: str
@@ -53,6 +55,7 @@ class Proposal:
     formula: object = None
     ties: tuple = ()
     n_dims: int = 2
+    kind: str = "force"
 
     @cached_property
     def key(self):

@@ -43,9 +43,11 @@ class Row:
     status : str
         Of its fit.
     log_evidence, log_prior : float, nats
-    chisqr : float
-        Of the tracks, each fit under its own noise: comparable where that is known.
+    log_likelihood : float, nats
+        Of the tracks, at the best constants and noise.
     n_free : int
+    kind : str
+        What kind of thing it adds, of `KINDS`.
     held_out : HeldOut
     p_value : float
         Selection counted.
@@ -62,8 +64,9 @@ class Row:
     status: str
     log_evidence: float
     log_prior: float
-    chisqr: float
+    log_likelihood: float
     n_free: int
+    kind: str = "force"
     held_out: HeldOut = field(default_factory=HeldOut)
     p_value: float = math.nan
     probability: float = math.nan
@@ -156,7 +159,8 @@ def held_out_gain(base, other):
     if not np.isfinite(gains).all():
         return HeldOut()
     se = float(np.sqrt(len(gains)) * gains.std(ddof=1))
-    promised = _promised(base, other)
+    # What the base leaves of tracks that the other made, under the noise of the other.
+    promised = 0.5 * max(float(base.chisqr) / scale**2 - float(other.chisqr), 0.0)
     return HeldOut(float(gains.sum()), se, promised)
 
 
@@ -179,8 +183,3 @@ def _scores(fit, names, scale):
         _, size = np.linalg.slogdet(covariance)
         out.append(-0.5 * left @ np.linalg.solve(covariance, left) - 0.5 * size)
     return np.array(out)
-
-
-def _promised(base, other):
-    """Half the chi-squared that the base would leave of tracks made by the other, in nats."""
-    return 0.5 * max(float(base.chisqr) - float(other.chisqr), 0.0)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from bsp_gp.closing.criteria import Criteria
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.physics.force import Term
@@ -28,6 +29,7 @@ class View:
     dataset : Dataset
         Training scenes.
     rng : numpy.random.Generator
+    criteria : Criteria, optional
 
     Attributes
     ----------
@@ -35,7 +37,8 @@ class View:
         Asked by long work as it goes on; raises where the time is up.
     """
 
-    def __init__(self, fit, hypothesis, dataset, rng):
+    def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
+        self.criteria = criteria or Criteria()
         self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self.tick = None
         self._rows_rng, self._moments_rng = rng.spawn(2)

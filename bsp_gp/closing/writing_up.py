@@ -10,7 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from bsp_gp.closing.accounts import Ratio
-from bsp_gp.closing.decide import INSTRUMENT
 from bsp_gp.closing.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
@@ -104,7 +103,7 @@ def _effect(done, dataset, bounds):
     return Effect(
         name=best.text,
         code=best.code,
-        kind=_kind(best.code, fit.law),
+        kind=_kind(best, fit.law),
         law="" if formula is None else to_text(formula),
         latex="" if formula is None else to_latex(formula),
         entities=tuple(
@@ -119,13 +118,11 @@ def _effect(done, dataset, bounds):
     )  # fmt: skip
 
 
-def _kind(code, law):
+def _kind(best, law):
     """What kind of thing a cause is."""
-    if code in INSTRUMENT:
-        return "measurement"
-    if code in ("exponent", "number"):
+    if best.code in ("exponent", "number"):
         return "declared_term_change"
-    return code if code in ("hidden_body", "noise") else law.terms[-1].kind
+    return law.terms[-1].kind if best.kind == "force" else best.kind
 
 
 def about_data(dataset, split, notes):

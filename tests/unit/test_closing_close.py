@@ -278,7 +278,7 @@ def rounds_of(data, *texts):
         law = read_law(data, [text])
         more = with_term(hypothesis, replace(law.terms[0], is_declared=False), law.constants)
         new = fit(more, data)
-        best = Row(1, "law", text, "test", new.status, 0.0, -3.0, new.chisqr, new.n_free)
+        best = Row(1, "law", text, "test", new.status, 0.0, -3.0, new.log_likelihood, new.n_free)
         table = HypothesisTable((best,), 0.0)
         decision = Decision("effect adopted", "adopted", best, True)
         rounds.append(

@@ -13,12 +13,13 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from tests.unit.test_response import thrown
 
-BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, 500.0, 4)
+BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, -250.0, 4)
 
 
-def row(number, code="law", gain=100.0, prior=-4.0, status="converged", **changes):
+def row(number, code="law", kind="force", gain=100.0, prior=-4.0, status="converged", **changes):
     made = Row(
-        number, code, f"cause {number}", code, status, 0.5 * gain - 5.0, prior, 500.0 - gain, 5,
+        number, code, f"cause {number}", code, status, 0.5 * gain - 5.0, prior,
+        0.5 * gain - 250, 5, kind,
         key=(code, str(number)),
     )  # fmt: skip
     return replace(made, **changes)
@@ -30,9 +31,9 @@ def decided(*rows, p=1e-6, base=BASE, criteria=None):
 
 def test_codes_are_those_of_the_closed_lists():
     shown = [
-        decided(), decided(row(1)), decided(row(1), p=0.5), decided(row(1, "noise")),
+        decided(), decided(row(1)), decided(row(1), p=0.5), decided(row(1, "noise", "noise")),
         decided(row(1), base=replace(BASE, status="unconverged")), decided(row(1, gain=5.0)),
-        decided(row(1), row(2, "tilt")), decided(row(1, status="nonfinite")),
+        decided(row(1), row(2, "tilt", "measurement")), decided(row(1, status="nonfinite")),
     ]  # fmt: skip
     assert {d.verdict for d in shown} <= set(VERDICTS)
     assert {d.reason for d in shown} <= set(REASONS)
@@ -67,16 +68,16 @@ def test_what_is_unlikely_beforehand_is_told_where_it_explains_as_well():
 
 
 def test_a_measurement_and_a_force_that_tie_cannot_be_told():
-    said = decided(row(1), row(2, "tilt", gain=99.0))
+    said = decided(row(1), row(2, "tilt", "measurement", gain=99.0))
     assert (said.verdict, said.reason) == ("cannot tell", "kinds_tie")
-    assert decided(row(1), row(2, "tilt", gain=90.0)).verdict == "effect adopted"
+    assert decided(row(1), row(2, "tilt", "measurement", gain=90.0)).verdict == "effect adopted"
     assert decided(row(1), row(2, gain=99.9)).verdict == "effect adopted"  # both are forces
 
 
 def test_noise_goes_before_causes():
-    said = decided(row(1), row(2, "noise", gain=95.0))
+    said = decided(row(1), row(2, "noise", "noise", gain=95.0))
     assert (said.verdict, said.best.code) == ("the noise is not as assumed", "noise")
-    assert decided(row(1), row(2, "noise", gain=60.0)).verdict == "effect adopted"
+    assert decided(row(1), row(2, "noise", "noise", gain=60.0)).verdict == "effect adopted"
 
 
 def test_left_out_scenes_can_refuse_and_never_confirm_alone():

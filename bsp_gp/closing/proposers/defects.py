@@ -18,8 +18,6 @@ from bsp_gp.fitting.tangent import as_pair
 
 __all__ = ["Defects"]
 
-LOG_PRIOR = -3.0
-"""Of one defect, wherever it is."""
 MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
 MOST_NUMBERS = 2_000_000
@@ -222,9 +220,11 @@ def _later(values):
 def _proposal(view, code, parts, gain, n_tried):
     """Parts at once; `gain` less what the rows that they leave out cost."""
     hypothesis = sum(parts, view.hypothesis)
-    log_prior = LOG_PRIOR - len(parts) * float(np.log(n_tried))
+    log_prior = -view.criteria.cause_nats - len(parts) * float(np.log(n_tried))
     text = "; ".join(part.describe() for part in parts)
-    return Proposal(code, text, hypothesis, log_prior, float(gain), len(parts))
+    return Proposal(
+        code, text, hypothesis, log_prior, float(gain), len(parts), kind="measurement"
+    )
 
 
 def _paid(window, gains):

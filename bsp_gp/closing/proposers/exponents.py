@@ -15,8 +15,6 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Declared"]
 
-LOG_PRIOR = -3.0
-"""Of a changed exponent or number: as likely beforehand as the simplest laws of a grammar."""
 MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
 
@@ -74,7 +72,7 @@ class Declared:
         return Proposal(
             "exponent", f"exponent of {to_text(base)} in {to_text(term.formula)}",
             _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
-            LOG_PRIOR, score.statistic, starts={name: float(score.amplitudes[0])},
+            -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
         )  # fmt: skip
 
     def _number(self, view, index, score):
@@ -86,7 +84,7 @@ class Declared:
         return Proposal(
             "number", f"number of {to_text(term.formula)}",
             _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
-            LOG_PRIOR, score.statistic, starts={name: float(score.amplitudes[0])},
+            -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
         )  # fmt: skip
 
 
@@ -108,7 +106,7 @@ def _with_term_at(hypothesis, index, term, constants):
 
 
 def _powers(view, term):
-    """Factors of a term that change with the motion, without their powers: (base, typical value)."""
+    """Factors of a term that change with the motion, without powers: (base, typical value)."""
     bases = {}
     for part in (part for parts in factors(term.formula) for part in parts):
         base = _base(part)

@@ -17,8 +17,6 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Hidden"]
 
-LOG_PRIOR = -4.0
-"""Of an unseen source: its place and strength pay for themselves in the evidence."""
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
 N_NEAR, N_RINGS, N_WAYS = 21, 12, 36
@@ -148,8 +146,8 @@ class _Stage:
         part = HiddenSource(rest, None, self.names, (), **common)
         out = [
             Proposal(
-                "hidden_body", f"at rest: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
-                1 + self.n_dims, starts,
+                "hidden_body", f"at rest: {texts}", view.hypothesis + part,
+                -view.criteria.cause_nats, gain, 1 + self.n_dims, starts, kind="hidden_body",
             )
         ]  # fmt: skip
         if len(view.dataset.scenes) == 1:
@@ -167,8 +165,8 @@ class _Stage:
             ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **common
         )
         return Proposal(
-            "hidden_body", f"moving: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
-            1 + 2 * self.n_dims, starts,
+            "hidden_body", f"moving: {texts}", view.hypothesis + part,
+            -view.criteria.cause_nats, gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
         )  # fmt: skip
 
 

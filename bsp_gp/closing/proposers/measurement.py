@@ -17,8 +17,6 @@ from bsp_gp.fitting.tangent import instrument_columns
 
 __all__ = ["Measurement", "kinds_of"]
 
-LOG_PRIOR = -3.0
-"""Of a kind of error: as likely beforehand as the simplest laws of a grammar."""
 FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
 FAR = 0.1
@@ -46,7 +44,7 @@ class Measurement:
             with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
                 columns = instrument_columns(view.fit, part)
             score = view.tangent.score(columns)
-            log_prior = LOG_PRIOR - math.log(codes.count(part.code))
+            log_prior = -view.criteria.cause_nats - math.log(codes.count(part.code))
             proposal = _proposal(view, part, score, log_prior)
             if proposal is not None:
                 by_chance = gains(view.tangent.projected(columns), view.row_draws)
@@ -75,7 +73,9 @@ def _proposal(view, part, score, log_prior):
     if not known.any() or not gain > 0:
         return None
     hypothesis = view.hypothesis + replace(part, values=tuple(values.tolist()))
-    return Proposal(part.code, part.describe(), hypothesis, log_prior, gain, score.rank)
+    return Proposal(
+        part.code, part.describe(), hypothesis, log_prior, gain, score.rank, kind="measurement"
+    )
 
 
 def kinds_of(dataset, fit):

@@ -11,8 +11,6 @@ from bsp_gp.fitting.hypothesis import TrackNoise
 
 __all__ = ["Noise"]
 
-LOG_PRIOR = -1.0
-"""Of a memory, where the level is estimated: many trackers have one."""
 TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.5, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
 
@@ -46,8 +44,9 @@ class Noise:
         best = int(np.argmax(gains))
         noise = TrackNoise(models[best], is_given=True)
         proposal = Proposal(
-            "noise", "a memory of the noise", view.hypothesis + noise, LOG_PRIOR, gains[best], 2
-        )
+            "noise", "a memory of the noise", view.hypothesis + noise, 0.0, gains[best], 2,
+            kind="noise",
+        )  # fmt: skip
         return Family(self.name, (proposal,), is_control=True)
 
 

@@ -14,10 +14,6 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Periods"]
 
-LOG_PRIOR = -5.0
-"""Of a push along an axis that has time in it, as that of a short law of a grammar."""
-MASS = -2.8
-"""Of a factor more, the mass."""
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
 NYQUIST = 0.9
@@ -134,7 +130,7 @@ def _proposal(view, rates, k, axes, has_mass, gain, ties):
     other = [_text(_push(view, axes, True)[0])] if ties else []
     return Proposal(
         "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
-        LOG_PRIOR + (MASS if has_mass else 0.0), float(gain), 2 * len(axes) + 1,
+        -(1 + has_mass) * view.criteria.cause_nats, float(gain), 2 * len(axes) + 1,
         {name: rate}, {name: (float(rates[0]), float(rates[-1]))}, ties=tuple(other),
     )  # fmt: skip
 
