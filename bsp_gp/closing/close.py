@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from copy import copy
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -101,7 +102,7 @@ def close_loop(
     _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    split_rng, round_rng, account_rng = rng.spawn(3)
+    split_rng, round_rng, account_rng, swapped_rng = rng.spawn(4)
     says("reading the data set")
     ready = _Ready(dataset, declared, split_rng)
     grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
@@ -111,16 +112,29 @@ def close_loop(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
             f"{', '.join(sorted(grammar.inputs))}"
         )
-    hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law))
-    known = {"starts": starts, "bounds": bounds}
+    settings = {
+        "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
+        "clock": clock, "progress": progress, "looks": 2 if ready.split.test else 1,
+    }  # fmt: skip
+
+    def look(ready, rng, **more):
+        able = standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude))
+        return run_rounds(ready.hypothesis, ready.train, able, rng=rng, **settings, **more)
+
     if earlier is not None:
-        earlier = rounds_from(earlier, hypothesis, ready.train, **known)
-    rounds = run_rounds(
-        hypothesis, ready.train,
-        standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude)),
-        rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
-        on_round=on_round, earlier=earlier, progress=progress,
-    )  # fmt: skip
+        earlier = rounds_from(
+            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds
+        )
+    rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
+    is_cut = False
+    if ready.split.test and rounds[0].decision.verdict == "nothing missing":
+        # What acts in held-out scenes only would be missed.
+        says("looking at what was held out")
+        other = ready.swapped()
+        found = look(other, swapped_rng)
+        is_cut = bool(found[0].left_out)
+        if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
+            ready, rounds = other, found
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )
@@ -128,6 +142,7 @@ def close_loop(
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
     written = _written(ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole)
     left_out = [code for done in rounds for code in done.left_out]
+    left_out += ["held_out"] if is_cut else []
     left_out += [] if pruned.is_complete else ["removal"]
     left_out += written.pop("left_out")
     return LoopReport(
@@ -154,6 +169,8 @@ class _Ready:
     split : Split
     train : Dataset
         What is learned from.
+    hypothesis : Hypothesis
+        The declared one.
     far_off : str
         Rows in it that are far off their neighbours.
     noise : NoiseEstimate
@@ -164,10 +181,20 @@ class _Ready:
         is_law = isinstance(declared, ForceLaw)
         self.law = declared if is_law else read_law(dataset, declared)
         self.dataset = with_usable_masses(dataset)
-        self.split = choose_split(self.dataset, rng)
         self.noise = estimate_noise(self.dataset)
-        self.train, self.far_off = training_part(self.dataset, self.split.train, self.noise)
-        check_properties(stack(self.train.scenes, dataset.up), self.law)
+        self._learn_from(choose_split(self.dataset, rng))
+
+    def _learn_from(self, split):
+        self.split = split
+        self.train, self.far_off = training_part(self.dataset, split.train, self.noise)
+        check_properties(stack(self.train.scenes, self.dataset.up), self.law)
+        self.hypothesis = Hypothesis.from_laws(self.train, unset(self.law))
+
+    def swapped(self):
+        """The same with train and test swapped."""
+        other = copy(self)
+        other._learn_from(self.split.swapped)
+        return other
 
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""

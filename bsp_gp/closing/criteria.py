@@ -20,7 +20,7 @@ REASONS = (
     "superseded", "not_tested",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
-LEFT_OUT = ("proposers", "fits", "removal", "intervals")
+LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (

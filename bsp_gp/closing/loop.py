@@ -78,7 +78,7 @@ class Round:
 
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
-    clock=None, on_round=None, earlier=None, progress=None,
+    clock=None, on_round=None, earlier=None, progress=None, looks=1,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -102,13 +102,15 @@ def run_rounds(
     earlier : sequence of Round, optional
         That a run before this one has made; one that its time limit has cut is made again.
     progress : callable, optional
+    looks : int
+        Data sets, this one among them, of which any may show that something is missing.
 
     Returns
     -------
     list of Round
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
-               progress or (lambda text: None))  # fmt: skip
+               progress or (lambda text: None), looks)  # fmt: skip
     rounds = [done for done in earlier or () if not done.left_out]
     if rounds:
         found, hypothesis = rounds[-1].after, rounds[-1].continuing
@@ -138,6 +140,7 @@ class _Run:
     bounds: dict
     clock: Clock
     says: object
+    looks: int = 1
 
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
@@ -148,7 +151,7 @@ class _Run:
             view.tick = self.clock.tick
             turn.propose(number, view)
             asked = self.asked(view)
-            turn.p_value = _p_of_all(turn.families, view)
+            turn.p_value = _p_of_all(turn.families, view, self.looks)
             if turn.p_value <= self.criteria.alpha:
                 turn.fit_best()
         turn.note_time("fits")
@@ -263,8 +266,8 @@ class _Turn:
         return self.rows[-1]
 
 
-def _p_of_all(families, view):
-    """Chance that noise alone shows as much in any family."""
+def _p_of_all(families, view, looks):
+    """Chance that noise alone shows as much in any family, or at another look."""
     chances = [
         selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
         for f in families
@@ -272,7 +275,7 @@ def _p_of_all(families, view):
     ]
     if not chances:
         return 1.0
-    return float(-np.expm1(len(chances) * np.log1p(-min(min(chances), 1 - 1e-16))))
+    return float(-np.expm1(looks * len(chances) * np.log1p(-min(min(chances), 1 - 1e-16))))
 
 
 def _chosen(every, criteria):

@@ -27,6 +27,12 @@ class Split(NamedTuple):
     test: tuple[Scene, ...]
     note: str
 
+    @property
+    def swapped(self):
+        """What was held out to train on, and the other way round."""
+        note = "train and test swapped: nothing was missing from what was to train on"
+        return Split(self.test, self.train, f"{self.note}; {note}")
+
 
 def choose_split(dataset, rng):
     """Divide a data set into scenes to train on and scenes held out.

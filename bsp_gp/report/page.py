@@ -45,6 +45,7 @@ _STOPS = {
 _LEFT_OUT = {
     "proposers": "some kinds of causes were not looked for",
     "fits": "some causes were not fitted",
+    "held_out": "what acts in held-out scenes alone was not looked for",
     "removal": "what became superfluous was not taken back",
     "intervals": "neither the noise floor nor all intervals were found out",
 }  # fmt: skip

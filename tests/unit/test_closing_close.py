@@ -214,6 +214,22 @@ def test_less_time_never_adopts_more_and_says_what_it_left_out():
     assert {"proposers", "fits"} <= told <= set(LEFT_OUT)
 
 
+def test_what_acts_in_held_out_scenes_only_is_found():
+    """Train and test are swapped, and what is told is of both looks."""
+    calm = worlds.flights(3, worlds.nothing, n_train=4, n_test=0)
+    windy = worlds.flights(4, worlds.head_wind, n_train=0, n_test=3)
+    windy = [replace(scene, name=f"windy {scene.name}") for scene in windy.scenes]
+    names = tuple(scene.name for scene in windy)
+    data = replace(calm, scenes=(*calm.scenes, *windy), train=calm.train, test=names)
+    done = close_loop(data, [WEIGHT], rng=np.random.default_rng(0), n_bootstrap=0)
+    assert done.verdict == "effect adopted"
+    assert set(done.dataset["train"]) == set(names)
+    still = replace(calm, train=calm.train[:3], test=calm.train[3:])
+    done = close_loop(still, [WEIGHT], rng=np.random.default_rng(0), n_bootstrap=0)
+    assert done.verdict == "nothing missing"
+    assert set(done.dataset["train"]) == set(still.train)
+
+
 def test_a_time_limit_that_is_no_time_ends_with_a_report():
     done = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), time_limit=1e-3)
     assert not done.complete
