@@ -58,6 +58,8 @@ class Criteria:
         Part of a promise that a fit to whole tracks may add to it.
     most_fits : int
         Proposals that are fitted in a round at the most.
+    effort : int
+        Steps within which the fit of a proposal must converge: a few hundred where it is right.
     tie_nats : float
         Odds within which an error of the measurement and a force are not told apart.
     noise_nats : float
@@ -80,6 +82,7 @@ class Criteria:
     fitted_nats: float = 8.0
     nonlinear: float = 0.2
     most_fits: int = 12
+    effort: int = 1500
     tie_nats: float = 2.0
     noise_nats: float = 3.0
     promise: float = 0.3

@@ -225,14 +225,15 @@ class _Turn:
             return
         # What was scored only is told in the terms of what was fitted.
         least = max(row.log_posterior for row in self.rows[1:]) - offset - criteria.class_nats
-        equal = max(row.log_evidence for row in self.rows[1:]) - offset - criteria.equal_nats
+        highest = max(row.log_evidence for row in self.rows[1:])
+        equal = highest - offset - criteria.equal_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
             is_near = proposal.promise > least or 0.5 * proposal.gain > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
-                    source, proposal, "scored", offset + 0.5 * proposal.gain,
+                    source, proposal, "scored", min(offset + 0.5 * proposal.gain, highest),
                     height + 0.5 * proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
@@ -245,6 +246,7 @@ class _Turn:
         new = fit(
             hypothesis, self.run.dataset, starts=proposal.starts,
             bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
+            effort=self.run.criteria.effort,
         )  # fmt: skip
         self.fits[len(self.rows)] = new
         return self._add(
@@ -260,7 +262,7 @@ class _Turn:
             Row(
                 number, proposal.code, proposal.text, source, status, evidence,
                 proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
-                key=proposal.key, ties=proposal.texts_of_ties,
+                key=proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
             )
         )  # fmt: skip
         return self.rows[-1]

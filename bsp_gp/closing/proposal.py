@@ -34,12 +34,12 @@ class Proposal:
         Free numbers that it adds.
     starts, bounds : dict
         For the fit.
-    formula : Formula or None
-        Of a law: the term that is added.
+    formulas : tuple of Formula
+        Of a law: the terms that are added.
     ties : tuple of Formula or str
         What would be the same on these data.
     n_dims : int
-        Of the space of `formula`.
+        Of the space of `formulas`.
     kind : str
         One of `KINDS`.
     """
@@ -52,7 +52,7 @@ class Proposal:
     rank: int = 1
     starts: dict = field(default_factory=dict)
     bounds: dict = field(default_factory=dict)
-    formula: object = None
+    formulas: tuple = ()
     ties: tuple = ()
     n_dims: int = 2
     kind: str = "force"
@@ -60,14 +60,18 @@ class Proposal:
     @cached_property
     def key(self):
         """Its identity: laws that are equal up to algebra have one."""
-        if self.formula is None:
+        if not self.formulas:
             return self.code, self.text
-        return self.code, canonical_key(self.formula, self.n_dims)
+        return self.code, *sorted(canonical_key(f, self.n_dims) for f in self.formulas)
 
     @property
     def texts_of_ties(self):
-        """The ties as texts."""
-        return tuple(tie if isinstance(tie, str) else to_text(tie) for tie in self.ties)
+        """The ties as texts, without those that are this law or each other written anew."""
+        known = {} if len(self.formulas) != 1 else {self.key[1]: None}
+        for tie in self.ties:
+            key = tie if isinstance(tie, str) else canonical_key(tie, self.n_dims)
+            known.setdefault(key, tie if isinstance(tie, str) else to_text(tie))
+        return tuple(text for text in known.values() if text is not None)
 
     @property
     def promise(self):

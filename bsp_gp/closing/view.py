@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -39,17 +40,32 @@ class View:
 
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
         self.criteria = criteria or Criteria()
-        self.fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
+        self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self.tick = None
         self._rows_rng, self._moments_rng = rng.spawn(2)
 
     @cached_property
-    def tangent(self):
-        return Tangent(self.fit)
+    def _found(self):
+        """The fit, under the noise that a free force leaves if it is estimated; its response."""
+        response = respond(self._fit, self.dataset)
+        noise = self._fit.noise
+        if response.level == 1.0 or not noise.is_free.all():
+            return self._fit, response
+        levels = tuple(level * response.level for level in noise.levels)
+        fit = replace(self._fit, noise=replace(noise, levels=levels))
+        return fit, respond(fit, self.dataset)
+
+    @property
+    def fit(self):
+        return self._found[0]
+
+    @property
+    def response(self):
+        return self._found[1]
 
     @cached_property
-    def response(self):
-        return respond(self.fit, self.dataset)
+    def tangent(self):
+        return Tangent(self.fit)
 
     @property
     def noise_dof(self):

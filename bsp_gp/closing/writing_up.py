@@ -98,14 +98,14 @@ def _effect(done, dataset, bounds):
     best, proposal = done.decision.best, done.proposals[done.decision.best.id]
     fit = done.fits[best.id]
     old = {name for name, _ in done.entering.parameters}
-    formula = proposal.formula
+    added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
     return Effect(
         name=best.text,
         code=best.code,
         kind=_kind(best, fit.law),
-        law="" if formula is None else to_text(formula),
-        latex="" if formula is None else to_latex(formula),
+        law=" + ".join(map(to_text, added)),
+        latex=" + ".join(map(to_latex, added)),
         entities=tuple(
             dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
         ),
@@ -114,8 +114,14 @@ def _effect(done, dataset, bounds):
         probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact,
-        formula=formula,
+        formula=proposal.formulas[0] if len(proposal.formulas) == 1 else None,
     )  # fmt: skip
+
+
+def _added(done, fit):
+    """Terms that a cause has brought in or changed."""
+    known = {term.formula for term in done.entering.law.terms}
+    return tuple(term.formula for term in fit.law.terms if term.formula not in known)
 
 
 def _kind(best, law):

@@ -7,6 +7,7 @@ noise is estimated beside the law, and the law fitted again under it.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -175,8 +176,9 @@ class Fit:
 
 
 def fit(
-    hypothesis, dataset, *, rng=None, starts=None, bounds=None, deadline=None, tolerances=None
-):
+    hypothesis, dataset, *, rng=None, starts=None, bounds=None, deadline=None, effort=None,
+    tolerances=None,
+):  # fmt: skip
     """Fit a hypothesis to all scenes of a data set.
 
     Parameters
@@ -191,6 +193,8 @@ def fit(
         Between which constants stay, SI.
     deadline : float, optional
         Seconds after which a fit ends with what it has, within an integration if need be.
+    effort : int, optional
+        Steps of integrations and descents after which it ends so, the same on every machine.
     tolerances : FitTolerances, optional
 
     Returns
@@ -207,8 +211,8 @@ def fit(
     began = time.monotonic()
     tolerances = tolerances or FitTolerances()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
-    if deadline is not None:
-        run.is_over = lambda: time.monotonic() > began + deadline
+    if deadline is not None or effort is not None:
+        run.is_over = _Patience(began, deadline, effort)
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
@@ -219,6 +223,18 @@ def fit(
                 break
     best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
     return replace(best, seconds=time.monotonic() - began)
+
+
+class _Patience:
+    """Asked at every step, whether a fit has gone on for long enough."""
+
+    def __init__(self, began, deadline, effort):
+        self.end = math.inf if deadline is None else began + deadline
+        self.left = math.inf if effort is None else effort
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0 or time.monotonic() > self.end
 
 
 class _Run:
@@ -291,8 +307,12 @@ class _Run:
 
     @property
     def is_exact(self):
-        levels = np.array(self.hypothesis.noise.levels)
-        return bool(np.nanmax(levels) <= self.tolerances.exact * self.extent)
+        model = self.hypothesis.noise
+        levels = np.array(model.levels)
+        if not np.nanmax(levels) <= self.tolerances.exact * self.extent:
+            return False
+        # What was declared is believed as far as numbers carry it.
+        return bool(model.is_free.any() or np.nanmax(levels) <= 10 * np.nanmax(model.floors))
 
     # --- one way of stepping ---------------------------------------------------------------------
 

@@ -36,6 +36,8 @@ MOST_INSTANTS = 8
 """Instants per row at the most."""
 LOST, LEAST_SHOWN = 0.1, 100.0
 """Chi-squared that moments may lose which are left out, where forces show so much at least."""
+MUCH_LOWER, SURELY = 0.7, 10.0
+"""Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
 PASSES = 3
 STRENGTHS = np.logspace(-4, 6, 41)
 """Of the free force that smooths tracks, squared, in units of what one moment would show."""
@@ -110,11 +112,15 @@ class Response:
         Moments of the changes by the constants of the law.
     share : float
         Part of the rows that is looked at.
+    level : float
+        Level of the noise beside a force that knows no physics, in that of the fit; 1 where the
+        data do not ask for another.
     """
 
     regression: ResponseRegression
     columns: np.ndarray
     share: float
+    level: float = 1.0
 
     def left(self):
         """Residual and columns, as searches take them."""
@@ -145,7 +151,7 @@ def respond(fit, dataset, scenes=None):
     Response
     """
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, used, total = [], 0, 0
+        batches, levels, used, total = [], [], 0, 0
         first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
@@ -156,12 +162,14 @@ def respond(fit, dataset, scenes=None):
             pieces = cut_pieces(chains, noise, batch)
             group = _Group(fit, chains, nodes, noise, pieces)
             batches.append(group.batch())
+            levels.append(group.level)
             used += pieces.n_rows
             total += int(chains.lengths.sum())
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
-    return Response(regression, _columns(regression, fit), used / max(total, 1))
+    level = float(np.exp(np.mean(np.log(levels))))
+    return Response(regression, _columns(regression, fit), used / max(total, 1), level)
 
 
 def _columns(regression, fit):
@@ -208,6 +216,7 @@ class _Group:
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._between()
+        self.level = 1.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
 
     def _flow(self, chains):
@@ -368,6 +377,7 @@ class _Group:
             for s in (0.0, *STRENGTHS)
         ]
         best = int(np.argmax(height))
+        self.level = self._level(turned, scaled, height[best])
         if best == 0 or height[best] < height[0] + 1.0:
             return False
         strength = STRENGTHS[best - 1] / np.where(top > 0, top, 1.0)
@@ -386,6 +396,22 @@ class _Group:
         shape = (*change.shape[:2], 2, self.n_own, self.n_dims)
         self.nodes = self.nodes + np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
         return True
+
+    def _level(self, turned, scaled, height):
+        """Level of the noise beside a free force, in that of the fit.
+
+        What a law leaves may have been taken for noise: its level is that of the pure error.
+        """
+        known = scaled > 0
+        count = max(int(known.sum()), 1)
+        found = []
+        for s in (0.0, *STRENGTHS):
+            size = 1 + s * scaled[known]
+            square = float((turned[known] / size).sum()) / count
+            found.append((-0.5 * (count * (np.log(square) + 1) + np.log(size).sum()), square))
+        best, square = max(found)
+        is_lower = square < MUCH_LOWER**2 and best > height + SURELY
+        return float(np.sqrt(square)) if is_lower else 1.0
 
     # --- a batch of the regression ---------------------------------------------------------------
 

@@ -109,6 +109,11 @@ class Grammar:
         return (_rebuild, (dict(self.source), self.enabled))
 
     @functools.cached_property
+    def common(self):
+        """Laws of textbooks, as typed: likelier beforehand than their length says."""
+        return tuple(self.source.get("common", {}).get("laws", ()))
+
+    @functools.cached_property
     def rules_of(self):
         """Nonterminal -> tuple of its enabled rules."""
         table = {nonterminal: [] for nonterminal in self.types}
@@ -275,7 +280,9 @@ def read_grammar(source):
 
 
 class _Reader:
-    tables = {"grammar", "types", "inputs", "constants", "rules", "operators", "each_property"}
+    tables = {
+        "grammar", "types", "inputs", "constants", "rules", "operators", "each_property", "common",
+    }  # fmt: skip
 
     def __init__(self, source):
         self.source = source
@@ -295,6 +302,10 @@ class _Reader:
         for name, meaning in self.operators.items():
             if not isinstance(meaning, str) or meaning not in OPERATORS:
                 raise GrammarError(f"[operators] {name} = {meaning!r}: no such operator")
+        common = self.source.get("common", {})
+        laws = common.get("laws", []) if isinstance(common, dict) else None
+        if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
+            raise GrammarError("[common] needs laws, a list of texts")
         rules = self.rules()
         grammar = Grammar(
             name=head.get("name", "unnamed"),

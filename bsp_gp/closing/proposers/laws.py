@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.closing.proposal import Family, Proposal, with_term
+from bsp_gp.closing.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
+from bsp_gp.errors import BspError, EvaluationError
+from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_name, split_linear
+from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
 
 MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
-MOST_PAIRED, MOST_PAIRS = 150, 40
-"""Laws of which two at once are tried, and pairs that are proposed."""
-LEAST_APART = 0.02
-"""Part of a law, squared, that must lie beside another for the two to be told apart."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
+SAME = 1e-9
+"""Part of what is left by which laws that are one law may differ in what they explain."""
 
 
 class Laws:
@@ -45,15 +50,17 @@ class Laws:
         columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
         vectors = {c for c, t in columns.items() if t.shape == "vector"}
         scalars = {c: t.unit for c, t in columns.items() if t.shape == "scalar"}
-        available = set(types) - set(exclude) - _unknown_of_sources(dataset)
+        self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
         grammar = grammar.for_properties(scalars, vectors)
-        self.grammar, self.missing = grammar.masked(available, dataset.n_dims)
+        self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
         least = self.grammar.min_levels
         self.kinds = [
             kind for kind, start in self.grammar.start.items()
             if (kind == "field" or has_pairs) and least[start] <= max_levels
         ]  # fmt: skip
+        names = [SHORT.get(c, c) for c in scalars if c != "mass"]
+        self.common = list(_read(self.grammar.common, names, self.available, types, dataset))
 
     def propose(self, view):
         """The family of all laws.
@@ -64,7 +71,6 @@ class Laws:
         """
         regression = view.response.regression
         target, columns = view.response.left()
-        total = float(view.left @ view.left)
         found, null, certificates, n_tried = [], np.zeros(view.moment_draws.shape[1]), [], 0
         sizes = np.square(view.draws_left).sum(axis=0)
         for kind in self.kinds:
@@ -78,93 +84,123 @@ class Laws:
             found += result.candidates
             certificates.append(result.certificate.text())
             n_tried += result.n_evaluated
-        found.sort(key=lambda c: c.complexity - 0.5 * c.share * total)
-        declared = self._declared(view)
-        proposals = [
-            self._proposal(view, candidate, total)
-            for candidate in found[:MOST_NEAR]
-            if not _is_parallel(view, candidate, declared)
-        ]
-        best = max((p.gain for p in proposals), default=0.0)
-        pairs = _pairs(view, found[:MOST_PAIRED], proposals)
-        proposals = sorted([*pairs, *proposals], key=lambda p: -p.promise)
+        best = max((c.gain for c in found), default=0.0)
+        declared = _declared(view)
+        found = [c for c in self._ranked(view, found) if not _is_parallel(view, c, declared)]
+        sets = [*pairs_of(view, found), *sets_of(view, self, found, declared)]
+        proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
+        proposals += [_proposal(view, *each) for each in sets]
+        proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
-            "\n".join(certificates), n_tried,
+            "\n".join(certificates), n_tried=n_tried,
         )  # fmt: skip
 
-    def _declared(self, view):
-        """Moments of declared terms without constants, at unit length."""
-        terms = [
-            term for term in view.fit.law.terms if term.is_declared and not term.formula.constants
-        ]
-        out = []
-        for term in terms:
-            column = view.response.regression.column(term)[0][:, 0]
-            size = np.linalg.norm(column)
-            if size > 0:
-                out.append(column / size)
-        return out
+    def _ranked(self, view, found):
+        """Candidates by their promise: common ones, and kin of the declared, are likelier."""
+        kin = _declared_properties(view.fit.law)
+        common = [_scored(view, f) for f in self.common if Term(f).kind in self.kinds]
+        common = [c for c in common if c is not None]
+        keys = {canonical_key(c.formula, view.dataset.n_dims) for c in common}
+        others = []
+        for candidate in found:
+            twins = [c for c in common if abs(c.gain - candidate.gain) <= SAME * c.total]
+            if twins and canonical_key(candidate.formula, view.dataset.n_dims) in keys:
+                continue
+            if any(kin) and candidate.kind == "pair":
+                candidate = _like(candidate, kin, view.criteria.cause_nats)
+            others.append(candidate)
+        return sorted((*common, *others), key=lambda c: c.complexity - 0.5 * c.gain)
 
-    def _proposal(self, view, candidate, total):
-        law = view.fit.law
+
+def _like(candidate, kin, nats):
+    """A law written with the properties of the declared one where it is equal to that."""
+    written = (candidate.formula, *candidate.ties)
+    same = next((f for f in written if properties_of(f) == kin), None)
+    if same is None:
+        return candidate
+    return replace(
+        candidate, formula=same, ties=tuple(f for f in written if f is not same),
+        complexity=max(candidate.complexity - nats, nats),
+    )  # fmt: skip
+
+
+def _proposal(view, candidates, amounts=None, gain=None):
+    """The proposal of one law, or of several at once."""
+    hypothesis, law, formulas = view.hypothesis, view.fit.law, []
+    for k, candidate in enumerate(candidates):
         old, _ = split_linear(candidate.formula)
         name = fresh_name(law)
-        formula = rename_constants(candidate.formula, {old: name})
-        value = float(candidate.constants[old])
-        term = Term(formula, candidate.kind)
-        return Proposal(
-            "law", to_text(candidate.formula), with_term(view.hypothesis, term, {name: value}),
-            -candidate.complexity, candidate.share * total, formula=formula, ties=candidate.ties,
-            n_dims=view.dataset.n_dims,
-        )  # fmt: skip
+        value = float(candidate.constants[old] if amounts is None else amounts[k])
+        term = Term(rename_constants(candidate.formula, {old: name}), candidate.kind)
+        hypothesis, law = with_term(hypothesis, term, {name: value}), law.plus(term, {name: value})
+        formulas.append(term.formula)
+    cost = sum(candidate.complexity for candidate in candidates)
+    gain = candidates[0].gain if gain is None else gain
+    most = (1 - RESOLVED) * float(view.left @ view.left)
+    return Proposal(
+        "law", " + ".join(map(to_text, formulas)), hypothesis, -cost, min(gain, most),
+        len(candidates), formulas=tuple(formulas),
+        ties=candidates[0].ties if len(candidates) == 1 else (), n_dims=view.dataset.n_dims,
+    )  # fmt: skip
 
 
-def _pairs(view, found, singles):
-    """Two laws at once that promise more than any alone, the best few."""
-    if len(found) < 2:
-        return []
-    terms = [Term(split_linear(c.formula)[1], c.kind) for c in found]
-    columns = np.stack([view.response.regression.column(t)[0][:, 0] for t in terms], axis=1)
-    rows = view.beside(columns)
-    size = np.linalg.norm(rows, axis=0)
-    unit = rows / np.where(size > 0, size, 1.0)
-    scores, overlap = unit.T @ view.left, unit.T @ unit
-    first, second = np.triu_indices(len(found), 1)
-    cosine = overlap[first, second]
-    apart = 1.0 - np.square(cosine)
-    good = apart > LEAST_APART
-    first, second, cosine, apart = first[good], second[good], cosine[good], apart[good]
-    a, b = scores[first], scores[second]
-    gains = (a * a + b * b - 2 * a * b * cosine) / apart
-    prior = np.array([-c.complexity for c in found])
-    promise = 0.5 * gains + prior[first] + prior[second]
-    least = max((p.promise for p in singles), default=0.0)
+def _scored(view, formula):
+    """A law that was typed, as a candidate; None where these data do not show it."""
+    name, rest = split_linear(formula)
+    term = Term(rest)
+    try:
+        column = view.response.regression.column(term)[0][:, 0]
+    except EvaluationError:  # some body lacks a property that it names
+        return None
+    size = np.linalg.norm(column)
+    row = view.beside(column[:, None])[:, 0]
+    length = float(row @ row)
+    if not np.isfinite(size) or not length > PARALLEL * size**2:
+        return None
+    value, total = float(row @ view.left) / length, float(view.left @ view.left)
+    gain = value**2 * length
+    return Candidate(
+        formula, term.kind, {name: value}, 0.5 * (total - gain), view.criteria.cause_nats, gain,
+        total,
+    )  # fmt: skip
+
+
+def _read(texts, names, available, types, dataset):
+    """Common laws of which the data have all inputs."""
+    for text in texts:
+        for name in names if "{0}" in text else ("",):
+            try:
+                formula = parse_formula(text.replace("{0}", name), types, units=dataset.units)
+            except BspError:  # it names what these data do not have
+                continue
+            is_plane = dataset.n_dims == 2 or "perp" not in text
+            if is_plane and formula.inputs <= available:
+                yield formula
+
+
+def _declared_properties(law):
+    """Property factors of the declared pair law, if there is one."""
+    terms = [term for term in law.terms if term.is_declared and term.kind == "pair"]
+    return properties_of(terms[0].formula) if len(terms) == 1 else ((), ())
+
+
+def _declared(view):
+    """Moments of declared terms without constants, at unit length."""
     out = []
-    for k in np.argsort(-promise)[:MOST_PAIRS]:
-        if promise[k] <= least:
-            break
-        i, j = first[k], second[k]
-        amounts = np.array([a[k] - b[k] * cosine[k], b[k] - a[k] * cosine[k]]) / apart[k]
-        out.append(_both(view, found[i], found[j], amounts / size[[i, j]], gains[k], promise[k]))
+    for term in view.fit.law.terms:
+        if term.is_declared and not term.formula.constants:
+            out += [c for c in (_direction(view, term),) if c is not None]
     return out
 
 
-def _both(view, one, other, amounts, gain, promise):
-    """The proposal of two laws at once."""
-    hypothesis, law, formulas = view.hypothesis, view.fit.law, []
-    for candidate, amount in zip((one, other), amounts.tolist(), strict=True):
-        name = fresh_name(law)
-        old, _ = split_linear(candidate.formula)
-        formula = rename_constants(candidate.formula, {old: name})
-        term = Term(formula, candidate.kind)
-        hypothesis, law = (
-            with_term(hypothesis, term, {name: amount}),
-            law.plus(term, {name: amount}),
-        )
-        formulas.append(formula)
-    text = " + ".join(map(to_text, formulas))
-    return Proposal("law", text, hypothesis, float(promise - 0.5 * gain), float(gain), 2)
+def _direction(view, term):
+    """Moments of a term at unit length, whatever their size; None where it shows nothing."""
+    column = view.response.regression.column(term)[0][:, 0]
+    top = np.max(np.abs(column), initial=0.0)
+    if not (np.isfinite(top) and top > 0):
+        return None
+    return column / top / np.linalg.norm(column / top)
 
 
 def _is_parallel(view, candidate, declared):
@@ -172,9 +208,8 @@ def _is_parallel(view, candidate, declared):
     if not declared:
         return False
     _, rest = split_linear(candidate.formula)
-    column = view.response.regression.column(Term(rest, candidate.kind))[0][:, 0]
-    size = np.linalg.norm(column)
-    return size > 0 and any(1 - (column @ d / size) ** 2 < PARALLEL for d in declared)
+    own = _direction(view, Term(rest, candidate.kind))
+    return own is not None and any(1 - (own @ d) ** 2 < PARALLEL for d in declared)
 
 
 def _unknown_of_sources(dataset):

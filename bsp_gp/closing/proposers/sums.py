@@ -1,0 +1,156 @@
+"""Several laws at once, where one alone does not explain what is left.
+
+Added one at a time, a proxy may be taken first and never be parted with. So pairs of the likeliest
+laws are always weighed, and where even the best law leaves more than noise, whole sets are chosen
+from all laws that share its property factors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.language.formula import Call, Constant, factors
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.search.candidate import Candidate
+from bsp_gp.search.exhaustive import law_pool
+from bsp_gp.search.subsets import best_subsets
+
+__all__ = ["RESOLVED", "pairs_of", "properties_of", "sets_of"]
+
+MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
+"""Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
+LEAST_APART = 0.02
+"""Part of a law, squared, that must lie beside another for the two to be told apart."""
+RESOLVED = 1e-6
+"""Part of what is left that is beyond the moments: forces act in steps from instant to instant."""
+SIMILAR = 0.01
+"""Part of the best gain within which the simplest law says which properties matter."""
+
+
+def pairs_of(view, found):
+    """Two laws at once that promise more than any alone, the best few.
+
+    Parameters
+    ----------
+    view : View
+    found : list of Candidate
+        The likeliest first.
+
+    Returns
+    -------
+    list of (tuple of Candidate, ndarray, float)
+        Laws, their constants, and what they gain.
+    """
+    found = found[:MOST_PAIRED]
+    if len(found) < 2:
+        return []
+    unit, size = _unit(view, _columns(view, found))
+    scores, overlap = unit.T @ view.left, unit.T @ unit
+    first, second = np.triu_indices(len(found), 1)
+    cosine = overlap[first, second]
+    apart = 1.0 - np.square(cosine)
+    good = apart > LEAST_APART
+    first, second, cosine, apart = first[good], second[good], cosine[good], apart[good]
+    a, b = scores[first], scores[second]
+    gains = (a * a + b * b - 2 * a * b * cosine) / apart
+    prior = -np.array([c.complexity for c in found])
+    promise = 0.5 * gains + prior[first] + prior[second]
+    least = 0.5 * found[0].gain - found[0].complexity
+    out = []
+    for k in np.argsort(-promise)[:MOST_SETS]:
+        if promise[k] <= least:
+            break
+        i, j = first[k], second[k]
+        amounts = np.array([a[k] - b[k] * cosine[k], b[k] - a[k] * cosine[k]]) / apart[k]
+        out.append(((found[i], found[j]), amounts / size[[i, j]], float(gains[k])))
+    return out
+
+
+def sets_of(view, laws, found, declared):
+    """Sets of laws with the property factors of the best one, where that leaves more than noise.
+
+    Parameters
+    ----------
+    view : View
+    laws : Laws
+        The proposer: its grammar and bounds.
+    found : list of Candidate
+        The likeliest first.
+    declared : list of ndarray
+        Moments of terms with declared numbers, at unit length: no set may free them.
+
+    Returns
+    -------
+    list
+        As of `pairs_of`.
+    """
+    if not found:
+        return []
+    total = float(view.left @ view.left)
+    if total - found[0].gain < RESOLVED * total:
+        return []
+    if stats.chi2.sf(total - found[0].gain, max(view.n_left - 1, 1)) > view.criteria.alpha:
+        return []
+    most = max(c.gain for c in found)
+    near = [c for c in found if c.gain > (1 - SIMILAR) * most]
+    wanted = properties_of(min(near, key=lambda c: c.complexity).formula)
+    pool, columns = [], []
+    for kind in laws.kinds:
+        rest, matrix = law_pool(
+            view.response.regression, laws.grammar, kind=kind, max_levels=laws.max_levels,
+            is_left=lambda formula: properties_of(formula) == wanted,
+        )  # fmt: skip
+        pool += [(formula, complexity, kind) for formula, complexity in rest]
+        columns.append(matrix)
+    columns = np.concatenate(columns, axis=1)
+    own, _ = _unit(None, columns)
+    marks = np.round(np.abs(own[0] + own[len(own) // 2] + own.sum(axis=0)), 9)
+    free = np.zeros(len(pool), dtype=bool)
+    free[np.unique(marks, return_index=True)[1]] = True  # a law that is written twice is one
+    for direction in declared:
+        free &= 1 - np.square(direction @ own) > LEAST_APART
+    pool = [law for law, is_free in zip(pool, free, strict=True) if is_free]
+    unit, size = _unit(view, columns[:, free])
+    subsets = best_subsets(unit, view.left, LARGEST)
+    chosen = [s for n in range(2, LARGEST + 1) for _, s in subsets.get(n, ())[:MOST_SETS]]
+    return [_set(view, [pool[k] for k in s], unit[:, s], size[list(s)]) for s in chosen]
+
+
+def _set(view, members, unit, size):
+    amounts, *_ = np.linalg.lstsq(unit, view.left, rcond=None)
+    total = float(view.left @ view.left)
+    gain = total - float(np.square(view.left - unit @ amounts).sum())
+    candidates = tuple(
+        Candidate(Call("mul", Constant("c1"), formula), kind, {}, 0.0, complexity, 0.0, total)
+        for formula, complexity, kind in members
+    )
+    return candidates, amounts / size, gain
+
+
+def _columns(view, found):
+    terms = [Term(split_linear(c.formula)[1], c.kind) for c in found]
+    return np.stack([view.response.regression.column(t)[0][:, 0] for t in terms], axis=1)
+
+
+def _unit(view, columns):
+    """Columns at unit length, beside the constants of the law of a view, and their lengths."""
+    top = np.max(np.abs(columns), axis=0, initial=0.0)
+    top = np.where((top > 0) & np.isfinite(top), top, 1.0)
+    rows = np.where(np.isfinite(columns), columns, 0.0) / top
+    rows = rows if view is None else view.beside(rows)
+    size = np.linalg.norm(rows, axis=0)
+    return rows / np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0) * top
+
+
+def properties_of(formula):
+    """Property factors of a law or of a product of properties, whatever their order."""
+    above, below = factors(formula)
+    sides = [sorted(to_text(p) for p in side if _is_property(p)) for side in (above, below)]
+    return tuple(map(tuple, sides))
+
+
+def _is_property(part):
+    return bool(part.inputs) and all(map(property_of, part.inputs)) and not part.constants
