@@ -430,6 +430,11 @@ class Climb:
                 return False
         return True
 
+    def is_lost(self, minimum):
+        """Whether a descent ended where no minimum is, and none of many starts led there again."""
+        is_alone = minimum.n_agree < AGREE <= minimum.n_starts
+        return minimum.status == "unconverged" and is_alone and not self._is_allowed(minimum)
+
     def is_aliased(self, minimum):
         """Whether the motion turns back and forth between rows: a frequency beyond Nyquist's."""
         constants, _ = self.coordinates.constants(minimum.values)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.fitting.motion import CREEP, Points
+from bsp_gp.fitting.roots import CLOSE, FEW, roots
 
 __all__ = ["chained", "passed_over", "through_events", "up_to_events"]
 
@@ -24,9 +25,9 @@ NEARER = 0.75
 JUST_BEFORE = 1 - 1e-9
 SLOW = 1e-3
 """Part of its speed at the start of a step below which a body that turned round had stopped."""
-BISECTIONS = 60
-CLOSE = 1e-14
-"""Part of a step to which an instant is found."""
+NEAR, FAST = 1e-7, 0.1
+"""To which part of itself an instant is found at first; where a body is so fast there, in its speed
+at the start, it has not stopped, and nothing closer is asked."""
 
 
 def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
@@ -56,6 +57,7 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     points = stages[0]
     changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=(0, 1))
     changed |= passed_over(flow, points, end, h)
+    changed &= np.isfinite(points.state).all(axis=(0, 1, 2))  # a track that is lost stays so
     if not changed.any():
         return end, {}
     end, which = end.copy(), np.flatnonzero(changed)
@@ -200,9 +202,12 @@ def _through(flow, scheme, points, h, slopes):
         chain = points.chain[open_]
         here = [mode[..., open_] for mode in modes]
         start = flow.points(ends[..., open_], times[open_], chain, here)
-        part, changes = left[open_], [None] * len(open_)
-        if number < MAX_EVENTS:
-            part, changes = _next_changes(flow, scheme, start, part)
+        part, changes = _next_changes(flow, scheme, start, left[open_])
+        is_lost = np.zeros(len(open_), dtype=bool)
+        if number == MAX_EVENTS:
+            # Part by part too long: such a step has no end that means anything.
+            is_lost = np.array([change is not None and change[0] == CUT for change in changes])
+            part, changes = left[open_], [None] * len(open_)
         state, moved = _part(flow, scheme, start, part, slopes)
         there, is_held = _stopped(flow, start, state, part, changes)
         new = _switched(modes, open_, changes)
@@ -212,11 +217,13 @@ def _through(flow, scheme, points, h, slopes):
             before = flow.points(state, there.times, chain, start.modes)
             _jumped(flow, total, open_, changes, is_held, (start, before, behind))
         ends[..., open_], times[open_] = there.state, there.times
+        ends[..., open_[is_lost]] = np.nan
         for mode, held in zip(modes, new, strict=True):
             mode[..., open_] = held
         left[open_] -= part
-        has_more = [change is not None for change in changes]
-        open_ = open_[np.array(has_more) & (np.abs(left[open_]) > CLOSE * np.abs(h[open_]))]
+        has_more = np.array([change is not None for change in changes])
+        has_more &= np.abs(left[open_]) > CLOSE * np.abs(h[open_])
+        open_ = open_[has_more]
         if not len(open_):
             break
     return ends, total, modes
@@ -284,17 +291,24 @@ def _next_changes(flow, scheme, points, h):
         the step is too long to tell whether a body stops: the rest is looked at from there.
     """
     part, changes = h.copy(), [None] * len(h)
-    open_, low = np.arange(len(h)), 0.0
+    open_ = np.arange(len(h))
     if not flow.motion.has_modes:  # no body stops within a step at whose end none has turned
         open_ = np.unique(_flipped(flow, scheme, points, h)[1])
-    for high in (*WITHIN, 1.0):
+    highs = np.array([*WITHIN, 1.0])
+    lows = np.append(0.0, WITHIN)
+    at_once = len(highs) if len(open_) <= FEW else 1  # few steps cost as much as one
+    for first in range(0, len(highs), at_once):
         if not len(open_):
             break
-        here = points.pick(open_)
-        keys, at = _flipped(flow, scheme, here, high * h[open_])
+        looks = slice(first, first + at_once)
+        here = points.pick(np.repeat(open_, at_once))
+        keys, at = _flipped(flow, scheme, here, np.outer(h[open_], highs[looks]).ravel())
         if keys:
-            at = open_[at]
-            instants, is_turn = _instants(flow, scheme, points, keys, at, low * h[at], high * h[at])
+            keys, at, look = _earliest(keys, at, at_once)
+            at, look = open_[at], look + first
+            instants, is_turn = _instants(
+                flow, scheme, points, keys, at, lows[look] * h[at], highs[look] * h[at]
+            )
             instants = np.where(is_turn, NEARER * instants, instants)
             seen = set()
             for k in np.argsort(np.abs(instants), kind="stable"):
@@ -303,8 +317,23 @@ def _next_changes(flow, scheme, points, h):
                     part[at[k]] = instants[k]
                     changes[at[k]] = (CUT, 0, 0, 0) if is_turn[k] else keys[k]
             open_ = np.array([m for m in open_ if changes[m] is None], dtype=int)
-        low = high
     return part, changes
+
+
+def _earliest(keys, at, n_looks):
+    """Of what flips in several looks at each step, that in the first such look.
+
+    Returns
+    -------
+    keys : list of tuple
+    at, look : ndarray of int
+        Step of each key, and number of the look.
+    """
+    step, look = np.divmod(at, n_looks)
+    first = np.full(step.max() + 1, n_looks)
+    np.minimum.at(first, step, look)
+    kept = np.flatnonzero(look == first[step])
+    return [keys[k] for k in kept], step[kept], look[kept]
 
 
 def _flipped(flow, scheme, points, length):
@@ -346,33 +375,51 @@ def _instants(flow, scheme, points, keys, at, low, high):
         for key, m in zip(keys, at, strict=True)
     ])  # fmt: skip
 
+    programs, places = np.array([key[0] for key in keys]), np.array([key[1:] for key in keys])
+
     def margin(length, which):
         here = picked.pick(which)
         end, stages, _ = flow.step(scheme, here, length)
         out = np.empty(len(which))
-        turns = _headings(flow, stages, end) if stops[which].any() else None
-        found = None
-        if not stops[which].all():
-            there = flow.points(end, here.times + length, here.chain, here.modes)
-            found = flow.motion.margins(there)
-        for n, k in enumerate(which):
-            program, *place = keys[k]
-            out[n] = turns[(*place[:2], n)] if program == STOP else found[program][(*place, n)]
+        for program in np.unique(programs[which]).tolist():
+            mine = np.flatnonzero(programs[which] == program)
+            first, *others = places[which[mine]].T
+            if program == STOP:
+                out[mine] = _headings(flow, stages, end)[first, others[0], mine]
+            else:
+                there = flow.points(end, here.times + length, here.chain, here.modes)
+                out[mine] = flow.motion.margins(there)[program][first, *others, mine]
         return sign[which] * out
 
-    instants = _roots(margin, low, high)
-    # Just before it: behind it the last stages of a step would be pushed on by friction.
-    instants = np.where(stops, JUST_BEFORE * instants, instants)
+    before, instants = roots(margin, low, high, np.where(stops, NEAR, 0.0))
     is_nothing = np.zeros(len(keys), dtype=bool)
     if stops.any():
         which = np.flatnonzero(stops)
-        here = picked.pick(which)
-        end = flow.step(scheme, here, instants[which])[0]
-        for n, k in enumerate(which):
-            axes, body = list(flow.motion.stops[keys[k][1]]), keys[k][2]
-            speed = np.abs(end[1, body, axes, n]).max()
-            is_nothing[k] = speed > SLOW * np.abs(here.state[1, body, axes, n]).max()
+        is_nothing[which] = _speeds(flow, scheme, picked, keys, which, before) > FAST
+        which = which[~is_nothing[which]]
+        if len(which):
+            near = CLOSE * np.abs((high - low)[which] / instants[which])
+            _, instants[which] = roots(
+                lambda length, own: margin(length, which[own]), before[which], instants[which],
+                near,
+            )  # fmt: skip
+    # Just before it: behind it the last stages of a step would be pushed on by friction.
+    instants = np.where(stops, JUST_BEFORE * instants, instants)
+    if stops.any() and len(which):
+        is_nothing[which] = _speeds(flow, scheme, picked, keys, which, instants) > SLOW
     return instants, is_nothing
+
+
+def _speeds(flow, scheme, points, keys, which, instants):
+    """Speeds of bodies that turn round, where they do, in those at the start of their steps."""
+    here = points.pick(which)
+    end = flow.step(scheme, here, instants[which])[0]
+    out = np.empty(len(which))
+    for n, k in enumerate(which):
+        axes, body = list(flow.motion.stops[keys[k][1]]), keys[k][2]
+        at_first = np.abs(here.state[1, body, axes, n]).max()
+        out[n] = np.abs(end[1, body, axes, n]).max() / at_first
+    return out
 
 
 def _rows_of(flow, change):
@@ -399,40 +446,6 @@ def _stop_jump(flow, start, before, behind, change):
     if slowing != 0:
         jump[np.ix_(rows, rows)] += np.outer(after - slowed, way) / slowing
     return jump
-
-
-def _roots(margin, low, high):
-    """Where margins leave the positive, by bisection with secants (Illinois), all at once.
-
-    Parameters
-    ----------
-    margin : callable
-        ``margin(length, which)`` of some of the margins.
-    low, high : ndarray, shape (M,)
-        Positive at the first, not at the second.
-    """
-    low, high = low.copy(), high.copy()
-    everyone = np.arange(len(low))
-    at_low, at_high = margin(low, everyone), margin(high, everyone)
-    out = np.where(at_low <= 0, low, high)  # on the edge already
-    side, width = np.zeros(len(low), dtype=int), np.abs(high - low)
-    open_ = everyone[at_low > 0]
-    for _ in range(BISECTIONS):
-        if not len(open_):
-            break
-        a, b, fa, fb = low[open_], high[open_], at_low[open_], at_high[open_]
-        middle = a + (b - a) * fa / (fa - fb)
-        value = margin(middle, open_)
-        up = value > 0
-        again = side[open_] == np.where(up, 1, -1)
-        low[open_], high[open_] = np.where(up, middle, a), np.where(up, b, middle)
-        at_low[open_] = np.where(up, value, np.where(again, fa / 2, fa))
-        at_high[open_] = np.where(up, np.where(again, fb / 2, fb), value)
-        side[open_] = np.where(up, 1, -1)
-        out[open_] = high[open_]
-        is_close = np.abs(high[open_] - low[open_]) <= CLOSE * width[open_]
-        open_ = open_[~(is_close | (value == 0))]
-    return out
 
 
 def _jump(flow, here, there, change):

@@ -387,6 +387,8 @@ class _Run:
         model = self.hypothesis.noise
         if self.hypothesis.has_given_noise:
             return self.estimated(climb, minimum, model, adopt=False)
+        if climb.is_lost(minimum):  # what it leaves is neither noise nor what the law lacks
+            return model
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)

@@ -180,12 +180,12 @@ class Flow:
         """
         y, t = points.state, points.times
         stages, rates = [points], np.empty((scheme.n_stages, *y.shape))
-        rates[0] = self._rate(points)
+        rates[0, 0], rates[0, 1] = y[1], self.motion.acceleration(points)
         for k in range(1, scheme.n_stages):
             state = y + h * _weighted(scheme.a[k, :k], rates)
             here = self.points(state, t + scheme.c[k] * h, points.chain, points.modes)
             stages.append(here)
-            rates[k] = self._rate(here)
+            rates[k, 0], rates[k, 1] = state[1], self.motion.acceleration(here)
         return y + h * _weighted(scheme.b, rates), stages, rates
 
     def _rate(self, points):

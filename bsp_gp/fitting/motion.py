@@ -305,6 +305,8 @@ class Motion:
             return total
         out = total
         for axes in self.stops:
+            if points.state[1][:, list(axes)].any(axis=1).all():
+                continue  # all move, as bodies nearly always do
             still, is_held, creeping = self._at_rest(points, total, list(axes))
             if creeping is not None:
                 out = np.where(still, creeping, out)

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.skipif(
 SLOW = (
     "an_infer_that_took_minutes",
     "a_fit_with_stops_that_takes_minutes",
+    "a_friction_that_no_start_fits",
 )
 SOUND = b"t,x,y\n" + b"".join(b"%.2f,%.3f,1\n" % (k / 20, k * k / 9) for k in range(8))
 

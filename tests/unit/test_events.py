@@ -212,6 +212,21 @@ def test_a_body_stops_and_stays(friction):
     assert transitions[0][0, 4] == pytest.approx(-(0.13**2) / 8, rel=0.1)
 
 
+def test_a_step_that_no_number_of_parts_makes_short_enough_ends_nowhere():
+    """Steps chosen under a weak drag, taken under one that stops the body within 1e-3 of them."""
+    scene = scene_of([0.0, 0.1, 0.2], (body("a"),), [[0.0, 0.0]])
+    weak, strong = (
+        flow_of(law_of("-c1 * m_i * norm(v_i)^n * normalize(v_i)", c1=c, n=0.5), [scene], 1e-3)
+        for c in (1e-3, 1e3)
+    )
+    nodes = nodes_of(weak, [[0.0, 0.0]], [[0.13, 0.0]])
+    mesh = weak.mesh(nodes)
+    assert np.isfinite(weak.run(nodes, mesh)[0]).all()
+    assert np.isnan(strong.run(nodes, mesh)[0]).all()
+    ends, _ = strong.run(nodes, strong.mesh(nodes))
+    np.testing.assert_allclose(ends[1], 0.0, atol=1e-9)
+
+
 def rubbed(amplitude, stiffness, friction, times):
     """A spring with dry friction from rest: half swings about a shifted centre, then a stop."""
     rate, rest = np.sqrt(stiffness), friction / stiffness
