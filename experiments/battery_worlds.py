@@ -1,7 +1,7 @@
 """Data sets that lack one thing their declared model does not know: a force, a body, a measurement.
 
 Every kind makes exact positions of a given strength, as a camera that may be wrong sees them; noise
-is added to what it sees. `KINDS` says which there are, and which words of the loop are right.
+is added to what it sees. `KINDS` says which there are, and which codes of the loop are right.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,9 @@ class Kind:
     where : int or None
         The one scene that is warped; None: all.
     names : tuple of str
-        Effects that are right, by the loop's own name; empty where laws are compared.
+        Codes of causes that are right; empty where laws are compared.
+    of : str
+        The number that a cause must name beside; "" = any.
     same : tuple of Effect
         Forces that do the same to these data: not right, but in the class.
     """
@@ -72,6 +74,7 @@ class Kind:
     warp: Callable = None
     where: int = None
     names: tuple = ()
+    of: str = ""
     same: tuple = ()
 
     @property
@@ -145,19 +148,21 @@ def _drag_and_wind(strength, rng):
 
 KINDS = {
     **{case: _force(case) for case in FORCES},
-    "hidden body": Kind("nbody", ORBITING, 10.0, _hidden, names=("an unseen body at rest",)),
+    "hidden body": Kind("nbody", ORBITING, 10.0, _hidden, names=("hidden_body",)),
     "length scale": Kind(
-        "spring", TIED, 0.01, warp=_scaled, names=("a length scale that is off",)
+        "spring", TIED, 0.01, warp=_scaled, names=("scale",)
     ),
     "tilted camera": Kind(
         "fall", THROWN, 0.005, warp=_tilted,
-        names=("a camera that is tilted (its axes rotated)",),
+        names=("tilt",),
         same=(_named("field", 1.0, angle=0.0),),
     ),
-    "clock": Kind("fall", THROWN, 0.005, warp=_clocked, names=("a clock that is off",)),
-    "delay of a body": Kind("nbody", ORBITING, 0.01, warp=_late, names=(f"a delay of {LATE}",)),
+    "clock": Kind("fall", THROWN, 0.005, warp=_clocked, names=("clock",)),
+    "delay of a body": Kind(
+        "nbody", ORBITING, 0.01, warp=_late, names=("delay",), of=f"delay_{LATE}"
+    ),
     "swapped tracks": Kind(
-        "nbody", ORBITING, AS_IT_IS, warp=_swapped, where=0, names=("swapped tracks",)
+        "nbody", ORBITING, AS_IT_IS, warp=_swapped, where=0, names=("swapped_tracks",)
     ),
     "drag and wind": Kind("fall", THROWN, 0.005, _drag_and_wind),
 }  # fmt: skip

@@ -7,22 +7,19 @@ S the covariance of the noise, summed over the data set. `snr_rival` is the same
 nearest wrong effect, refitted. Both come from the truth of the generator.
 """
 
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from causes import LAWS, PERIOD, Cause, Judge, causes_of, is_adopted, start_of
 from common import options, run_jobs, write_study
 from made_worlds import CLOSEST, FALL, MAT, NBODY, PUCKS, make_apart, world
-from scipy.optimize import least_squares
 
+from bsp_gp.closing.close import close_loop
+from bsp_gp.data.noise import declare_noise
 from bsp_gp.errors import BspError, MissingDependencyError
-from bsp_gp.language.parse import parse_formula
-from bsp_gp.loop.attempts import evaluate
-from bsp_gp.loop.close import close_loop, declared_law
-from bsp_gp.loop.preparing import observe
-from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.physics.shooting import fit_rollout, parameter_list
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.law_fit import fit_law
 from bsp_gp.simulate.effects import Effect, ExtraBody, effect
 from bsp_gp.simulate.engine import run_pymunk
 from bsp_gp.simulate.forces import MatFriction, PointSpring
@@ -35,11 +32,11 @@ NOISES = ("declared", "estimated")
 N_SEEDS = 100
 MORE_SEEDS = 50
 """Further sets of thrown balls, which cost little: for the coverage of a thousand constants."""
-SAME_FORM = 1e-5
-"""Laws are of one form if their accelerations on the true motion are parallel to this part."""
 MOST_RIVALS = 6
 """Laws that the loop tried, of which the nearest wrong one is looked for beside the others."""
 
+FORCES = ("pair", "field", "declared_term_change")
+"""Kinds of causes that a law tells whole."""
 FAR = 5.0
 """SNR of the nearest rival from which on a single name is to be right."""
 FEWEST_STEPS = 5
@@ -49,7 +46,6 @@ SLIDING = {**MAT, "n_scenes": 10}
 ORBITING = {**NBODY, "n_scenes": 6}
 MEETING = {**PUCKS, "n_scenes": 10}
 POST = (1.0, 4.0)
-PERIOD = 0.5
 PUSH = "a * cos(w * t + f) * e_x"
 
 
@@ -82,18 +78,6 @@ CASES = {
 """Preset, its numbers, effect of a strength, and a strength to begin with."""
 
 GRAVITY = "G * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
-LAWS = {
-    "linear drag": "c * v_i", "quadratic drag": "c * norm(v_i) * v_i", "uniform wind": "c * e_x",
-    "perpendicular": "c * perp(v_i)", "magnetic": "c * charge_i * perp(v_i)",
-    "spring to a point": "c * (p_j - p_i)", "attraction": "c * m_i * m_j * normalize(p_j - p_i)",
-    "pair force": "c * charge_i * charge_j / norm(p_i - p_j)^2 * normalize(p_i - p_j)",
-    "friction on a mat": "c * is_on(s_i, p_i, s_j, p_j) * m_i * mu_j * normalize(v_i)",
-    "inelastic contact": "c * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j) "
-                         "* does_collide(s_i, p_i, s_j, p_j)",
-    "friction": "c * m_i * normalize(v_i)",
-    "tilted camera": "c * m_i * e_x", "wrong scale or clock": "c * m_i * e_y",
-}  # fmt: skip
-"""What may be taken for an effect, where the data have what it names."""
 
 
 def declared_of(case, truth):
@@ -135,20 +119,18 @@ def data_set(case, strength, seed, engine="pymunk", noise=None, is_declared=True
     return replace(dataset, train=(), test=()), truth  # the loop is to split it
 
 
-def start_of(name, usual):
-    """Where a constant begins: a frequency at the true one, from afar it would not be found."""
-    return 2 * np.pi / PERIOD if name.startswith("w") else usual
-
-
 def seen_against(dataset, declared, extra, sigma):
     """SNR of exact positions against the declared model, or it and one more law."""
-    law = declared_law(dataset, declared)
-    if extra:
-        formula = parse_formula(extra, dataset_types(dataset), units=dataset.units)
-        start = {name: start_of(name, 0.0) for name in formula.constants}
-        law = law.plus(Term(formula), start)
-    fit = fit_rollout(dataset.scenes, law, np.full(2, sigma), up=dataset.up, substeps=2)
-    return float(np.sqrt(fit.chisqr))
+    laws = (*declared, extra) if extra else tuple(declared)
+    dataset = declare_noise(dataset, (sigma,) * dataset.n_dims)
+    hypothesis = Hypothesis.from_laws(dataset, laws)
+    found = fit(hypothesis, dataset, starts=_rates(hypothesis.law))
+    return float(np.sqrt(found.chisqr))
+
+
+def _rates(law):
+    """Where frequencies of a law begin."""
+    return {name: start_of(name, 0.0) for name in law.names if name.startswith("w")}
 
 
 def strength_at(snr, strength, seen):
@@ -180,96 +162,24 @@ def rival_of(case, dataset, truth, tried=()):
     best, sigma = ("", np.inf), CASES[case][1]["noise"]
     judge = Judge(dataset, truth, declared_of(case, truth))
     texts = {name: text for name, text in LAWS.items() if name != case}
-    wrong = [law for law in dict.fromkeys(tried) if not judge.is_form(law)]
-    for name, text in {**texts, **dict(zip(wrong, wrong, strict=True))}.items():
+    texts |= {cause.law: cause.law for cause in tried if not judge.is_form(cause)}
+    for name, text in texts.items():
         try:
             value = seen_against(dataset, declared_of(case, truth), text, sigma)
         except BspError:  # the data have not what it names
             continue
-        best = min(best, (name, value), key=lambda item: item[1])
+        if np.isfinite(value):
+            best = min(best, (name, value), key=lambda item: item[1])
     return best
-
-
-class Judge:
-    """Compares laws with what was undeclared, along the true motion."""
-
-    def __init__(self, dataset, truth, declared):
-        from bsp_gp.physics.bodies import stack
-
-        self.dataset, self.declared = dataset, declared_law(dataset, declared)
-        scenes = [truth.scene(k) for k in range(len(truth.scenes))]
-        moving = scenes[0].dynamic
-        (self.batch,) = stack(scenes, dataset.up, "measured")
-        self.true = truth.accelerations()[:, :, moving].ravel()
-        self.missing = self.true - truth.accelerations(of_declared=True)[:, :, moving].ravel()
-
-    def of_law(self, law):
-        """The same for a law in the place of the truth."""
-        judge = copy(self)
-        judge.true = self.acceleration(law)
-        judge.missing = judge.true - (self.true - self.missing)
-        return judge
-
-    def acceleration(self, law):
-        """Accelerations of a law along the true motion, one vector."""
-        b = self.batch
-        value = law.acceleration(b.bodies, b.positions, b.velocities, b.times)
-        return np.moveaxis(value, 1, 0).ravel()
-
-    def refitted(self, law):
-        """The law with the constants that come nearest to the truth; None if it is another form.
-
-        A law has the form of the truth if with some constants it leaves next to nothing of what
-        was undeclared.
-        """
-        parameters = parameter_list(law)
-
-        def left(values):
-            return self.true - self.acceleration(law.with_values(parameters, values))
-
-        if not parameters:
-            found, size = law, np.square(left(())).sum()
-        else:
-            start = np.array([law.constants[n] for n, _ in parameters], dtype=float)
-            scale = np.maximum(np.abs(start), 1e-9)
-            with np.errstate(all="ignore"):
-                if not np.isfinite(left(start)).all():
-                    return None
-                fit = least_squares(left, start, method="lm", x_scale=scale)
-            found, size = law.with_values(parameters, fit.x), 2 * fit.cost
-        return found if size < SAME_FORM * (self.missing @ self.missing) else None
-
-    def is_found(self, law):
-        """Whether a law has the form of the truth and no term but those that it takes."""
-        new = [term for term in law.terms if not term.is_declared]
-        without = (replace(law, terms=tuple(t for t in law.terms if t is not term)) for term in new)
-        return self.refitted(law) is not None and all(self.refitted(w) is None for w in without)
-
-    def is_form(self, text, known=()):
-        """Whether the declared law and a further one, or that one in its place, is the truth.
-
-        `known` has values of constants to begin with, by name.
-        """
-        try:
-            formula = parse_formula(text, dataset_types(self.dataset), units=self.dataset.units)
-        except BspError:
-            return False
-        own = set(formula.constants)
-        start = {n: 0.0 if n.startswith("n") else start_of(n, 1.0) for n in own}
-        start.update((n, value) for n, value in dict(known).items() if n in own)
-        alone = ForceLaw((Term(formula),), start)
-        beside = self.declared.plus(Term(formula), start)
-        return any(self.refitted(law) is not None for law in (alone, beside))
 
 
 def taken_for(case, report, judge, is_named):
     """What the loop says that the effect is: an effect's name, another law, or its verdict."""
     if is_named:
         return case
-    if not any(done.adopted for done in report.rounds):
+    if not any(map(is_adopted, report.rounds)):
         return report.rounds[0].verdict
-    found = judge.of_law(report.law)
-    return next((name for name, text in LAWS.items() if found.is_form(text)), "another law")
+    return judge.name_of(report.law)
 
 
 def work(case, engine, noise, snr, seed):
@@ -279,15 +189,14 @@ def work(case, engine, noise, snr, seed):
     is_declared = noise == "declared"
     dataset, truth = data_set(case, strength, seed, engine, is_declared=is_declared)
     declared = declared_of(case, truth)
-    loop_rng, observe_rng = np.random.default_rng((1, seed)).spawn(2)
+    loop_rng = np.random.default_rng((1, seed)).spawn(1)[0]
     report = close_loop(dataset, declared, rng=loop_rng, alpha=ALPHA, max_rounds=3)
     judge = Judge(dataset, truth, declared)
-    is_adopted = any(done.adopted for done in report.rounds)
-    law = judge.refitted(report.law) if is_adopted and judge.is_found(report.law) else None
+    law = right_law(report, judge)
     first = report.rounds[0]
-    reported = [] if first.effect is None else [first.effect.law, *first.effect.equivalents]
-    tried = [r.law for r in first.rivals if r.kind in ("pair", "field")][:MOST_RIVALS]
-    tried += [first.effect.law] if first.effect and law is None else []
+    told = causes_of(first)
+    tried = [Cause("law", row["law"]) for row in first.hypotheses if row["code"] == "law"]
+    tried = tried[:MOST_RIVALS] + [cause for cause in told[:1] if cause.law and law is None]
     rival, snr_rival = rival_of(case, exact, exact_truth, tried)
     covered = ""
     if law is not None:
@@ -296,17 +205,25 @@ def work(case, engine, noise, snr, seed):
     return [{
         "effect": case, "engine": engine, "noise": noise, "snr": found, "snr_rival": snr_rival,
         "rival": rival, "seed": seed, "strength": strength,
-        "detected": any(r.is_something_missing for r in report.rounds), "verdict": first.verdict,
-        "n_adopted": sum(done.adopted for done in report.rounds),
-        "adopted": is_adopted, "named": law is not None,
+        "detected": any(r.missing.p_value <= ALPHA for r in report.rounds),
+        "verdict": first.verdict, "n_adopted": sum(map(is_adopted, report.rounds)),
+        "adopted": any(map(is_adopted, report.rounds)), "named": law is not None,
         "taken_for": taken_for(case, report, judge, law is not None),
-        "in_class": law is not None or any(map(judge.is_form, reported)),
-        "n_class": len(reported) + (first.effect.n_unnamed if first.effect else 0),
+        "in_class": law is not None or any(map(judge.is_form, told)), "n_class": len(told),
         "covered": " ".join(map(str, covered)), "law": report.law_text,
-        "p_value": first.effect.p_value if first.effect else "", "reason": first.reason,
-        "rollout_ratio_to_oracle": report.total["after"].rollout_rmse / oracle(
-            split_as(report, dataset), truth, case, observe_rng),
+        "p_value": first.effect.p_value if first.effect else "",
+        "code": first.effect.code if first.effect else "", "reason": first.reason,
+        "rollout_ratio_to_oracle": report.total["after"].rollout_rmse
+        / oracle(split_as(report, dataset), truth, case),
     }]  # fmt: skip
+
+
+def right_law(report, judge):
+    """The adopted law with the constants of the truth, where it has its form; or None."""
+    adopted = [done for done in report.rounds if is_adopted(done)]
+    if not adopted or any(done.effect.kind not in FORCES for done in adopted):
+        return None
+    return judge.refitted(report.law) if judge.is_found(report.law) else None
 
 
 def split_as(report, dataset):
@@ -316,20 +233,16 @@ def split_as(report, dataset):
     )
 
 
-def oracle(dataset, truth, case, rng):
+def oracle(dataset, truth, case):
     """Held-out rollout error of the declared model with the true form added, or of truth itself."""
-    law = declared_law(dataset, declared_of(case, truth))
+    laws = list(declared_of(case, truth))
     if case in LAWS:
-        formula = parse_formula(LAWS[case], dataset_types(dataset), units=dataset.units)
-        law = law.plus(Term(formula), {"c": 0.0})
+        laws.append(LAWS[case])
     elif case == "periodic push":
-        law = declared_law(dataset, [*truth.declared, PUSH])
-        law = law.with_constants({"a": 0.0, "w": start_of("w", 0.0), "f": 0.0})
+        laws.append(PUSH)
     elif case == "changed exponent":
-        law = declared_law(dataset, [f"{GRAVITY} * norm(p_i - p_j)^c"]).with_constants({"c": 0.0})
-    pairs = any(term.kind == "pair" for term in law.terms)
-    observation = observe(dataset, law, rng, sources=pairs)
-    return evaluate(observation, law, observation.fit(law, start=law)).errors.rollout_rmse
+        laws = [f"{GRAVITY} * norm(p_i - p_j)^c"]
+    return fit_law(dataset, laws, starts=_rates(read_law(dataset, laws))).errors.rollout_rmse
 
 
 def jobs_of(quick, seed):

@@ -6,17 +6,16 @@ Counted is whether the right one is named, whether it is in the class that is to
 one name is given alone and is not true.
 """
 
-import re
 import time
 from dataclasses import replace
 
 import numpy as np
 from battery_worlds import AS_IT_IS, KINDS, able, noisy, tuned_to
+from causes import Judge, causes_of, is_adopted
 from common import options, run_jobs, write_study
-from power import ALPHA, Judge
+from power import ALPHA, FORCES
 
-from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.explanation import HIDDEN_BODY, MEASUREMENT
+from bsp_gp.closing.close import close_loop
 
 SNRS = (10.0, 5.0, 30.0)
 WANTED_SNR = 10.0
@@ -25,24 +24,12 @@ MAX_ROUNDS = 3
 QUICK = ("linear drag", "tilted camera", "hidden body", "clock")
 NOT_TOLD = ("seen or cannot tell", "nothing missing")
 OTHER = ("another law", "another measurement")
-FAMILIES = (
-    (r"drag, linear", "linear drag"),
-    (r"drag, quadratic", "quadratic drag"),
-    (r"uniform push along .$", "uniform wind"),
-    (r"force across the velocity", "magnetic"),
-    (r"spring|the other body, as distance$", "spring to a point"),
-    (r"a push with a period", "periodic push"),
-    (r"friction", "friction on a mat"),
-    (r"exponent of", "changed exponent"),
-    (r"the other body, as distance\^-2$", "pair force"),
-    (r"an unseen body", "hidden body"),
-    (r"a length scale", "length scale"),
-    (r"a camera that is tilted", "tilted camera"),
-    (r"a clock|declared number", "clock"),
-    (r"a delay of", "delay of a body"),
-    (r"swapped tracks", "swapped tracks"),
-)
-"""Kinds by the names that the loop gives to effects, for what is told and is not right."""
+FAMILIES = {
+    "period": "periodic push", "exponent": "changed exponent", "hidden_body": "hidden body",
+    "scale": "length scale", "tilt": "tilted camera", "clock": "clock", "delay": "delay of a body",
+    "swapped_tracks": "swapped tracks",
+}  # fmt: skip
+"""Kinds by codes, for what is told and is not right; of other codes the law says it."""
 
 
 class Referee:
@@ -58,70 +45,77 @@ class Referee:
 
         parts = () if self.kind.names else truth.effects
         self.parts = [judge(part) for part in parts]
-        self.whole = judge(*parts) if parts else None
+        self.whole = judge(*parts)
         self.same = [judge(effect) for effect in self.kind.same]
 
-    def is_named(self, effect):
-        """Whether an effect is the right one: of two, either, or both in one law."""
-        if self.kind.names or effect.kind in (MEASUREMENT, HIDDEN_BODY):
-            return effect.name in self.kind.names
-        return bool(self.parts_in(effect))
+    def is_named(self, cause):
+        """Whether a cause is the right one: of two, either, or both in one law."""
+        if self.kind.names:
+            return cause.code in self.kind.names and self.kind.of in cause.text
+        return bool(self.parts_in(cause))
 
-    def parts_in(self, effect):
-        """The undeclared forces that an effect is, by number."""
-        known = {c.name: c.value for c in effect.constants}
-        if self.whole is None or effect.kind in (MEASUREMENT, HIDDEN_BODY):
-            return set()
-        found = {k for k, part in enumerate(self.parts) if part.is_form(effect.law, known)}
-        if not found and len(self.parts) > 1 and self.whole.is_form(effect.law, known):
+    def parts_in(self, cause):
+        """The undeclared forces that a cause is, by number."""
+        found = {k for k, part in enumerate(self.parts) if part.is_form(cause)}
+        if not found and len(self.parts) > 1 and self.whole.is_form(cause):
             return set(range(len(self.parts)))
         return found
 
-    def is_right_text(self, text):
-        """Whether a law or a name is right, or does the same."""
-        judges = [*self.same, *self.parts]
-        return text in self.kind.names or any(judge.is_form(text) for judge in judges)
+    def is_right(self, cause):
+        """Whether a cause is the right one, or does the same."""
+        return self.is_named(cause) or any(judge.is_form(cause) for judge in self.same)
 
     def is_law(self, report):
         """Whether the law that was adopted is the truth."""
-        if self.whole is None or not any(done.adopted for done in report.rounds):
+        adopted = [done.effect for done in report.rounds if is_adopted(done)]
+        if not self.parts or not adopted or any(e.kind not in FORCES for e in adopted):
             return False
-        return not report.corrections and self.whole.refitted(report.law) is not None
+        return self.whole.refitted(report.law) is not None
+
+    def taken_for(self, cause):
+        """The kind that a cause is, or `OTHER`."""
+        if cause.code in FAMILIES:
+            return FAMILIES[cause.code]
+        terms, start = self.whole.terms(cause)
+        if not terms:
+            return OTHER[1]
+        law = self.whole.declared
+        for term in terms:
+            law = law.plus(term, start)
+        name = self.whole.name_of(law)
+        return name if name in KINDS and not KINDS[name].names else OTHER[0]
 
 
-def told_in(done):
-    """The effect that a round tells of; None if it tells of none, or of one that noise shows."""
-    effect = done.effect
-    return effect if effect is not None and effect.p_value <= ALPHA else None
+def told_in(report):
+    """The rounds that tell of a cause which noise alone does not show."""
+    return [done for done in report.rounds if causes_of(done) and done.missing.p_value <= ALPHA]
 
 
 def score(referee, report):
     """What of a report is right: the columns of a row."""
-    rounds = [done for done in report.rounds if told_in(done) is not None]
-    effects = [done.effect for done in rounds]
-    first = told_in(report.rounds[0])
-    others = [*first.equivalents, *report.rounds[0].undecided] if first else []
+    rounds = told_in(report)
+    causes = [causes_of(done) for done in rounds]
+    first = causes[0][0] if causes else None
     if len(referee.parts) > 1:
         is_named = referee.is_law(report)
-        told = set().union(*map(referee.parts_in, effects)) if effects else set()
+        told = set().union(*(referee.parts_in(of_round[0]) for of_round in causes))
         is_in_class = is_named or len(told) == len(referee.parts)
-        is_in_class |= any(map(referee.whole.is_form, others))
+        is_in_class |= bool(causes) and any(map(referee.whole.is_form, causes[0][1:]))
     else:
         is_named = first is not None and (referee.is_named(first) or referee.is_law(report))
-        is_in_class = is_named or (
-            first is not None and any(map(referee.is_right_text, [first.law, *others]))
-        )
+        is_in_class = is_named or (first is not None and any(map(referee.is_right, causes[0])))
     alone = [
-        done.effect for done in rounds
-        if done.verdict == "effect adopted" and not done.effect.equivalents and not done.undecided
+        told[0] for done, told in zip(rounds, causes, strict=True)
+        if done.verdict == "effect adopted" and len(told) == 1
     ]  # fmt: skip
     return {
-        "verdict": report.verdict, "adopted": any(done.adopted for done in report.rounds),
-        "told": first.name if first else "", "told_kind": first.kind if first else "",
-        "told_law": first.law if first else "",
-        "n_class": len(dict.fromkeys(others)) + 1 if first else 0,
+        "verdict": report.verdict, "adopted": any(map(is_adopted, report.rounds)),
+        "told": str(first) if first else "", "code": first.code if first else "",
+        "told_kind": rounds[0].effect.kind if first else "", "told_law": first.law if first else "",
+        "n_class": len({str(cause) for cause in causes[0]}) if first else 0,
+        "taken_for": "" if is_named or first is None else referee.taken_for(first),
         "named": is_named, "in_class": is_in_class,
-        "wrong_confident": any(not referee.is_named(e) for e in alone) and not is_named,
+        "wrong_confident": any(not referee.is_named(c) for c in alone) and not is_named,
     }  # fmt: skip
 
 
@@ -132,11 +126,7 @@ def family(row):
     is_told = isinstance(row["told"], str) and (row["adopted"] or row["in_class"])
     if not is_told:
         return NOT_TOLD[row["verdict"] == "nothing missing"]
-    for pattern, name in FAMILIES:
-        if re.search(pattern, row["told"]):
-            # In words alike, and yet of another form.
-            return OTHER[0] if name == row["effect"] and not KINDS[name].names else name
-    return OTHER[row["told_kind"] == MEASUREMENT]
+    return row["taken_for"]
 
 
 def work(name, engine, snr, seed):

@@ -3,11 +3,26 @@
 import numpy as np
 import pytest
 
-from bsp_gp.loop.close import close_loop
+from bsp_gp.closing.close import close_loop
 from tests.planted import GRAVITY, orbit_dataset
 from tests.worlds import WEIGHT, flights, heavy_noise, nothing, red_noise
 
 pytestmark = pytest.mark.slow
+ALPHA = 0.01
+
+
+def is_missing(report):
+    """Whether something is missing beside noise of another kind."""
+    asked = next((r for r in report.rounds if not is_noise(r)), report.rounds[-1])
+    return asked.missing.p_value <= ALPHA
+
+
+def is_noise(done):
+    return done.effect is not None and done.effect.code == "noise"
+
+
+def is_adopted(report):
+    return any(r.adopted and not is_noise(r) for r in report.rounds)
 
 
 def test_at_most_four_of_a_hundred():
@@ -16,8 +31,8 @@ def test_at_most_four_of_a_hundred():
     for seed in range(100):
         data = orbit_dataset(seed, drag=0.0, n_train=3, n_test=3)
         report = close_loop(data, [GRAVITY], rng=np.random.default_rng(seed))
-        missing.append(report.rounds[0].missing.is_missing)
-        if any(r.adopted for r in report.rounds):
+        missing.append(is_missing(report))
+        if is_adopted(report):
             adopted.append((seed, report.law_text))
     print("adopted", adopted, "missing", sum(missing))
     assert len(adopted) <= 4
@@ -30,8 +45,8 @@ def test_many_short_scenes_lack_nothing():
     for seed in range(20):
         data = flights(seed, nothing, n_train=40, n_test=5, n_times=12, noise=None)
         report = close_loop(data, [WEIGHT], rng=np.random.default_rng(seed), max_levels=4)
-        missing.append(report.rounds[0].missing.is_missing)
-        assert not any(r.adopted for r in report.rounds)
+        missing.append(is_missing(report))
+        assert not is_adopted(report)
     print("missing", sum(missing))
     assert sum(missing) <= 2
 
@@ -42,7 +57,7 @@ def test_noise_of_another_kind_is_no_force(noise):
     for seed in range(10):
         data = flights(seed, nothing, noise=noise)
         report = close_loop(data, [WEIGHT], rng=np.random.default_rng(seed))
-        assert not any(r.adopted for r in report.rounds), (seed, report.law_text)
+        assert not is_adopted(report), (seed, report.law_text)
 
 
 @pytest.mark.parametrize("seed", [0, 2])
