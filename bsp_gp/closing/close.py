@@ -28,6 +28,8 @@ from bsp_gp.fitting.law_fit import (
     training_part,
     unset,
 )
+from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.aliasing import aliasing_notes
@@ -111,7 +113,7 @@ def close_loop(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
             f"{', '.join(sorted(grammar.inputs))}"
         )
-    hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law))
+    hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law)) + ready.unknown
     known = {"starts": starts, "bounds": bounds}
     if earlier is not None:
         earlier = rounds_from(earlier, hypothesis, ready.train, **known)
@@ -155,9 +157,15 @@ class _Ready:
     far_off : str
         Rows in it that are far off their neighbours.
     noise : NoiseEstimate
+    unknown : Hypothesis
+        The properties that are fitted, if any.
     """
 
     def __init__(self, dataset, declared, rng):
+        latents = declared_latents(dataset) if dataset.latents else None
+        if latents is not None:
+            everywhere = unknown_properties(dataset, latents, dataset.scenes)
+            dataset = replace(everywhere.seen(dataset), latents=())
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
         self.law = declared if is_law else read_law(dataset, declared)
@@ -166,6 +174,9 @@ class _Ready:
         self.noise = estimate_noise(self.dataset)
         self.train, self.far_off = training_part(self.dataset, self.split.train, self.noise)
         check_properties(stack(self.train.scenes, dataset.up), self.law)
+        self.unknown = Hypothesis()
+        if latents is not None:
+            self.unknown += unknown_properties(dataset, latents, self.train.scenes)
 
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""
@@ -254,12 +265,12 @@ def _criteria(criteria, alpha):
 
 def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
     """Refuse settings that cannot be."""
-    if dataset.latents:
-        names = ", ".join(latent.name for latent in dataset.latents)
-        raise SettingsError(
-            f"latents must be none for this loop so far, got {names}; give their values, or use "
-            "infer"
-        )
+    for latent in dataset.latents:
+        if latent.values or latent.name == "radius":
+            raise SettingsError(
+                f"latent {latent.name} must be a continuous property that is no size, since it is "
+                "fitted together with the law; give its values, or use infer"
+            )
     if not isinstance(rng, np.random.Generator):
         raise SettingsError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
     if not 0 < criteria.alpha < 1:

@@ -111,7 +111,7 @@ def continued(hypothesis, fit):
         if isinstance(part, Forces):
             known = {name: fit.law.constants[name] for name in part.law.names}
             part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
-        elif part.kind == "instrument" and part.parameters:
+        elif part.kind != "noise" and part.parameters:
             part = part.at(fit.law.constants)
         parts.append(part)
     return Hypothesis(tuple(parts))
