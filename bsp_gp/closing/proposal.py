@@ -12,7 +12,7 @@ from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Family", "Proposal", "continued", "with_term"]
+__all__ = ["Family", "Proposal", "continued", "with_term", "with_term_at"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,3 +120,19 @@ def continued(hypothesis, fit):
 def with_term(hypothesis, term, constants):
     """The hypothesis with a force more."""
     return hypothesis + Forces(ForceLaw((term,), constants), None)
+
+
+def with_term_at(hypothesis, index, formula, constants):
+    """The hypothesis with one of its terms, counted over all parts, in another form."""
+    parts, seen = [], 0
+    for part in hypothesis.parts:
+        if isinstance(part, Forces):
+            terms, known = list(part.law.terms), part.law.constants
+            if seen <= index < seen + len(terms):
+                terms[index - seen] = replace(terms[index - seen], formula=formula)
+                law = ForceLaw(tuple(terms), {**known, **constants})
+                known = {name: value for name, value in law.constants.items() if name in law.names}
+                part = replace(part, law=ForceLaw(law.terms, known))
+            seen += len(terms)
+        parts.append(part)
+    return Hypothesis(tuple(parts))

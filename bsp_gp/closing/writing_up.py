@@ -123,7 +123,7 @@ def _kind(code, law):
     """What kind of thing a cause is."""
     if code in INSTRUMENT:
         return "measurement"
-    if code in ("exponent", "number"):
+    if code in ("exponent", "number", "constant_per_body", "constant_per_scene"):
         return "declared_term_change"
     return code if code in ("hidden_body", "noise") else law.terms[-1].kind
 

@@ -1,0 +1,100 @@
+"""Constants that are not the same everywhere: a strength of its own for every body, or scene."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.closing.proposal import Family, Proposal, with_term_at
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.language.formula import Call, Constant, rename_constants
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import ForceLaw, fresh_name, split_linear
+from bsp_gp.physics.regression import checked
+
+__all__ = ["Varying"]
+
+LOG_PRIOR = -3.0
+"""Of a term whose strength varies, as of a changed exponent."""
+MOST = 40
+"""Bodies or scenes that may have strengths of their own."""
+
+
+class Varying:
+    """Strengths by body and by scene as a proposer."""
+
+    name = "varying"
+
+    def propose(self, view):
+        """The family of all terms, each by body and by scene.
+
+        Parameters
+        ----------
+        view : View
+        """
+        proposals, even, best = [], np.zeros(view.moment_draws.shape[1]), 0.0
+        owners = _owners(view)
+        law = view.fit.law
+        for index, term in enumerate(law.terms) if owners else ():
+            name, _ = split_linear(term.formula)
+            is_own = any(n.endswith("]") for n in term.formula.constants)
+            if is_own or (name and sum(name in t.formula.constants for t in law.terms) > 1):
+                continue
+            for by, ties in owners.items():
+                keys, columns = _columns(view, term, by)
+                score = view.score_forces(columns)
+                if not score.rank:
+                    continue
+                even = np.maximum(even, as_pair(view.null_forces(columns), score.rank))
+                gain = float(as_pair(score.statistic, score.rank))
+                best = max(best, gain)
+                proposals.append(_proposal(view, index, by, keys, score.amplitudes, gain, ties))
+        proposals.sort(key=lambda p: -p.promise)
+        return Family(self.name, tuple(proposals), best, 2, even, n_tried=len(proposals))
+
+
+def _owners(view):
+    """By what strengths may differ, and by what else it would be the same on these data."""
+    pairs = {(scene.name, scene.names[k]) for scene in view.dataset.scenes for k in scene.dynamic}
+    counts = {by: len({pair[k] for pair in pairs}) for k, by in enumerate(("scene", "body"))}
+    able = [by for by, count in counts.items() if 1 < count <= MOST]
+    if len(able) == 2 and len(pairs) == counts["scene"] == counts["body"]:
+        return {"body": ("scene",)}  # each scene shows a body of its own
+    return dict.fromkeys(able, ())
+
+
+def _columns(view, term, by):
+    """Names of bodies or scenes, and moments of the term as far as it acts there, (n, c)."""
+    law = ForceLaw((term,), {n: view.fit.law.constants[n] for n in term.formula.constants})
+    scenes = view.dataset.scenes
+    found = (s.names[k] for s in scenes for k in s.dynamic) if by == "body" else (
+        s.name for s in scenes
+    )  # fmt: skip
+    keys, parts = list(dict.fromkeys(found)), []
+    for batch in view.response.regression.batches:
+        value = checked(view.response.regression.predict(batch, law), batch)  # (n, S, R, d)
+        names = np.array(batch.bodies.receiver_names)
+        if by == "scene":
+            names = np.broadcast_to(np.array(batch.scene_names)[:, None], names.shape)
+        mine = names[..., None] == np.array(keys)  # (S, R, c)
+        moments = batch.whiten(value[..., None, :] * mine[..., None])
+        parts.append(moments.reshape(-1, len(keys)))
+    return keys, np.concatenate(parts)
+
+
+def _proposal(view, index, by, keys, changes, gain, ties):
+    """The hypothesis with the strength of a term freed, as of relative changes."""
+    law = view.fit.law
+    term = law.terms[index]
+    old, _ = split_linear(term.formula)
+    name, value = (old, law.constants[old]) if old else (fresh_name(law, "s"), 1.0)
+    name, formula = f"{name}[{by}]", term.formula
+    if old:
+        formula = rename_constants(formula, {old: name})
+    else:
+        formula = Call("mul", Constant(name), formula)
+    table = {key: value * (1 + float(d)) for key, d in zip(keys, changes, strict=True)}
+    return Proposal(
+        f"constant_per_{by}", to_text(formula),
+        with_term_at(view.hypothesis, index, formula, {name: table}), LOG_PRIOR, gain, 2,
+        ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
+    )  # fmt: skip
