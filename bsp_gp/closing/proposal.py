@@ -113,6 +113,7 @@ def continued(hypothesis, fit):
             part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
         elif part.kind != "noise" and part.parameters:
             part = part.at(fit.law.constants)
+            part = part.off_bounds() if part.kind == "world" else part
         parts.append(part)
     return Hypothesis(tuple(parts))
 

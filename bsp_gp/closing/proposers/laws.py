@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.closing.proposal import Family, Proposal, with_term
+from bsp_gp.closing.proposers.varying import columns_of_owners
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import Term, fresh_name, split_linear
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.search.exhaustive import search_exhaustive
 
 __all__ = ["Laws"]
@@ -86,6 +89,8 @@ class Laws:
             if not _is_parallel(view, candidate, declared)
         ]
         best = max((p.gain for p in proposals), default=0.0)
+        if any(part.kind == "world" for part in view.fit.law.frame):
+            proposals = _beside_unknown(view, proposals)
         pairs = _pairs(view, found[:MOST_PAIRED], proposals)
         proposals = sorted([*pairs, *proposals], key=lambda p: -p.promise)
         return Family(
@@ -118,6 +123,34 @@ class Laws:
             -candidate.complexity, candidate.share * total, formula=formula, ties=candidate.ties,
             n_dims=view.dataset.n_dims,
         )  # fmt: skip
+
+
+def _beside_unknown(view, proposals):
+    """The same where properties are unknown: they may be others than without the new law.
+
+    A law that feels a property of its receivers may pull on each body with a strength of its own.
+    """
+    parts = [part for part in view.fit.law.frame if part.kind == "world"]
+    places = [place for part in parts for place in part.places]
+    return sorted((_freed(view, p, places) for p in proposals), key=lambda p: -p.promise)
+
+
+def _freed(view, proposal, places):
+    """A proposal with what it gains as properties change, `places` being those that are unknown."""
+    law = ForceLaw((Term(proposal.formula),), dict.fromkeys(proposal.formula.constants, 1.0))
+    term = law.terms[0]
+    felt = {property_of(name) for name in term.acceleration_formula.inputs}
+    felt |= {("mass", "i")} if term.needs_mass else set()
+    named = {at: name for column, at, name in places if (column, "i") in felt}
+    number = {name: k for k, name in enumerate(dict.fromkeys(named.values()), 1)}
+    if not number:
+        return proposal
+    columns = columns_of_owners(
+        view, law, lambda *at: number.get(named.get(at), 0), len(number) + 1
+    )
+    score = view.score_forces(columns[:, columns.any(axis=0)])
+    price = (score.rank - 1) * np.log(max(view.n_left, 2))
+    return replace(proposal, gain=max(proposal.gain, score.statistic - price))
 
 
 def _pairs(view, found, singles):

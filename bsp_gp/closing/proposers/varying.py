@@ -11,7 +11,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 
-__all__ = ["Varying"]
+__all__ = ["Varying", "columns_of_owners"]
 
 LOG_PRIOR = -3.0
 """Of a term whose strength varies, as of a changed exponent."""
@@ -64,21 +64,42 @@ def _owners(view):
 
 def _columns(view, term, by):
     """Names of bodies or scenes, and moments of the term as far as it acts there, (n, c)."""
-    law = ForceLaw((term,), {n: view.fit.law.constants[n] for n in term.formula.constants})
     scenes = view.dataset.scenes
-    found = (s.names[k] for s in scenes for k in s.dynamic) if by == "body" else (
-        s.name for s in scenes
-    )  # fmt: skip
-    keys, parts = list(dict.fromkeys(found)), []
+    bodies = [s.names[k] for s in scenes for k in s.dynamic]
+    keys = list(dict.fromkeys(bodies if by == "body" else (s.name for s in scenes)))
+    number = {key: k for k, key in enumerate(keys)}
+
+    def owner(scene, body):
+        return number[body if by == "body" else scene]
+
+    law = ForceLaw((term,), {n: view.fit.law.constants[n] for n in term.formula.constants})
+    return keys, columns_of_owners(view, law, owner, len(keys))
+
+
+def columns_of_owners(view, law, owner, count):
+    """Moments of a law as far as it acts on the bodies of each owner, (n, count).
+
+    Parameters
+    ----------
+    view : View
+    law : ForceLaw
+        With values.
+    owner : callable
+        ``owner(scene, body)`` is a number below `count`.
+    count : int
+    """
+    parts = []
     for batch in view.response.regression.batches:
         value = checked(view.response.regression.predict(batch, law), batch)  # (n, S, R, d)
-        names = np.array(batch.bodies.receiver_names)
-        if by == "scene":
-            names = np.broadcast_to(np.array(batch.scene_names)[:, None], names.shape)
-        mine = names[..., None] == np.array(keys)  # (S, R, c)
-        moments = batch.whiten(value[..., None, :] * mine[..., None])
-        parts.append(moments.reshape(-1, len(keys)))
-    return keys, np.concatenate(parts)
+        apart = value[..., None, :] * np.eye(value.shape[2])[..., None]
+        moments = batch.whiten(apart)[:, :, 0, :, 0]  # (m, S, R)
+        out = np.zeros((*moments.shape[:2], count))
+        names = zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
+        for s, (scene, bodies) in enumerate(names):
+            for r, body in enumerate(bodies):
+                out[:, s, owner(scene, body)] += moments[:, s, r]
+        parts.append(out.reshape(-1, count))
+    return np.concatenate(parts)
 
 
 def _proposal(view, index, by, keys, changes, gain, ties):

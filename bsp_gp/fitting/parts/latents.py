@@ -83,6 +83,17 @@ class Properties(Part):
         """The part at other values, mapping of name to number."""
         return replace(self, values=tuple(float(values[name]) for name in self.names))
 
+    def off_bounds(self):
+        """The part with what stands at a bound back at the middle of its prior.
+
+        A law that lacks something bends properties to hide it.
+        """
+        values = tuple(
+            value if item.prior.low < value < item.prior.high else float(item.prior.ppf(0.5))
+            for item, value in zip(self.latents.items, self.starts, strict=True)
+        )
+        return replace(self, values=values)
+
     def filled(self, scenes):
         """The scenes with the properties where a fit begins."""
         return self.latents.filled(scenes, self.starts)
