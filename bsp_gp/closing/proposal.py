@@ -109,7 +109,8 @@ def continued(hypothesis, fit):
     parts = []
     for part in hypothesis.parts:
         if isinstance(part, Forces):
-            known = {name: fit.law.constants[name] for name in part.law.names}
+            known = {**part.law.constants, **fit.law.constants}
+            known = {name: known[name] for name in part.law.names}
             part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
         elif part.kind != "noise" and part.parameters:
             part = part.at(fit.law.constants)

@@ -452,9 +452,13 @@ class Motion:
         if program.kind == "pair" and parameter.shape[1] == 1:  # one for all sources
             value, parameter = self._summed(program, value, n_points), parameter[:, 0]
         owner = parameter[..., chain]
-        for k in np.unique(parameter[parameter >= 0]):
-            mine = np.where(owner == k, value, 0.0)
-            by_constant[:, k] += mine.sum(axis=1) if mine.ndim == 3 else mine
+        value = np.broadcast_to(value, owner.shape)
+        each = [(owner, value)] if owner.ndim == 2 else zip(
+            np.moveaxis(owner, 1, 0), np.moveaxis(value, 1, 0), strict=True
+        )  # fmt: skip
+        for own, part in each:  # of every source in turn
+            body, point = np.nonzero(own >= 0)
+            by_constant[body, own[body, point], point] += part[body, point]
 
     def _parameters_at(self, number, name, receiver, other, chain, n_points):
         """The parameter of a constant for a receiver and a source at every point; -1 = none."""

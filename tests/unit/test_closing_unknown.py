@@ -23,7 +23,9 @@ from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.response import respond
 from bsp_gp.inference.latents import declared_latents
 from tests.fitted_tracks import law_of
+from tests.planted import GRAVITY
 from tests.throws import SI
+from tests.worlds import moved
 
 WEIGHT, DRAG = "-9.81 [m/s^2] * m_i * e_y", "-0.3 [kg/s] * v_i"
 MASSES = {"A": 0.4, "B": 1.1}
@@ -158,6 +160,26 @@ def test_a_normal_prior_pulls_as_another_measurement_does():
     assert b.values[0] == pytest.approx(expected, abs=0.1 * b.errors[0])
     assert b.covariance[0, 0] == pytest.approx(1 / weights.sum(), rel=0.05)
     assert b.chisqr > a.chisqr
+
+
+def test_the_mass_of_a_source_at_rest_is_found():
+    def pulled(t, p, v):
+        gap = p[1] - p
+        cube = np.maximum(np.sum(gap**2, axis=1, keepdims=True), 1e-9) ** 1.5
+        return 5.0 * gap / cube * [[1.0], [0.0]]
+
+    t = 0.1 * np.arange(60)
+    start = np.array([[[2.0, 0.0], [0.0, 0.0]], [[0.0, 1.4], [0.0, 0.0]]])
+    places, _ = moved(pulled, start, t)
+    places = places + SIGMA * np.random.default_rng(0).standard_normal(places.shape) * [[1], [0]]
+    crew = (Entity("moon", properties={"mass": 0.1}), Entity("sun", is_static=True))
+    latents = (LatentDeclaration("mass", "log_uniform", 0.5, 50.0, ("sun",)),)
+    data = Dataset("orbit", (Scene("s", t, places, crew),), noise=(SIGMA,), units=SI,
+                   latents=latents)  # fmt: skip
+    hypothesis, known = hypothesis_of(data, [GRAVITY])
+    found = fit(hypothesis, known)
+    assert found.status == "converged"
+    assert abs(found.values[0] - 5.0) < 4 * found.errors[0] < 0.05
 
 
 def test_evidence_of_unknowns_does_not_depend_on_units():

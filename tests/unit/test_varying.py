@@ -7,6 +7,7 @@ import pytest
 
 from bsp_gp.closing.close import close_loop
 from bsp_gp.closing.evidence import log_evidence
+from bsp_gp.closing.proposal import continued
 from bsp_gp.closing.proposers.varying import Varying
 from bsp_gp.closing.view import selected
 from bsp_gp.data.scene import Dataset, Entity, Scene
@@ -124,6 +125,14 @@ def test_evidence_of_what_varies_does_not_depend_on_units():
         gains.append(heights[1] - heights[0])
     assert gains[0] > 100
     assert gains[0] == pytest.approx(gains[1], abs=1e-4)
+
+
+def test_what_varies_can_be_taken_back():
+    data = dragged(8, "body")
+    plain, own = (Hypothesis.from_laws(data, [GRAVITY, f"-b{k} * v_i"]) for k in ("", "[body]"))
+    back = continued(plain, fit(own, data))
+    assert np.isnan(back.law.constants["b"])
+    assert fit(back, data).status == "refuted"
 
 
 def test_one_body_a_scene_is_one_proposal_with_a_tie():
