@@ -276,6 +276,10 @@ def _run_closing(args, progress):
 
     grammar = load_grammar(args.grammar)
     dataset = read_dataset(args)
+    if args.latent or args.prior or dataset.latents:
+        from bsp_gp.cli_latents import with_declared_latents
+
+        dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),

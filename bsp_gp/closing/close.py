@@ -29,6 +29,8 @@ from bsp_gp.fitting.law_fit import (
     training_part,
     unset,
 )
+from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.aliasing import aliasing_notes
@@ -170,18 +172,23 @@ class _Ready:
     train : Dataset
         What is learned from.
     hypothesis : Hypothesis
-        The declared one.
+        The declared one, with the properties that are unknown.
     far_off : str
         Rows in it that are far off their neighbours.
     noise : NoiseEstimate
     """
 
     def __init__(self, dataset, declared, rng):
+        latents = declared_latents(dataset) if dataset.latents else None
+        if latents is not None:
+            everywhere = unknown_properties(dataset, latents, dataset.scenes)
+            dataset = replace(everywhere.seen(dataset), latents=())
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
         self.law = declared if is_law else read_law(dataset, declared)
         self.dataset = with_usable_masses(dataset)
         self.noise = estimate_noise(self.dataset)
+        self.latents = latents
         self._learn_from(choose_split(self.dataset, rng))
 
     def _learn_from(self, split):
@@ -189,6 +196,9 @@ class _Ready:
         self.train, self.far_off = training_part(self.dataset, split.train, self.noise)
         check_properties(stack(self.train.scenes, self.dataset.up), self.law)
         self.hypothesis = Hypothesis.from_laws(self.train, unset(self.law))
+        if self.latents is not None:
+            scenes = self.train.scenes
+            self.hypothesis += unknown_properties(self.dataset, self.latents, scenes)
 
     def swapped(self):
         """The same with train and test swapped."""
@@ -283,12 +293,12 @@ def _criteria(criteria, alpha):
 
 def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
     """Refuse settings that cannot be."""
-    if dataset.latents:
-        names = ", ".join(latent.name for latent in dataset.latents)
-        raise SettingsError(
-            f"latents must be none for this loop so far, got {names}; give their values, or use "
-            "infer"
-        )
+    for latent in dataset.latents:
+        if latent.values or latent.name == "radius":
+            raise SettingsError(
+                f"latent {latent.name} must be a continuous property that is no size, since it is "
+                "fitted together with the law; give its values, or use infer"
+            )
     if not isinstance(rng, np.random.Generator):
         raise SettingsError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
     if not 0 < criteria.alpha < 1:

@@ -47,17 +47,43 @@ def log_evidence(fit, hypothesis, criteria=None):
     size = np.sqrt(np.diag(inner))
     _, volume = np.linalg.slogdet(inner / np.outer(size, size))
     total += 0.5 * (volume + len(size) * math.log(TURN))
-    roles = roles_of(fit.law)
+    roles, tables = roles_of(fit.law), {}
     values = fit.values[known]
     numbers = [p for p, is_known in zip(hypothesis.parameters, known, strict=True) if is_known]
     for number, value, error in zip(numbers, values.tolist(), size.tolist(), strict=True):
         total += math.log(error)
-        if number.prior is None:
-            total += _log_prior(roles[number.name], abs(value), error, criteria)
-        else:
+        if hasattr(number.prior, "log_prob"):
+            total += float(number.prior.log_prob(value))
+        elif number.prior is not None:
             centre, scale = number.prior
             total -= math.log(math.pi * scale * (1 + ((value - centre) / scale) ** 2))
-    return float(total)
+        elif number.name.endswith("]"):
+            tables.setdefault(number.name, []).append((value, error))
+        else:
+            total += _log_prior(roles[number.name], abs(value), error, criteria)
+    more = (_log_prior_of_table(np.array(t).T, criteria) for t in tables.values())
+    return float(total + sum(more))
+
+
+def _log_prior_of_table(table, criteria):
+    """Logarithm of the prior density of numbers of one kind, one for each body or scene.
+
+    They lie about a mean with a spread that the data choose; both are strengths.
+    """
+    values, errors = table
+    n = len(values)
+    mean = float(values.mean())
+    widest = float(np.abs(values - mean).max())
+    spreads = np.concatenate([[0.0], widest * np.logspace(-2, 0.5, 26)])
+    variance = np.square(spreads)[:, None] + np.square(errors)
+    heights = -0.5 * (np.square(values - mean) / variance + np.log(TURN * variance)).sum(axis=1)
+    best = int(np.argmax(heights))
+    error = float(np.sqrt(variance[best].mean() / n))
+    total = float(heights[best]) + _log_prior("linear", abs(mean), error, criteria)
+    total += 0.5 * math.log(TURN) + math.log(error)
+    if best:  # a spread is known to about its part of one in the root of twice the numbers
+        total += 0.5 * math.log(TURN / (2 * n)) - math.log(criteria.decades * math.log(10.0))
+    return total
 
 
 def _log_prior(role, value, error, criteria):

@@ -12,7 +12,7 @@ from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Family", "Proposal", "continued", "with_term"]
+__all__ = ["Family", "Proposal", "continued", "with_term", "with_term_at"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +116,12 @@ def continued(hypothesis, fit):
     parts = []
     for part in hypothesis.parts:
         if isinstance(part, Forces):
-            known = {name: fit.law.constants[name] for name in part.law.names}
+            known = {**part.law.constants, **fit.law.constants}
+            known = {name: known[name] for name in part.law.names}
             part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
-        elif part.kind == "instrument" and part.parameters:
+        elif part.kind != "noise" and part.parameters:
             part = part.at(fit.law.constants)
+            part = part.off_bounds() if part.kind == "world" else part
         parts.append(part)
     return Hypothesis(tuple(parts))
 
@@ -127,3 +129,19 @@ def continued(hypothesis, fit):
 def with_term(hypothesis, term, constants):
     """The hypothesis with a force more."""
     return hypothesis + Forces(ForceLaw((term,), constants), None)
+
+
+def with_term_at(hypothesis, index, formula, constants):
+    """The hypothesis with one of its terms, counted over all parts, in another form."""
+    parts, seen = [], 0
+    for part in hypothesis.parts:
+        if isinstance(part, Forces):
+            terms, known = list(part.law.terms), part.law.constants
+            if seen <= index < seen + len(terms):
+                terms[index - seen] = replace(terms[index - seen], formula=formula)
+                law = ForceLaw(tuple(terms), {**known, **constants})
+                known = {name: value for name, value in law.constants.items() if name in law.names}
+                part = replace(part, law=ForceLaw(law.terms, known))
+            seen += len(terms)
+        parts.append(part)
+    return Hypothesis(tuple(parts))

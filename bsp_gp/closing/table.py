@@ -148,10 +148,12 @@ def held_out_gain(base, other):
     Returns
     -------
     HeldOut
-        nan where there are fewer than two scenes.
+        nan where there are fewer than two scenes, or numbers that no other scene tells differ.
     """
     names = np.unique(base.row_scenes)
     if len(names) < 2 or base.is_failed or other.is_failed:
+        return HeldOut()
+    if _count_alone(base, names) != _count_alone(other, names):
         return HeldOut()
     scale = _level(other) / _level(base)
     a, b = _scores(base, names, scale), _scores(other, names, 1.0)
@@ -176,10 +178,25 @@ def _scores(fit, names, scale):
     out = []
     for name in names:
         mine = fit.row_scenes == name
+        alone = _is_alone(fit, mine)
         j, r = jacobian[mine], rows[mine]
-        others = np.linalg.pinv(information - j.T @ j, hermitian=True)
+        shared = information[np.ix_(~alone, ~alone)] - j[:, ~alone].T @ j[:, ~alone]
+        q, _ = np.linalg.qr(j[:, alone])  # what nothing foresees is fitted to the scene itself
+        j = j[:, ~alone]
+        j, r = j - q @ (q.T @ j), r - q @ (q.T @ r)
+        others = np.linalg.pinv(shared, hermitian=True)
         left = r + j @ (others @ (j.T @ r))
         covariance = np.eye(len(r)) + j @ others @ j.T
         _, size = np.linalg.slogdet(covariance)
         out.append(-0.5 * left @ np.linalg.solve(covariance, left) - 0.5 * size)
     return np.array(out)
+
+
+def _is_alone(fit, mine):
+    """Numbers that some rows tell and no others, shape (k,)."""
+    return fit.jacobian[mine].any(axis=0) & ~fit.jacobian[~mine].any(axis=0)
+
+
+def _count_alone(fit, names):
+    """How many numbers only one scene tells."""
+    return sum(int(_is_alone(fit, fit.row_scenes == name).sum()) for name in names)

@@ -126,7 +126,7 @@ def _added(done, fit):
 
 def _kind(best, law):
     """What kind of thing a cause is."""
-    if best.code in ("exponent", "number"):
+    if best.code in ("exponent", "number", "constant_per_body", "constant_per_scene"):
         return "declared_term_change"
     return law.terms[-1].kind if best.kind == "force" else best.kind
 

@@ -25,7 +25,8 @@ class Chains:
     ----------
     scenes : tuple of str, length S
         Name of the scene of each chain.
-    bodies : tuple of tuple of str, S x R
+    bodies, fixed : tuple of tuple of str, S x R and S x D
+        Names of those that forces move, and of the others.
     times : ndarray, shape (T, S), s, padded with nan
     observed : ndarray, shape (T, S, R, d), m
         nan = not seen.
@@ -48,6 +49,7 @@ class Chains:
 
     scenes: tuple
     bodies: tuple
+    fixed: tuple
     times: np.ndarray
     observed: np.ndarray
     sigma: np.ndarray | None
@@ -97,6 +99,7 @@ class Chains:
             self,
             scenes=tuple(self.scenes[k] for k in chain),
             bodies=tuple(self.bodies[k] for k in chain),
+            fixed=tuple(self.fixed[k] for k in chain),
             properties={name: values[:, chain] for name, values in self.properties.items()},
             **{
                 name: getattr(self, name)[:, chain]
@@ -214,6 +217,7 @@ def _chains(batch, coupled):
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
+        fixed=tuple(tuple(name[k] for k in driven) for name in names),
         times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],

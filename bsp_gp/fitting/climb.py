@@ -111,18 +111,26 @@ class Climb:
     def at(self, rows, point, is_checked=False):
         """The problem with pieces of so many rows, its steps chosen at a point."""
         shootings = self._shootings(rows)
-        ridge = None if rows is None else self.ridge(point)
+        ridge = self.pull if rows is None else self.ridge(point)
         problem = TrackProblem(shootings, (None,) * len(shootings), self.coordinates, ridge)
         return problem.with_meshes(point, is_checked)
 
+    @property
+    def pull(self):
+        """Means and inverse widths of normal priors; None where there is none."""
+        mean, width = self.run.pull
+        return None if np.isinf(width).all() else (mean, 1.0 / width)
+
     def ridge(self, point):
-        """Inverse widths of linear unknowns while pieces of tracks may not determine them."""
+        """Centres and inverse widths of unknowns while pieces of tracks may not determine them."""
         size = self.typical_changes(point, point.nodes)
         roles = [self.run.roles[name] for name, _ in self.run.parameters]
         linear = np.array([role == "linear" for role in roles], dtype=bool)
         known = linear & (size > 0)
         width = self.run.tolerances.prior_width * np.where(known, size, 1.0)
-        return np.where(known, 1.0 / width, 0.0)
+        has_prior = np.isfinite(self.run.width)
+        width = np.where(has_prior, self.run.width, np.where(known, width, np.inf))
+        return np.where(has_prior, point.values, 0.0), 1.0 / width
 
     def _shootings(self, rows):
         return [
@@ -260,7 +268,7 @@ class Climb:
 
     def whole(self, meshes):
         """The problem of whole tracks with these steps."""
-        return TrackProblem(self._shootings(None), meshes, self.coordinates)
+        return TrackProblem(self._shootings(None), meshes, self.coordinates, self.pull)
 
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
@@ -328,12 +336,12 @@ class Climb:
         )
         free = [
             k for k, (name, _) in enumerate(run.parameters)
-            if run.roles[name] == "linear" and name not in run.starts
+            if run.roles[name] == "linear" and run.parameters[k] not in run.starts
         ]  # fmt: skip
         points = []
         for values in inner:
-            values = {**values, **run.starts}
-            constants = np.array([values.get(name, 0.0) for name, _ in run.parameters])
+            constants = [run.starts.get(pair, values.get(pair[0], 0.0)) for pair in run.parameters]
+            constants = np.array(constants, dtype=float)
             if free:
                 constants = regressed(self.flows, nodes, self.noises, constants, free)
             points.append(TrackPoint(self.coordinates.unknowns(constants), nodes))

@@ -21,8 +21,8 @@ class ConstantEstimate:
     unit : str
         "" if it cannot be said.
     state : str
-        "undetermined" where the data allow any value, "at_bound" where it lies at the end of what
-        it may be; else "".
+        "undetermined" where the data allow any value (of a property: any that its prior does),
+        "at_bound" where it lies at the end of what it may be; else "".
     """
 
     name: str

@@ -94,8 +94,8 @@ class Fit:
     values : ndarray, shape (k,)
         SI.
     covariance : ndarray, shape (k, k)
-        Inverse Fisher information, initial states marginalised; inf where the data determine
-        nothing.
+        Inverse Fisher information, initial states marginalised, priors of properties counted; inf
+        where the data determine nothing.
     noise : NoiseModel
         As it was estimated under the hypothesis.
     status : str
@@ -248,6 +248,11 @@ class _Run:
         self.high = np.array([p.high for p in hypothesis.parameters], dtype=float)
         self.starts = self._starts(hypothesis, starts)
         self._bound(bounds)
+        # Means and widths of normal priors, and the widths of all; inf where there is none.
+        self.pull = np.array([p.pull for p in hypothesis.parameters]).reshape(-1, 2).T
+        self.width = np.array([
+            p.width(self.starts.get((p.name, p.entity), 0.0)) for p in hypothesis.parameters
+        ])  # fmt: skip
         self.groups = tuple(
             build_chains(self.law, dataset.scenes, dataset.up, dataset.velocity)
         )
@@ -260,13 +265,18 @@ class _Run:
             raise DataError("nothing moves: no dynamic entity changes its position on any axis")
 
     def _starts(self, hypothesis, starts):
+        """Where parameters begin, (name, entity) -> float, as far as it is known."""
         names = {p.name for p in hypothesis.parameters}
-        _check_names("start", starts, names)
-        given = {p.name: p.start for p in hypothesis.parameters if np.isfinite(p.start)}
-        for name, value in self.law.constants.items():
-            if not hasattr(value, "items") and np.isfinite(value) and name in names:
-                given.setdefault(name, float(value))
-        return {**given, **{name: float(value) for name, value in starts.items()}}
+        _check_names("start", {_name(key) for key in starts}, names)
+        given = {}
+        for parameter, pair in zip(hypothesis.parameters, self.parameters, strict=True):
+            known = self.law.constants.get(parameter.name, np.nan)
+            known = np.nan if hasattr(known, "items") else known
+            tried = (starts.get(pair), starts.get(parameter.name), parameter.start, known)
+            value = next((v for v in tried if v is not None and np.isfinite(v)), None)
+            if value is not None:
+                given[pair] = float(value)
+        return given
 
     def _bound(self, bounds):
         _check_names("bound", bounds, {name for name, _ in self.parameters})
@@ -275,13 +285,21 @@ class _Run:
                 raise SettingsError(f"bounds of {name} must be LOW..HIGH, got {low:g}..{high:g}")
             mine = np.array([n == name for n, _ in self.parameters])
             self.low, self.high = np.where(mine, low, self.low), np.where(mine, high, self.high)
-        for name, value in self.starts.items():
+        for (name, _), value in self.starts.items():
             low, high = bounds.get(name, (-np.inf, np.inf))
             if not low <= value <= high:
                 raise SettingsError(
                     f"the start of {name} must lie within its bounds {low:g}..{high:g}, "
                     f"got {value:g}"
                 )
+
+    def copy_ranges(self, other):
+        """Take bounds and priors of the parameters that another run has as well."""
+        own, theirs = ({pair: k for k, pair in enumerate(r.parameters)} for r in (self, other))
+        shared = [pair for pair in own if pair in theirs]
+        at, there = ([k[pair] for pair in shared] for k in (own, theirs))
+        for name in ("low", "high", "pull", "width"):
+            getattr(self, name)[..., at] = getattr(other, name)[..., there]
 
     def step_kinds(self):
         """Whether the paper's steps, continuous motion, or both are tried, and in which order.
@@ -393,6 +411,7 @@ class _Run:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
             beside.is_over, beside.is_aside = self.is_over, True
+            beside.copy_ranges(self)
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:
                 tracks = _tracks_of(beside, other, found)
@@ -480,12 +499,19 @@ class _Run:
         n_states = sum(g.n_chains * 2 * g.n_moving * g.n_dims for g in self.groups)
         n_rows = int(np.isfinite(tracks.white_variance).sum())
         n_free = len(self.parameters) + n_states - climb.n_undetermined(minimum)
-        chisqr = minimum.chisqr
+        row_scenes = _row_scenes(climb, minimum)
+        rows = np.zeros(0) if minimum.linearised is None else minimum.linearised.residual
+        rows, pulled = rows[: len(row_scenes)], rows[len(row_scenes) :]  # priors stand last
+        chisqr = minimum.chisqr - float(pulled @ pulled)
         likelihood = log_likelihood(model, tracks.channels, tracks.residual)
         known = informed(self, climb, minimum, model)
-        jacobian = _told_of_constants(self, climb, known)
+        jacobian = _told_of_constants(self, climb, known)[: len(row_scenes)]
         at_bound = (constants <= self.low) | (constants >= self.high)
-        covariance = _covariance(jacobian.T @ jacobian, at_bound)
+        widths = [
+            p.width(value) for p, value in zip(self.hypothesis.parameters, constants, strict=True)
+        ]
+        information = jacobian.T @ jacobian + np.diag(np.square(1.0 / np.array(widths)))
+        covariance = _covariance(information, at_bound)
         found = Fit(
             law=law, parameters=self.parameters, values=constants, covariance=covariance,
             noise=model, status="converged", chisqr=float(chisqr),
@@ -496,8 +522,7 @@ class _Run:
             state_volume=climb.state_volume(known),
             groups=self.groups, nodes=minimum.point.nodes, channels=tracks.channels,
             residual=tracks.residual, whitened=tracks.whitened, jacobian=jacobian,
-            rows=np.zeros(0) if minimum.linearised is None else minimum.linearised.residual,
-            row_scenes=_row_scenes(climb, minimum),
+            rows=rows, row_scenes=row_scenes,
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
             message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
         )  # fmt: skip
@@ -652,6 +677,10 @@ def _same_noise(new, old):
     a, b = np.array(new.levels), np.array(old.levels)
     both = np.isfinite(a) & np.isfinite(b)
     return bool(np.all(np.abs(a - b)[both] <= 1e-3 * b[both]))
+
+
+def _name(key):
+    return key[0] if isinstance(key, tuple) else key
 
 
 def _check_names(what, given, names):

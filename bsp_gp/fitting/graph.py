@@ -77,6 +77,10 @@ class Graph:
         """A constant of the law."""
         return self._intern("constant", name)
 
+    def has_constant(self, name):
+        """Whether a constant has been named."""
+        return ("constant", name) in self._numbers
+
     def value_of(self, node):
         """The number that a node is, or None."""
         op, *args = self.nodes[node]

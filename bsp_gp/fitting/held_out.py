@@ -13,10 +13,12 @@ import numpy as np
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import FitTolerances, fit
-from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Positions, TrackNoise
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
 from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.fitting.seen import sight
+from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
 from bsp_gp.units import ACCELERATION, Unit
@@ -37,12 +39,45 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class FixedForces(Forces):
-    """Forces whose constants keep their values."""
+    """Forces whose constants keep their values.
+
+    Attributes
+    ----------
+    own : tuple of Parameter
+        Those of bodies and scenes that nothing is known of.
+    """
+
+    own: tuple = ()
 
     @property
     def parameters(self):
-        """None."""
-        return ()
+        """What is not known."""
+        return self.own
+
+
+def _own(law, scenes):
+    """Indexed constants of bodies and scenes that a law was not fitted to."""
+    out = []
+    for name, table in tabled(law, scenes).constants.items():
+        if not hasattr(table, "items") or not name.endswith("]"):
+            continue
+        known = law.constants[name]
+        values = np.array(list(known.values()))
+        mean, spread = float(values.mean()), float(values.std())
+        prior = About(mean, spread or abs(mean) or 1.0)
+        new = (key for key in table if key_of(key, known) not in known)
+        out += [Parameter(name, key, start=mean, prior=prior) for key in new]
+    return tuple(out)
+
+
+def known_in(found, dataset, scenes, *, deadline=None):
+    """A fit whose law knows what belongs to other scenes alone, from their first rows."""
+    if not _own(found.law, scenes) and not unknown_beyond(found.law, scenes):
+        return found
+    heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
+    heads, _ = without_outliers(heads, found.noise.levels)
+    head = with_states(found, dataset, heads, deadline=deadline)
+    return found if head.is_failed else replace(found, law=head.law)
 
 
 def held_out_errors(found, dataset, scenes, *, deadline=None):
@@ -205,12 +240,17 @@ def with_states(found, dataset, scenes, *, deadline=None):
     Returns
     -------
     Fit
-        Of no constants.
+        Of no constants but those that belong to these scenes alone.
     """
     noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
-    hypothesis = Hypothesis(
-        (FixedForces(found.law, found.paper_steps), Positions(), TrackNoise(noise))
-    )
+    own = _own(found.law, scenes)
+    law = found.law.with_constants({
+        name: {**found.law.constants[name], **{p.entity: p.start for p in own if p.name == name}}
+        for name in {p.name for p in own}
+    })  # fmt: skip
+    forces = FixedForces(law, found.paper_steps, own)
+    more = unknown_beyond(law, scenes)
+    hypothesis = Hypothesis((forces, *more, Positions(), TrackNoise(noise)))
     scenes = replace(dataset, scenes=tuple(scenes), train=(), test=())
     return fit(hypothesis, scenes, deadline=deadline, tolerances=ONE_START)
 
@@ -256,6 +296,8 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
     if not scenes or not np.isfinite(found.values).all():
         return []
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
+        found = known_in(found, dataset, scenes, deadline=deadline)
+        scenes = filled(found.law, scenes)
         tracks = predictions(found, dataset, scenes, deadline=deadline)
         steps = one_step_errors(scenes, found.law, dataset.up, sources=_has_pairs(found.law))
         regression = regression_of(found, dataset, scenes)
@@ -292,7 +334,7 @@ def regression_of(found, dataset, scenes):
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
     pairs = _has_pairs(found.law)
     return build_regression(
-        scenes, method=method, sigma=np.array(found.noise.levels), up=dataset.up,
+        filled(found.law, scenes), method=method, sigma=np.array(found.noise.levels), up=dataset.up,
         sources=pairs and max(len(scene.entities) for scene in scenes) > 1,
         memory=dataset.noise_memory or 0.0, may_be_empty=True,
     )  # fmt: skip

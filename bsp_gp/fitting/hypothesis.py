@@ -10,7 +10,7 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, constant_units
+from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import FORCE
 
 __all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
@@ -31,8 +31,9 @@ class Parameter:
         Bounds, SI.
     start : float
         Where a fit begins, SI; nan = found from the data.
-    prior : tuple of float or None
-        Centre and scale of where it is likely (Cauchy); None: by what it does in the law.
+    prior : tuple of float, Prior or None
+        Centre and scale of where it is likely (Cauchy), or a distribution as those of
+        `bsp_gp.inference.priors`; None: by what it does in the law.
     """
 
     name: str
@@ -41,7 +42,20 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     start: float = math.nan
-    prior: tuple | None = None
+    prior: object = None
+
+    @property
+    def pull(self):
+        """Mean and width of the normal that its prior is within its bounds; inf = it is flat."""
+        if not hasattr(self.prior, "pull") or self.prior.is_logarithmic:
+            return 0.0, math.inf
+        return self.prior.pull
+
+    def width(self, value):
+        """Standard deviation of its prior, for a logarithmic one in terms of a value; or inf."""
+        if not hasattr(self.prior, "spread"):
+            return math.inf
+        return self.prior.spread * (abs(value) if self.prior.is_logarithmic else 1.0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +109,8 @@ class Forces(Part):
         out = []
         for name in self.law.names:
             value = self.law.constants.get(name, math.nan)
-            entities = list(value) if hasattr(value, "items") else [""]
-            out += [Parameter(name, entity, units.get(name)) for entity in entities]
+            table = value if hasattr(value, "items") else {"": math.nan}
+            out += [Parameter(name, k, units.get(name), start=v) for k, v in table.items()]
         return tuple(out)
 
     def describe(self):
@@ -172,6 +186,7 @@ class Hypothesis:
             If a text is no force.
         """
         law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
+        law = tabled(law, dataset.scenes)
         model = noise if noise is not None else NoiseModel.of(dataset)
         return cls((Forces(law, paper_steps), Positions(), TrackNoise(model)))
 
@@ -192,7 +207,7 @@ class Hypothesis:
                 terms += part.law.terms
                 constants.update(part.law.constants)
                 frame += part.law.frame
-            elif part.kind == "instrument" and part.parameters:
+            elif part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame))
@@ -265,4 +280,4 @@ def read_law(dataset, texts: Sequence[str]):
             )
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {})
-    return law.with_constants(dict.fromkeys(law.names, math.nan))
+    return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)

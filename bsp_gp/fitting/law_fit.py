@@ -42,6 +42,8 @@ __all__ = [
 SCHEMA = "bsp_gp/fit/2"
 MISFIT = 1.5
 """Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
+UNTOLD = 0.9
+"""Part of the width of its prior that is left of a property that the motion does not tell."""
 LEAST_SHARE = 0.2
 """Part of the time limit that the errors on held-out scenes have at least."""
 
@@ -322,20 +324,26 @@ def constant_estimates(found, dataset, bounds=None):
     for term in found.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = dataset.units.text(unit)
+    priors = {}
     for part in found.law.frame:
-        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters}
+        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit}
+        priors |= {p.name: p for p in part.parameters if part.kind == "world"}
+    bounds = {**{name: (p.low, p.high) for name, p in priors.items()}, **bounds}
     massless = {
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip
     halves = student_t.ppf(0.95, dof) * widening * found.errors
     out = []
-    for (name, entity), value, half in zip(found.parameters, found.values, halves, strict=True):
+    for (name, entity), value, half, error in zip(
+        found.parameters, found.values, halves, found.errors, strict=True
+    ):
         low, high = bounds.get(name, (-math.inf, math.inf))
         unit = units.get(name, "")
         if entity in massless and unit:
             unit = f"{unit} per unit mass"
         state = ""
-        if not (math.isfinite(half) and math.isfinite(value)):
+        is_open = name in priors and error > UNTOLD * priors[name].width(value)
+        if is_open or not (math.isfinite(half) and math.isfinite(value)):
             state = "undetermined"
         elif (value <= low or value >= high) and not found.is_failed:
             state = "at_bound"

@@ -189,7 +189,9 @@ def _noise(noise):
 
 def label(constant):
     """Name of a constant, with the body that it belongs to."""
-    return f"{constant.name}[{constant.entity}]" if constant.entity else constant.name
+    if not constant.entity:
+        return constant.name
+    return f"{constant.name.partition('[')[0]}[{constant.entity}]"
 
 
 def _variables(constants):

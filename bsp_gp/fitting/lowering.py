@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.graph import LEAVES
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
+from bsp_gp.language.inputs import property_of
 
 __all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
 
@@ -54,6 +55,8 @@ class Lowering:
         ``direction(name)`` gives the components of a lab axis.
     vectors : collection of str
         Names of property inputs that are vectors.
+    unknown : collection of str
+        Columns of properties that are fitted: these are constants.
 
     Attributes
     ----------
@@ -62,11 +65,11 @@ class Lowering:
         Axes along which a force acts against a body's own velocity and may bring it to rest.
     """
 
-    def __init__(self, graph, n_dims, direction, vectors=()):
+    def __init__(self, graph, n_dims, direction, vectors=(), unknown=()):
         self.graph = graph
         self.n_dims = n_dims
         self.direction = direction
-        self.vectors = frozenset(vectors)
+        self.vectors, self.unknown = frozenset(vectors), frozenset(unknown)
         self.modes, self.stops = [], []
         self._known = {}
         self._mode_of = {}
@@ -99,6 +102,9 @@ class Lowering:
             return tuple(g.number(x) for x in self.direction(name))
         if name == "p_c":
             return self._contact_point()
+        known = property_of(name)
+        if known and known[0] in self.unknown:
+            return g.constant("_".join(known))
         if name == ORIGIN:
             return (g.zero,) * self.n_dims
         if node.type.shape in ("vector", "point") or name in self.vectors:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.graph import Graph, Tape
 from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
+from bsp_gp.fitting.owners import Owners, fitted_properties
 from bsp_gp.fitting.seen import Frame
 from bsp_gp.language.inputs import property_of
 
@@ -63,16 +64,21 @@ class _Program:
         self.graph = g = Graph()
         self.terms = [term for term in law.terms if term.kind == kind]
         vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
-        frame = Frame(g, law.frame, chains.n_dims, kind) if law.frame else None
-        lowering = Lowering(frame or g, chains.n_dims, chains.direction, vectors)
+        parts, unknown = _instruments(law), fitted_properties(law)
+        frame = Frame(g, parts, chains.n_dims, kind) if parts else None
+        lowering = Lowering(frame or g, chains.n_dims, chains.direction, vectors, unknown)
         total = [g.zero] * chains.n_dims
         for k, term in enumerate(self.terms):
             weight = g.input("weight", k)
             force = lowering.lower(term.acceleration_formula)
+            if term.needs_mass and "mass" in unknown:
+                force = [g.div(f, g.constant("mass_i")) for f in force]
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
         if frame:
             total = frame.acceleration(total)
-        self.constants = replace(law, terms=tuple(self.terms)).names
+        names = replace(law, terms=tuple(self.terms)).names
+        names += tuple(f"{column}_{role}" for column in unknown for role in "ij")
+        self.constants = tuple(name for name in names if g.has_constant(name))
         # Drag that fades with the speed brings nothing to rest.
         lasting = (t for t in self.terms if not fades_at_rest(t.formula))
         may_stop = any("v_i" in t.formula.inputs for t in lasting)
@@ -138,12 +144,11 @@ class Motion:
         self.others = np.array(
             [[j for j in range(n_all) if j != i] for i in range(n_own)], dtype=int
         ).reshape(n_own, n_all - 1)
-        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * bool(law.frame))
+        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * bool(_instruments(law)))
         self.programs = [
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
-        self._static = [self._static_inputs(program) for program in self.programs]
-        self._ready, self._picked = None, (None, {})
+        self._settle()
         stops = [axes for program in self.programs for axes in program.stops]
         self.stops = tuple(dict.fromkeys(stops))
         self.has_modes = any(program.modes for program in self.programs)
@@ -162,9 +167,19 @@ class Motion:
             The same terms.
         """
         other = copy(self)
-        other.chains, other.law, other._ready, other._picked = chains, law, None, (None, {})
-        other._static = [other._static_inputs(program) for program in self.programs]
+        other.chains, other.law = chains, law
+        other._settle()
         return other
+
+    def _settle(self):
+        """Put in what the chains are."""
+        self._static = [self._static_inputs(program) for program in self.programs]
+        self._ready, self._picked = None, (None, {})
+        owners = self._owners = Owners(self.law, self.chains, self.parameters, self.others)
+        self._parameter_of = [
+            {name: owners.parameter(name, program.kind) for name in program.constants}
+            for program in self.programs
+        ]
 
     # --- what does not change along a track ------------------------------------------------------
 
@@ -198,7 +213,7 @@ class Motion:
         chains = self.chains
         own = slice(None, chains.n_moving)
         weight = np.ones((chains.n_moving, chains.n_chains))
-        if term.needs_mass:
+        if term.needs_mass and "mass" not in fitted_properties(self.law):
             mass = chains.column("mass")[own]
             unknown = 1.0 if self.law.is_per_entity(term) else np.inf
             weight = 1.0 / np.where(np.isnan(mass), unknown, mass)
@@ -223,7 +238,7 @@ class Motion:
         self._ready, self._picked = [], (None, {})
         for program, inputs in zip(self.programs, self._static, strict=True):
             constants = {
-                name: self._constant(known[name], program.kind)
+                name: self._owners.values(name, known, program.kind)
                 for name in program.constants
             }
             self._ready.append(
@@ -235,12 +250,6 @@ class Motion:
                 ]
             )  # fmt: skip
         self.values = known
-
-    def _constant(self, value, kind):
-        if not hasattr(value, "items"):
-            return np.asarray(value, dtype=float)[()]
-        table = np.array([[value.get(n, np.nan) for n in names] for names in self.chains.bodies])
-        return table.T if kind == "field" else table.T[:, None]
 
     # --- at points -------------------------------------------------------------------------------
 
@@ -397,13 +406,13 @@ class Motion:
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
         held = self.is_held(points) if self.has_stops and holds else None
-        for _, program, outputs in self._run(1, points):
+        for k, program, outputs in self._run(1, points):
             for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
                 self._add_slope(program, by_state, row, name, axis, value)
             rest = outputs[len(program.slope_of) :]
             for (row, name), value in zip(program.constant_of, rest, strict=True):
-                column = self._summed(program, value, n_points)
-                self._add_constant(by_constant[:, row], name, column, points.chain)
+                parameter = self._parameter_of[k][name]
+                self._add_constant(by_constant[:, row], program, parameter, value, points.chain)
         if held is not None:
             by_state[np.broadcast_to(held[:, :, None, None, None], by_state.shape)] = 0.0
             by_constant[np.broadcast_to(held[:, :, None], by_constant.shape)] = 0.0
@@ -435,21 +444,30 @@ class Motion:
             receiver, place, source = self._pairs
             by_state[receiver, row, part, source, axis] += value[receiver, place]
 
-    def _add_constant(self, by_constant, name, column, chain):
-        """Add a derivative to the parameters of this name, (R, k, M)."""
-        for k, (own, entity) in enumerate(self.parameters):
-            if own != name:
-                continue
-            if entity:
-                mine = np.array([[n == entity for n in names] for names in self.chains.bodies]).T
-                by_constant[:, k] += np.where(mine[:, chain], column, 0.0)
-            else:
-                by_constant[:, k] += column
+    def _add_constant(self, by_constant, program, parameter, value, chain):
+        """Add a derivative to the parameters of its constant, (R, k, M)."""
+        n_points = by_constant.shape[-1]
+        if np.ndim(parameter) == 0:
+            if parameter >= 0:
+                by_constant[:, parameter] += self._summed(program, value, n_points)
+            return
+        if program.kind == "pair" and parameter.shape[1] == 1:  # one for all sources
+            value, parameter = self._summed(program, value, n_points), parameter[:, 0]
+        owner = parameter[..., chain]
+        value = np.broadcast_to(value, owner.shape)
+        each = [(owner, value)] if owner.ndim == 2 else zip(
+            np.moveaxis(owner, 1, 0), np.moveaxis(value, 1, 0), strict=True
+        )  # fmt: skip
+        for own, part in each:  # of every source in turn
+            body, point = np.nonzero(own >= 0)
+            by_constant[body, own[body, point], point] += part[body, point]
 
-    def _is_own(self, entity, receiver, chain):
-        """Whether a constant of this entity ("" = of all) is that of a receiver of these chains."""
-        names = np.array([members[receiver] for members in self.chains.bodies])
-        return np.logical_or(not entity, names == entity)[chain]
+    def _parameters_at(self, number, name, receiver, other, chain, n_points):
+        """The parameter of a constant for a receiver and a source at every point; -1 = none."""
+        parameter = np.asarray(self._parameter_of[number][name])
+        if parameter.ndim == 3:
+            parameter = parameter[:, min(other, parameter.shape[1] - 1)]
+        return parameter[receiver][chain] if parameter.ndim else np.full(n_points, parameter)
 
     # --- conditions ------------------------------------------------------------------------------
 
@@ -495,15 +513,20 @@ class Motion:
                 if name == "t":
                     by_time += value
                 elif axis == "constant":
-                    for c, (own, entity) in enumerate(self.parameters):
-                        if own == name:
-                            by_constant[c] += value * self._is_own(entity, receiver, points.chain)
+                    owner = self._parameters_at(k, name, receiver, other, points.chain, n_points)
+                    at = np.flatnonzero(owner >= 0)
+                    by_constant[owner[at], at] += value[at]
                 else:
                     part = 0 if name[0] == "p" else 1
                     body = receiver if name[-1] == "i" else self.others[receiver, other]
                     if body < n_own:
                         by_state[part, body, axis] += value
         return by_state.reshape(-1, n_points).T, by_time, by_constant.T
+
+
+def _instruments(law):
+    """Through what bodies are seen."""
+    return tuple(part for part in law.frame if part.kind == "instrument")
 
 
 class _Picked:

@@ -147,6 +147,7 @@ def _bodies(bodies, scene, order, n_own):
         bodies,
         names=tuple(tuple(bodies.names[s][k] for k in rows) for rows in order for s in scene),
         receivers=np.arange(n_own),
+        scenes=tuple(bodies.scenes[s] for _ in order for s in scene),
         properties={name: taken(values) for name, values in bodies.properties.items()},
         shapes=Shapes(
             *(taken(getattr(shapes, name)) for name in ("code", "radius", "width", "height"))

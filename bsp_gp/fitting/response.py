@@ -25,7 +25,6 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.evaluation import Settling
-from bsp_gp.physics.force import term_gradient
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 
 __all__ = ["Response", "ResponseBatch", "ResponseRegression", "respond"]
@@ -151,7 +150,7 @@ def respond(fit, dataset, scenes=None):
     Response
     """
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, levels, used, total = [], [], 0, 0
+        batches, columns, levels, used, total = [], [], [], 0, 0
         first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
@@ -162,6 +161,7 @@ def respond(fit, dataset, scenes=None):
             pieces = cut_pieces(chains, noise, batch)
             group = _Group(fit, chains, nodes, noise, pieces)
             batches.append(group.batch())
+            columns.append(group.columns(batches[-1]))
             levels.append(group.level)
             used += pieces.n_rows
             total += int(chains.lengths.sum())
@@ -169,27 +169,7 @@ def respond(fit, dataset, scenes=None):
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
     level = float(np.exp(np.mean(np.log(levels))))
-    return Response(regression, _columns(regression, fit), used / max(total, 1), level)
-
-
-def _columns(regression, fit):
-    """Moments of the changes by the constants, (n, k): by the routine that has those of laws."""
-    parts = []
-    for batch in regression.batches:
-        slopes = np.zeros((len(fit.parameters), *batch.target.shape))
-        for term in fit.law.terms:
-            _, found = term_gradient(
-                fit.law, term, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
-            for slope, (name, entity) in zip(slopes, fit.parameters, strict=True):
-                if name in found:
-                    mine = np.array([
-                        [entity in ("", n) for n in names] for names in batch.bodies.receiver_names
-                    ])  # fmt: skip
-                    slope += np.where(mine[..., None], np.nan_to_num(found[name]), 0.0)
-        moments = batch.whiten(np.moveaxis(slopes, 0, 3))
-        parts.append(moments[:, :, 0, :, 0].reshape(batch.moments.size, len(fit.parameters)))
-    return np.concatenate(parts)
+    return Response(regression, np.concatenate(columns), used / max(total, 1), level)
 
 
 def _noise(fit, chains, part):
@@ -428,6 +408,18 @@ class _Group:
             target=np.zeros(valid.shape), valid=valid, scale=np.ones(valid.shape),
             scene_names=self.chains.scenes, whitener=by_force, kept=kept, moments=left.T,
         )  # fmt: skip
+
+    def columns(self, batch):
+        """Moments of the changes by the constants, (n, k), in the way that those of laws are."""
+        row, chain = np.nonzero(np.isfinite(self.fine.times))
+        flow = self._flow(self.fine)
+        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        by_constant = np.nan_to_num(flow.motion.slopes(points)[1])
+        k = by_constant.shape[-1]
+        slopes = np.zeros((*self.fine.times.shape, self.n_own, k, self.n_dims))
+        shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, k)
+        slopes[row, chain] = np.swapaxes(shaped, 2, 3)
+        return batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
 
 
 def _orthonormal(matrices):

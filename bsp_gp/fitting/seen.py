@@ -100,7 +100,10 @@ def sight(flow, nodes):
     """What delays and exposures show of nodes (2, R, d, T, S) under the constants that are set."""
     places = np.moveaxis(nodes[0], (-2, -1), (0, 1))
     motion, chains = flow.motion, flow.chains
-    parts = {p.names[0]: p for p in motion.law.frame if p.code in ("delay", "exposure")}
+    parts = {
+        p.names[0]: p for p in motion.law.frame
+        if p.kind == "instrument" and p.code in ("delay", "exposure")
+    }  # fmt: skip
     if not parts:
         return Sight(places)
     rows, chain = np.nonzero(np.isfinite(chains.times))

@@ -9,6 +9,8 @@ import numpy as np
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.held_out import with_states
+from bsp_gp.fitting.parts.latents import filled
+from bsp_gp.physics.force import COPY
 
 __all__ = ["draw_noise", "simulated"]
 
@@ -34,7 +36,7 @@ def simulated(found, dataset, scenes, count, rng):
     best = with_states(found, dataset, scenes)
     if best.is_failed:
         return []
-    channels = best.channels
+    channels, scenes = best.channels, filled(best.law, scenes)
     tracks = join(chains.observed for chains in best.groups) - best.residual
     made = tracks + draw_noise(found.noise, channels, count, rng)
     places = [_places(channels, scene) for scene in scenes]
@@ -45,7 +47,7 @@ def simulated(found, dataset, scenes, count, rng):
             track = values[: shape[0], order].reshape(shape)
             # Along an axis on which nothing moves everything stays as it was measured.
             track = np.where(np.isfinite(track), track, scene.positions[:, scene.dynamic])
-            copy.append(replace(scene.on_track(track), name=f"{scene.name} copy {number}"))
+            copy.append(replace(scene.on_track(track), name=f"{scene.name}{COPY}{number}"))
         copies.append(copy)
     return copies
 

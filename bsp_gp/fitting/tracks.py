@@ -99,9 +99,9 @@ class TrackProblem:
     meshes : sequence of Mesh
     coordinates : Coordinates
         Between the driver's unknowns and the constants of the law.
-    ridge : ndarray, shape (k,), optional
-        Inverse standard deviations of unknowns about zero: on the way, few rows may determine
-        nothing of a constant.
+    ridge : tuple of ndarray, shape (k,), optional
+        Where unknowns are expected, and inverse standard deviations: their priors, or on the way,
+        where few rows may determine nothing of a constant.
     """
 
     def __init__(self, shootings, meshes, coordinates, ridge=None):
@@ -129,8 +129,9 @@ class TrackProblem:
         with np.errstate(all="ignore"):  # constants that run away are refused below
             jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
             if self.ridge is not None:
-                residual = np.concatenate([residual, self.ridge * point.values])
-                jacobian = np.concatenate([jacobian, np.diag(self.ridge)])
+                centre, pull = self.ridge
+                residual = np.concatenate([residual, pull * (point.values - centre)])
+                jacobian = np.concatenate([jacobian, np.diag(pull)])
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
             return None
         return TrackLinearised(residual, jacobian, rest, tuple(condensed))

@@ -296,8 +296,9 @@ def repeated(bodies, n_draws, columns):
     radius = properties["radius"] if "radius" in columns else np.tile(s.radius, tile)
     shapes = type(s)(np.tile(s.code, tile), radius, np.tile(s.width, tile), np.tile(s.height, tile))
     return Bodies(
-        bodies.names * n_draws, bodies.receivers, properties, shapes, bodies.n_dims, bodies.up
-    )
+        bodies.names * n_draws, bodies.receivers, properties, shapes, bodies.n_dims, bodies.up,
+        bodies.scenes * n_draws,
+    )  # fmt: skip
 
 
 def shared(bodies, n_draws, columns):
@@ -309,7 +310,10 @@ def shared(bodies, n_draws, columns):
     properties = {**bodies.properties, **{name: value[:, 0] for name, value in columns.items()}}
     radius = properties["radius"] if "radius" in columns else s.radius
     shapes = type(s)(s.code, radius, s.width, s.height)
-    return replace(bodies, names=bodies.names * n_draws, properties=properties, shapes=shapes)
+    return replace(
+        bodies, names=bodies.names * n_draws, properties=properties, shapes=shapes,
+        scenes=bodies.scenes * n_draws,
+    )  # fmt: skip
 
 
 def constant_values(law, names, constants, bodies):

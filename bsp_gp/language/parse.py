@@ -1,7 +1,8 @@
 """Laws as people type them -> formulas. Nothing is ever evaluated as code.
 
 ``c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)``; a number may carry its unit in
-brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit.
+brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[body]`` and
+``c[scene]`` constants of which every receiver or scene has its own.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ MAX_EXPONENT = 99
 _TOKEN = re.compile(
     r"""\s*(?:
       (?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?:\s*\[(?P<unit>[^\[\]]*)\])?
-    | (?P<name>[A-Za-z][A-Za-z0-9_]*)
+    | (?P<name>[A-Za-z][A-Za-z0-9_]*)(?:\s*\[(?P<index>body|scene)\])?
     | (?P<op>\*\*|[-+*/^(),])
     )""",
     re.VERBOSE,
@@ -93,7 +94,7 @@ def _tokenise(text, units):
             raise LawError(
                 f"law {_short(text)}: unexpected {rest[:1]!r} at position "
                 f"{len(stripped) - len(rest) + 1}; allowed are names, numbers with a [unit], "
-                "calls and + - * / ^ ( )"
+                "calls, + - * / ^ ( ), and a constant's [body] or [scene]"
             )
         position = match.end()
         if match["number"]:
@@ -103,7 +104,7 @@ def _tokenise(text, units):
         elif match["name"]:
             if "__" in match["name"]:
                 raise LawError(f"law {_short(text)}: a name must not contain '__'")
-            pieces.append(match["name"])
+            pieces.append("__".join(filter(None, (match["name"], match["index"]))))
         else:
             operator = match["op"]
             depth += (operator == "(") - (operator == ")")
@@ -205,6 +206,11 @@ class _Builder:
     def name(self, name):
         if name in self.numbers:
             return self.numbers[name]
+        name, _, index = name.partition("__")
+        if index:
+            if not isinstance(self.name(name), Constant):
+                self.fail(f"only constants have an index, and {name!r} is none")
+            return Constant(f"{name}[{index}]")
         if name in self.types:
             return Input(name, self.types[name])
         if name in ("up", "down"):

@@ -187,11 +187,13 @@ def _latex_input(node):
 
 
 def _latex_name(name):
+    name, _, index = name.rstrip("]").partition("[")
     head = name.rstrip("0123456789")
     digits = name[len(head) :]
     head = head.strip("_").replace("_", "\\ ")
     head = head if len(head) == 1 else rf"\mathrm{{{head}}}"
-    return f"{head}_{{{digits}}}" if digits else head
+    below = ",".join(filter(None, (digits, index and rf"\mathrm{{{index}}}")))
+    return f"{head}_{{{below}}}" if below else head
 
 
 def _latex_number(text):

@@ -33,6 +33,8 @@ class Bodies:
     shapes : Shapes of arrays (S, N)
     n_dims : int
     up : str or None
+    scenes : tuple of str
+        Their names; empty = of no matter.
     """
 
     names: tuple
@@ -41,6 +43,7 @@ class Bodies:
     shapes: Shapes
     n_dims: int
     up: str | None = None
+    scenes: tuple = ()
     others: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -237,6 +240,7 @@ def _batch(scenes, key, up):
         shapes=stacked,
         n_dims=n_dims,
         up=up,
+        scenes=tuple(scene.name for scene in scenes),
     )
     return Batch(scenes, bodies, times, positions, velocities, sigma)
 

@@ -23,10 +23,13 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "ForceLaw", "Term", "constant_units", "fresh_name", "kind_of", "split_linear", "term_gradient",
+    "COPY", "ForceLaw", "Term", "constant_units", "entry", "fresh_name", "key_of", "kind_of",
+    "split_linear", "tabled", "term_gradient",
 ]  # fmt: skip
 
 _MASS = ("m_i", "mass_i")
+COPY = " copy "
+"""Between the name of a scene and the number of a simulated copy."""
 
 
 def kind_of(formula):
@@ -96,9 +99,11 @@ class ForceLaw:
     ----------
     terms : tuple of Term
     constants : mapping of str to float, or to a mapping of entity name to float
-        Every constant that the terms name. A mapping means one value per receiver.
-    frame : tuple of Instrument
-        Through what bodies are seen; fits to tracks alone know of it (`bsp_gp.fitting.seen`).
+        Every constant that the terms name. A mapping means one value per receiver, or, if the name
+        ends in ``[scene]``, per scene. Who is not in it has none; of indexed names the mean.
+    frame : tuple of Part
+        Through what bodies are seen, and which of their properties are fitted; fits to tracks
+        alone know of it (`bsp_gp.fitting.seen`, `bsp_gp.fitting.owners`).
     """
 
     terms: tuple[Term, ...] = ()
@@ -162,9 +167,11 @@ class ForceLaw:
         out = {"field": {}, "pair": {}}
         for name, value in self.constants.items():
             if isinstance(value, Mapping):
-                array = np.array(
-                    [[value.get(n, np.nan) for n in names] for names in bodies.receiver_names]
-                )
+                scenes = bodies.scenes or ("",) * bodies.n_scenes
+                array = np.array([
+                    [entry(name, value, n, scene) for n in names]
+                    for scene, names in zip(scenes, bodies.receiver_names, strict=True)
+                ])  # fmt: skip
                 out["field"][name], out["pair"][name] = array, array[..., None]
             else:
                 out["field"][name] = out["pair"][name] = value
@@ -191,7 +198,10 @@ class ForceLaw:
 
     def is_per_entity(self, term):
         """Whether a constant of the term has one value per receiver."""
-        return any(isinstance(self.constants.get(n), Mapping) for n in term.formula.constants)
+        return any(
+            isinstance(self.constants.get(n), Mapping) and not n.endswith("[scene]")
+            for n in term.formula.constants
+        )
 
     def text(self, digits=True, units=None):
         """The law as text; with `digits`, constants are written as numbers."""
@@ -207,6 +217,39 @@ class ForceLaw:
             body = to_latex(term.formula, values if digits else {}, units or {})
             parts.append(rf"\sum_{{j\ne i}} {body}" if term.kind == "pair" else body)
         return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
+
+
+def key_of(key, table):
+    """What a scene or body is called in a table: simulated copies are what they are copies of."""
+    if key in table:
+        return key
+    if isinstance(key, tuple):
+        return (key[0].partition(COPY)[0], *key[1:])
+    return key.partition(COPY)[0]
+
+
+def entry(name, table, body, scene):
+    """The value of a constant that bodies or scenes have of their own."""
+    if not name.endswith("]"):
+        return table.get(body, np.nan)
+    key = key_of(scene if name.endswith("[scene]") else body, table)
+    return table[key] if key in table else float(np.mean(list(table.values())))
+
+
+def tabled(law, scenes):
+    """The law with entries of indexed constants for the bodies of some scenes, nan if not known."""
+    keys = {
+        "[scene]": [scene.name for scene in scenes],
+        "[body]": dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic),
+    }
+    tables = {}
+    for name in ForceLaw(law.terms).names:
+        for index, mine in keys.items():
+            if name.endswith(index):
+                old = law.constants.get(name)
+                old = old if isinstance(old, Mapping) else {}
+                tables[name] = {key: old.get(key, np.nan) for key in mine}
+    return law.with_constants(tables)
 
 
 def term_gradient(law, term, bodies, positions, velocities, times):

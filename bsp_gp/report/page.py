@@ -13,6 +13,8 @@ __all__ = ["page_of"]
 
 _CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a period",
+    "constant_per_body": "a constant for each body",
+    "constant_per_scene": "a constant for each scene",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
     "drift": "a camera that drifts", "offset": "an origin that is off",

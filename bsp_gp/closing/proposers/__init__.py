@@ -9,6 +9,7 @@ from bsp_gp.closing.proposers.laws import Laws
 from bsp_gp.closing.proposers.measurement import Measurement
 from bsp_gp.closing.proposers.noise import Noise
 from bsp_gp.closing.proposers.periods import Periods
+from bsp_gp.closing.proposers.varying import Varying
 
 __all__ = ["standard"]
 
@@ -25,6 +26,6 @@ def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
         As in `Laws`.
     """
     return [
-        Laws(grammar, dataset, max_levels, exclude), Declared(), Periods(), Hidden(),
+        Laws(grammar, dataset, max_levels, exclude), Declared(), Varying(), Periods(), Hidden(),
         Measurement(), Defects(), Noise(),
     ]  # fmt: skip

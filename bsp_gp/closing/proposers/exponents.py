@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.closing.proposal import Family, Proposal, with_term_at
 from bsp_gp.language.formula import Call, Constant, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
@@ -68,10 +65,10 @@ class Declared:
         name = fresh_name(law, "n")
         unit = Number(typical, base.type.unit, f"{typical:.3g} [{base.type.unit}]")
         factor = Call("pow", Call("div", base, unit), Constant(name))
-        freed = replace(term, formula=Call("mul", factor, term.formula))
+        freed = Call("mul", factor, term.formula)
         return Proposal(
             "exponent", f"exponent of {to_text(base)} in {to_text(term.formula)}",
-            _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
+            with_term_at(view.hypothesis, index, freed, {name: 0.0}),
             -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
         )  # fmt: skip
 
@@ -80,29 +77,12 @@ class Declared:
         term = law.terms[index]
         name = fresh_name(law, "s")
         factor = Call("add", Number(1.0), Constant(name))
-        freed = replace(term, formula=Call("mul", factor, term.formula))
+        freed = Call("mul", factor, term.formula)
         return Proposal(
             "number", f"number of {to_text(term.formula)}",
-            _with_term_at(view.hypothesis, index, freed, {name: 0.0}),
+            with_term_at(view.hypothesis, index, freed, {name: 0.0}),
             -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
         )  # fmt: skip
-
-
-def _with_term_at(hypothesis, index, term, constants):
-    """The hypothesis with one of its terms, counted over all parts, in another form."""
-    parts, seen = [], 0
-    for part in hypothesis.parts:
-        if isinstance(part, Forces):
-            count = len(part.law.terms)
-            if seen <= index < seen + count:
-                terms = list(part.law.terms)
-                terms[index - seen] = term
-                part = replace(
-                    part, law=ForceLaw(tuple(terms), {**part.law.constants, **constants})
-                )
-            seen += count
-        parts.append(part)
-    return Hypothesis(tuple(parts))
 
 
 def _powers(view, term):

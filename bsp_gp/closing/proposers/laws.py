@@ -8,6 +8,7 @@ import numpy as np
 
 from bsp_gp.closing.proposal import Family, Proposal, with_term
 from bsp_gp.closing.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
+from bsp_gp.closing.proposers.varying import beside_unknown
 from bsp_gp.errors import BspError, EvaluationError
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import rename_constants
@@ -89,6 +90,7 @@ class Laws:
         found = [c for c in self._ranked(view, found) if not _is_parallel(view, c, declared)]
         sets = [*pairs_of(view, found), *sets_of(view, self, found, declared)]
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
+        proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
         proposals.sort(key=lambda p: -p.promise)
         return Family(
