@@ -326,7 +326,7 @@ def constant_estimates(found, dataset, bounds=None):
             units[name] = dataset.units.text(unit)
     priors = {}
     for part in found.law.frame:
-        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit}
+        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit is not None}
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
     bounds = {**{name: (p.low, p.high) for name, p in priors.items()}, **bounds}
     massless = {

@@ -154,5 +154,5 @@ def _freed(view, proposal, places):
         view, law, lambda *at: number.get(named.get(at), 0), len(number) + 1
     )
     score = view.score_forces(columns[:, columns.any(axis=0)])
-    price = (score.rank - 1) * np.log(max(view.n_left, 2))
+    price = max(score.rank - 1, 0) * np.log(max(view.n_left, 2))
     return replace(proposal, gain=max(proposal.gain, score.statistic - price))
