@@ -76,7 +76,7 @@ def noise_findings(view):
     if np.any((steps > 0) & (steps >= levels)):
         found.append(Finding("grid", 0.0))
     error = _PureError(view)
-    if error.used.any():
+    if error.z[0].any():
         found += error.findings()
     return tuple(sorted(found, key=lambda f: f.p_value))
 

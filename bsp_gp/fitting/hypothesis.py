@@ -266,3 +266,19 @@ def read_law(dataset, texts: Sequence[str]):
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {})
     return law.with_constants(dict.fromkeys(law.names, math.nan))
+
+
+def declared_law(dataset, texts: Sequence[str]):
+    """The same with constants at 1 until they are fitted.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    texts : sequence of str
+
+    Returns
+    -------
+    ForceLaw
+    """
+    law = read_law(dataset, texts)
+    return law.with_constants(dict.fromkeys(law.names, 1.0))

@@ -6,7 +6,7 @@ import math
 from types import SimpleNamespace
 
 from bsp_gp.closing.outcome import LoopReport
-from bsp_gp.loop.naming import describe
+from bsp_gp.report.naming import describe
 from bsp_gp.report.numbers import format_number, is_number
 
 __all__ = ["page_of"]

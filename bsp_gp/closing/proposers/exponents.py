@@ -108,7 +108,7 @@ def _with_term_at(hypothesis, index, term, constants):
 
 
 def _powers(view, term):
-    """Factors of a term that change with the motion, without their powers: (base, typical value)."""
+    """Factors of a term that change with the motion, powers apart: (base, typical value)."""
     bases = {}
     for part in (part for parts in factors(term.formula) for part in parts):
         base = _base(part)
