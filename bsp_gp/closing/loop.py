@@ -15,10 +15,14 @@ from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.closing.proposal import continued
 from bsp_gp.closing.questions import hidden_bound, noise_findings
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.closing.trace import trace
 from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
 
 __all__ = ["Round", "run_rounds"]
+
+MOST_TOLD = 10
+"""Variables with which what is missing changes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +154,7 @@ class _Run:
             asked = self.asked(view)
             turn.p_value = _p_of_all(turn.families, view)
             if turn.p_value <= self.criteria.alpha:
+                asked |= self.traced(view, turn)
                 turn.fit_best()
         turn.note_time("fits")
         table = HypothesisTable(tuple(turn.rows), turn.p_value)
@@ -171,6 +176,18 @@ class _Run:
             "detectable": view.detectable(alpha), "noise_findings": found,
             "hidden_bound": hidden_bound(view),
         }  # fmt: skip
+
+
+    def traced(self, view, turn):
+        """Where what is missing is, and on what it depends, by names of `Round`."""
+        if turn.note_time("fits"):
+            return {}
+        found = trace(view)
+        varies = tuple(
+            {"term": c.direction, "variable": c.variable, "p_value": c.p_value}
+            for c in found.channels if c.variable and c.evidence > 0
+        )  # fmt: skip
+        return {"trace": found, "varies_with": varies[:MOST_TOLD]}
 
 
 class _Turn:
