@@ -224,28 +224,29 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        offset = -math.inf
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
         chosen = [pair for pair in _chosen(every, criteria) if pair not in controls]
+        offsets = {}  # of what was fitted above its promise, family by family
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
             row = self._fitted(source, proposal)
             if (source, proposal) not in controls:
-                offset = max(offset, row.log_posterior - proposal.promise)
-        if not math.isfinite(offset):
-            return
-        # What was scored only is told in the terms of what was fitted.
-        least = max(row.log_posterior for row in self.rows[1:]) - offset - criteria.class_nats
-        equal = max(row.log_evidence for row in self.rows[1:]) - offset - criteria.equal_nats
+                above = row.log_posterior - proposal.promise
+                offsets[source] = max(offsets.get(source, -math.inf), above)
+        # What was scored only is told in the terms of what was fitted of its family.
+        least = max(row.log_posterior for row in self.rows) - criteria.class_nats
+        equal = max(row.log_evidence for row in self.rows) - criteria.equal_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            is_near = proposal.promise > least or 0.5 * proposal.gain > equal
+            offset = offsets.get(source, -math.inf)
+            evidence = offset + 0.5 * proposal.gain
+            is_near = offset + proposal.promise > least or evidence > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
-                    source, proposal, "scored", offset + 0.5 * proposal.gain,
-                    self.base.chisqr - proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
+                    source, proposal, "scored", evidence, self.base.chisqr - proposal.gain,
+                    self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
     def _fitted(self, source, proposal):

@@ -63,8 +63,15 @@ class Proposal:
 
     @property
     def texts_of_ties(self):
-        """The ties as texts."""
-        return tuple(tie if isinstance(tie, str) else to_text(tie) for tie in self.ties)
+        """The ties as texts, without what is equal to the law, or to another one, up to algebra."""
+        known = set() if self.formula is None else {self.key[1]}
+        texts = []
+        for tie in self.ties:
+            key = tie if isinstance(tie, str) else canonical_key(tie, self.n_dims)
+            if key not in known:
+                known.add(key)
+                texts.append(tie if isinstance(tie, str) else to_text(tie))
+        return tuple(texts)
 
     @property
     def promise(self):
