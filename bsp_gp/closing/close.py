@@ -111,15 +111,15 @@ def close_loop(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
             f"{', '.join(sorted(grammar.inputs))}"
         )
+    proposers = standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude))
     hypothesis = Hypothesis.from_laws(ready.train, unset(ready.law))
     known = {"starts": starts, "bounds": bounds}
     if earlier is not None:
         earlier = rounds_from(earlier, hypothesis, ready.train, **known)
     rounds = run_rounds(
-        hypothesis, ready.train,
-        standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude)),
-        rng=round_rng, criteria=criteria, max_rounds=max_rounds, **known, clock=clock,
-        on_round=on_round, earlier=earlier, progress=progress,
+        hypothesis, ready.train, proposers, rng=round_rng, criteria=criteria,
+        max_rounds=max_rounds, **known, clock=clock, on_round=on_round, earlier=earlier,
+        progress=progress,
     )  # fmt: skip
     pruned = prune(rounds, ready.train, bounds=bounds, clock=clock, progress=progress)
     says("writing up")

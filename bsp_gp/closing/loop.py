@@ -17,10 +17,13 @@ from bsp_gp.closing.questions import hidden_bound, noise_findings
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.closing.trace import trace
 from bsp_gp.closing.view import View, selected
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.fit import fit
 
 __all__ = ["Round", "run_rounds"]
 
+FAULTS = (EvaluationError, np.linalg.LinAlgError, FloatingPointError)
+"""By which one cause cannot be fitted, and others may."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -255,10 +258,14 @@ class _Turn:
         hypothesis = proposal.hypothesis
         names = {p.name for p in hypothesis.parameters}
         bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
-        new = fit(
-            hypothesis, self.run.dataset, starts=proposal.starts,
-            bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-        )  # fmt: skip
+        try:
+            new = fit(
+                hypothesis, self.run.dataset, starts=proposal.starts,
+                bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
+            )  # fmt: skip
+        except FAULTS:
+            nothing = ("nonfinite", -math.inf, math.nan, 0, HeldOut())
+            return self._add(source, proposal, *nothing)
         self.fits[len(self.rows)] = new
         return self._add(
             source, proposal, new.status, log_evidence(new, hypothesis), new.chisqr, new.n_free,

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import describe
-from bsp_gp.report.numbers import format_number, is_number
+from bsp_gp.report.numbers import format_number, format_value, is_number
 
 __all__ = ["page_of"]
 
@@ -70,8 +72,20 @@ def _notes(report):
     if symbols:
         listed = ", ".join(f"{v} stands for {k}" for k, v in symbols.items())
         yield f"not calibrated: {listed}; constants are in the data's own units"
+    yield from _unsupported(report)
     if report.noise["source"] == "estimated":
         yield f"the noise was estimated {report.noise['method']}"
+
+
+def _unsupported(report):
+    """Declared terms that the data do without: their constant may as well be zero."""
+    estimates = {c.name: c for c in report.constants if not c.entity}
+    for term in report.law.terms:
+        name, _ = split_linear(term.formula)
+        c = estimates.get(name)
+        if term.is_declared and c is not None and c.low < 0 < c.high:
+            size = format_value(c.value, c.low, c.high, c.unit)
+            yield f"the declared term {to_text(term.formula)} has no support: {name} = {size}"
 
 
 def _round(done, report):
