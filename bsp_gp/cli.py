@@ -237,6 +237,8 @@ def _run_loop(args, progress):
         from bsp_gp.cli_latents import with_declared_latents
 
         dataset = with_declared_latents(args, dataset)
+    if args.per_entity == "yes":
+        raise SettingsError("--per-entity must be auto or no so far; name a property, such as R_i")
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),
