@@ -211,7 +211,7 @@ def _close(args):
         progress("writing the report")
         run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
-        if getattr(args, "kept", None) is not None and report.complete:
+        if report.complete:
             args.kept.clear()
     declared = [term.formula for term in report.law.terms if term.is_declared]
     _tell_constants(args, dict.fromkeys(name for law in declared for name in law.constants))
@@ -221,60 +221,17 @@ def _close(args):
 
 def _run_loop(args, progress):
     """The report of the loop, and the settings that it ran with."""
-    if getattr(args, "loop", 1) == 2:
-        return _run_closing(args, progress)
-    from bsp_gp.language.grammar import load_grammar
-
-    grammar = load_grammar(args.grammar)
-    declared = read_laws(args)
-    dataset = read_dataset(args)
-    if args.latent or args.prior or dataset.latents:
-        from bsp_gp.cli_latents import with_declared_latents
-
-        dataset = with_declared_latents(args, dataset)
-    settings = {
-        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "n_null": max(299, round(1 / args.alpha)), "n_bootstrap": args.bootstrap,
-        "per_entity": {"auto": "auto", "yes": True, "no": False}[args.per_entity],
-        "exclude": excluded_inputs(args, grammar, dataset), "guide": args.guide,
-        "seed": args.seed,
-    }  # fmt: skip
-    import numpy as np
-
-    from bsp_gp.loop.close import close_loop, declared_law
-
-    law = declared if dataset.latents else declared_law(dataset, declared)
-    if not dataset.latents and law.names:  # a slip shows before the work
-        progress(f"constants to fit: {', '.join(law.names)}")
-    with worker_pool(args.workers) as pool:
-        report = close_loop(
-            dataset,
-            law,
-            rng=np.random.default_rng(args.seed),
-            grammar=grammar,
-            workers=pool,
-            progress=progress,
-            **settings,
-        )
-    return report, {
-        "grammar": args.grammar,
-        "search": args.search,
-        "workers": args.workers,
-        **settings,
-    }
-
-
-def _run_closing(args, progress):
-    """The same on hypotheses."""
     import numpy as np
 
     from bsp_gp.closing.close import close_loop
     from bsp_gp.closing.kept import joined_texts, text_of
     from bsp_gp.closing.writing_up import dataset_digest
+    from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.language.grammar import load_grammar
     from bsp_gp.output.kept import Kept
 
     grammar = load_grammar(args.grammar)
+    laws = read_laws(args)
     dataset = read_dataset(args)
     if args.latent or args.prior or dataset.latents:
         from bsp_gp.cli_latents import with_declared_latents
@@ -287,29 +244,33 @@ def _run_closing(args, progress):
     }  # fmt: skip
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap
-    laws, rounds = read_laws(args), []
+    law = laws if dataset.latents else read_law(dataset, laws)
+    if not dataset.latents and law.names:  # a slip shows before the work
+        progress(f"constants to fit: {', '.join(law.names)}")
+    rounds = []
     args.kept = Kept(args.target, {
         "data": dataset_digest(dataset), "declared": laws, "grammar": grammar.fingerprint,
         **{name: value for name, value in settings.items() if name != "time_limit"},
     })  # fmt: skip
-    earlier = args.kept.load() if args.resume else None
+    earlier = args.kept.load() if getattr(args, "resume", False) else None
 
     def keep(done):
         if not done.left_out:
             rounds.append(text_of([done]))
             args.kept.save(joined_texts([earlier, *rounds]))
 
-    report = close_loop(
-        dataset, laws, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
-        earlier=earlier, progress=progress, **settings,
-    )  # fmt: skip
-    return report, {"grammar": args.grammar, **settings}
+    with worker_pool(args.workers) as pool:
+        report = close_loop(
+            dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
+            earlier=earlier, workers=pool, progress=progress, **settings,
+        )  # fmt: skip
+    return report, {"grammar": args.grammar, "workers": args.workers, **settings}
 
 
 def _fit(args):
     is_plain = not args.latent and (args.declare or args.model)
     if not is_plain:
-        refuse_fit_settings(args)
+        refuse_fit_settings(args, is_loop=not args.latent)
     if args.latent:
         _with_latents(args, "run_learn", "Law and posterior")
         return
@@ -375,7 +336,7 @@ def _simulate(args):
     import numpy as np
 
     from bsp_gp.data.tables import save_dataset
-    from bsp_gp.loop.simulation import simulate_law
+    from bsp_gp.fitting.simulation import simulate_law
 
     with _Progress(args.quiet) as progress:
         progress("simulating")
@@ -410,7 +371,7 @@ def _compare(args):
 
     from bsp_gp.data.cells import safe_table
     from bsp_gp.language.grammar import load_grammar
-    from bsp_gp.loop.comparison import compare_searches
+    from bsp_gp.search.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
     with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:

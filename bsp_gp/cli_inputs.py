@@ -152,9 +152,11 @@ def read_fit_settings(args):
     }
 
 
-def refuse_fit_settings(args):
-    """SettingsError if one of them is given where it would do nothing."""
-    given = {"--start": args.start, "--bounds": args.bounds, "--time-limit": args.time_limit}
+def refuse_fit_settings(args, *, is_loop):
+    """SettingsError if one of them is given where it would do nothing; a loop has a time limit."""
+    given = {"--start": args.start, "--bounds": args.bounds}
+    if not is_loop:
+        given["--time-limit"] = args.time_limit
     for option, value in given.items():
         if value:
             raise SettingsError(f"{option} is for the fit of a --law, without --latent")

@@ -127,10 +127,10 @@ def run_infer(args, dataset, laws, progress):
 
     import numpy as np
 
+    from bsp_gp.fitting.hypothesis import declared_law
     from bsp_gp.inference.e_step import infer, refine
     from bsp_gp.inference.identifiability import identifiability
     from bsp_gp.inference.profile import fit_profile
-    from bsp_gp.loop.close import declared_law
 
     rng = np.random.default_rng(args.seed)
     split_rng, start_rng, sample_rng, draw_rng = rng.spawn(4)
@@ -202,13 +202,13 @@ def run_learn(args, dataset, laws, progress):
     import numpy as np
 
     from bsp_gp.cli_inputs import masked_grammar
+    from bsp_gp.fitting.hypothesis import declared_law
     from bsp_gp.inference.e_step import EStep, infer
     from bsp_gp.inference.em import EmSettings, fit_em
     from bsp_gp.inference.identifiability import identifiability
     from bsp_gp.inference.m_step import Exhaustive
     from bsp_gp.inference.prediction import posterior_nrmse
     from bsp_gp.language.grammar import load_grammar
-    from bsp_gp.loop.close import declared_law
     from bsp_gp.physics.force import ForceLaw
 
     rng = np.random.default_rng(args.seed)

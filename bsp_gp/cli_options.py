@@ -148,8 +148,9 @@ def _add_close(commands):
         parser, "--declare", required=True,
         help_="a force of the declared model; repeat for more",
     )  # fmt: skip
+    _descent(parser, "fit of the declared model")
     _loop(parser)
-    _closing(parser)
+    _rounds(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
 
@@ -162,7 +163,7 @@ def _add_fit(commands):
     )  # fmt: skip
     _data(parser)
     _model(parser, "--law", "--declare", help_="a force; repeat for more", required=False)
-    _descent(parser)
+    _time_limit(_descent(parser, "fit"), "after which it ends with what it has")
     _loop(parser)
     _latents(parser)
     _output(
@@ -478,8 +479,8 @@ def _time(text):
     return seconds
 
 
-def _descent(parser):
-    group = parser.add_argument_group("fit of a law")
+def _descent(parser, title):
+    group = parser.add_argument_group(title)
     group.add_argument(
         "--start", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=VALUE",
         help='where constants begin, in the units they are told in or with a [unit]: n=-2 "c1=3 '
@@ -489,10 +490,7 @@ def _descent(parser):
         "--bounds", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=LOW..HIGH",
         help="between which constants stay, in the same units: n=-4..0 c1=0..",
     )  # fmt: skip
-    group.add_argument(
-        "--time-limit", type=_time, metavar="TIME",
-        help="after which the fit ends with what it has: 20s, 2m (default: none)",
-    )  # fmt: skip
+    return group
 
 
 def _loop(parser):
@@ -505,9 +503,9 @@ def _loop(parser):
     )
     group.add_argument(
         "--search",
-        choices=("exhaustive",),
+        choices=("exhaustive", "auto"),
         default="exhaustive",
-        help="how it is searched (default exhaustive)",
+        help="how it is searched (default exhaustive; auto is the same so far)",
     )
     group.add_argument(
         "--max-levels",
@@ -529,8 +527,8 @@ def _loop(parser):
         "--bootstrap",
         type=_integer(0, 9999),
         metavar="N",
-        help="data sets simulated and searched at most to test a finding that is not overwhelming; "
-        "0 = none (default 99, or 1/alpha)",
+        help="copies of the held-out data that are simulated for the noise floor and the intervals "
+        "of errors; 0 = none (default 40)",
     )
     group.add_argument(
         "--exclude",
@@ -548,24 +546,36 @@ def _loop(parser):
         help="whether an effect may have a constant for every body (default auto)",
     )
     group.add_argument(
-        "--guide",
-        choices=("off", "order", "restrict"),
-        default="order",
-        help="what the trace of the residual does for the search: nothing, order laws that fit "
-        "alike, or restrict it to the leading channels (default order)",
-    )
+        "--guide", help=argparse.SUPPRESS,
+        type=_gone("all laws are scored on whole tracks, and the trace is told beside them"),
+    )  # fmt: skip
     _workers(parser)
     _seed(parser)
 
 
-def _closing(parser):
-    """What the loop on hypotheses takes beside; told of once it is the only one."""
-    hidden = argparse.SUPPRESS
-    parser.add_argument("--loop", type=int, choices=(1, 2), default=1, help=hidden)
-    parser.add_argument("--start", action="extend", nargs="+", type=_pair, default=[], help=hidden)
-    parser.add_argument("--bounds", action="extend", nargs="+", type=_pair, default=[], help=hidden)
-    parser.add_argument("--time-limit", type=_time, help=hidden)
-    parser.add_argument("--resume", action="store_true", help=hidden)
+def _gone(reason):
+    """Reader of an option that there is no more."""
+
+    def read(text):
+        raise argparse.ArgumentTypeError(f"is gone: {reason}; leave it out")
+
+    return read
+
+
+def _rounds(parser):
+    """What concerns rounds that take long."""
+    group = parser.add_argument_group("time")
+    _time_limit(group, "after which the report is written of what was found out till then")
+    group.add_argument(
+        "--resume", action="store_true",
+        help="go on from the rounds that an interrupted run with the same data and options kept",
+    )  # fmt: skip
+
+
+def _time_limit(group, what):
+    group.add_argument(
+        "--time-limit", type=_time, metavar="TIME", help=f"{what}: 20s, 2m (default: none)"
+    )
 
 
 def _unknowns(parser):

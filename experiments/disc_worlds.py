@@ -5,11 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from bsp_gp.loop.attempts import evaluate
-from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.hidden import hidden_body
-from bsp_gp.loop.preparing import observe
 from bsp_gp.units import UnitSystem
 
 __all__ = ["GRAVITY", "HIDDEN_MASS", "Sought", "discs", "sought"]
@@ -17,7 +14,7 @@ __all__ = ["GRAVITY", "HIDDEN_MASS", "Sought", "discs", "sought"]
 GRAVITY = "1 [m^3/kg/s^2] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 UNITS = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
 ALPHA = 0.01
-LEAST_BIC = 6.0
+Z_90 = 1.645
 HIDDEN_MASS = 5.0
 BOX = 5.0
 NEAREST = 0.5
@@ -57,15 +54,15 @@ def discs(seed, hidden=True, *, noise=0.01, n_times=100, duration=4.0, n_dims=2)
 
 
 class Sought(NamedTuple):
-    """What a search for a hidden body says.
+    """What a round of the loop says of a hidden body.
 
     Attributes
     ----------
     is_claimed : bool
     p_value : float
-        1 where nothing stood out.
+        That noise alone shows as much as the best of everything that was tried.
     error : float
-        Of the place, in posterior standard deviations; nan where nothing stood out.
+        Of the place, in standard deviations; nan where nothing is claimed.
     gap : float
         Of the place, metres.
     """
@@ -77,21 +74,19 @@ class Sought(NamedTuple):
 
 
 def sought(seed, hidden):
-    """Look for a hidden body in the scene of a seed, without a first test of the residual."""
+    """Close the loop on the scene of a seed, one round."""
     dataset, place = discs(seed, hidden)
-    law = declared_law(dataset, [GRAVITY])
-    rng = np.random.default_rng(seed)
-    observation = observe(dataset, law, rng)
-    model = evaluate(observation, law)
-    found = hidden_body(observation, model, rng)
-    if found is None or "p_value" not in found.details:
-        return Sought(False, 1.0, np.nan, np.nan)
-    n = found.fit.n_effective
-    p_value, gain = found.details["p_value"], model.fit.bic(n) - found.bic(n)
-    is_claimed = p_value <= ALPHA and gain > LEAST_BIC and not found.reason
-    gap = np.linalg.norm(np.array(found.details["best"][:2]) - place)
-    error = gap / np.linalg.norm(found.details["sd"][:2])
-    return Sought(bool(is_claimed), float(p_value), float(error), float(gap))
+    report = close_loop(
+        dataset, [GRAVITY], rng=np.random.default_rng(seed), alpha=ALPHA, max_rounds=1,
+        n_bootstrap=0,
+    )  # fmt: skip
+    (done,) = report.rounds
+    if not done.adopted or done.effect.code != "hidden_body":
+        return Sought(False, float(done.missing.p_value), np.nan, np.nan)
+    own = [c for c in done.effect.constants if c.name.startswith("h_")]
+    gap = np.linalg.norm([c.value - x for c, x in zip(own, place, strict=True)])
+    width = np.linalg.norm([(c.high - c.low) / 2 / Z_90 for c in own])
+    return Sought(True, float(done.missing.p_value), float(gap / width), float(gap))
 
 
 def _tracks(start, place, pulls, times):

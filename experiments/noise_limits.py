@@ -7,6 +7,7 @@ the whole track.
 """
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 from common import options, reference_data, run_jobs, write_study
@@ -15,14 +16,14 @@ from scenes import LAWS, is_true, noisy_scenes, scenario
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import EvaluationError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, declared_law
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.close import declared_law
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.physics.shooting import fit_rollout
 from bsp_gp.search.compare import certified
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import search_exhaustive
@@ -126,15 +127,16 @@ def drops():
     law = declared_law(dataset, [DECLARED]).plus(term, {"c1": -0.01})
     rows = []
     for scene in dataset.scenes:
-        whole = fit_rollout([scene], law, sigma, up=dataset.up)
+        alone = replace(dataset, scenes=(scene,), train=(), test=(), noise=tuple(sigma))
+        whole = fit(Hypothesis.from_laws(alone, law), alone)
         found = {"whole track": (whole.values[0], whole.covariance[0, 0] ** 0.5, np.nan)}
         for method in ("one_step", "one_step_gls", "gls", "weak"):
             regression = build_regression(
                 [scene], method=method, sigma=sigma, up=dataset.up, sources=False
             )
-            fit = fit_constants(regression, law)
+            solved = fit_constants(regression, law)
             width = regression.widths.seconds if regression.widths else np.nan
-            found[method] = (fit.values[0], fit.covariance[0, 0] ** 0.5, width)
+            found[method] = (solved.values[0], solved.covariance[0, 0] ** 0.5, width)
         rows += [
             {"data": "drops", "scene": scene.name, "method": method, "constant": value,
              "error": error, "width_s": width}

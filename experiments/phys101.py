@@ -18,9 +18,9 @@ from phys101_loop import loop_lines, loop_rows
 from phys101_spring import oscillation, oscillation_values, spring_facts, spring_lines, spring_track
 
 from bsp_gp.data.scene import Dataset
+from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.close import declared_law
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression

@@ -262,11 +262,10 @@ def world_one_loop(movies, args):
     for declared in ((DECLARED,), ()):
         if args.quick:
             break
-        report = close_world_one(mine, args.seed, declared, n_null=99)
+        report = close_world_one(mine, args.seed, declared)
         rows += [{"declared": declared[0] if declared else "no force"} | r for r in table(report)]
-        rivals = [r for r in report.rounds[0].rivals if "constant size" in r.name]
-        first = len(rows) - len(report.rounds)
-        rows[first]["rival"] = "; ".join(f"{r.name}: {r.reason}" for r in rivals[:1])
+        rivals = report.rounds[0].effect.equivalents if report.rounds[0].effect else ()
+        rows[len(rows) - len(report.rounds)]["rival"] = "; ".join(rivals[:3])
     if rows:
         write_table(rows, args.out / "world1_loop.csv")
     return rows

@@ -13,8 +13,8 @@ import numpy as np
 from common import reference_data
 from ullman_model import contacts_of
 
+from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from bsp_gp.loop.close import close_loop
 
 DECLARED = "c0 * (mu_j * m_i * normalize(v_i) * is_on(s_i, p_i, s_j, p_j))"
 LEAST = 24  # frames of a flight
@@ -77,11 +77,11 @@ def world_one(movies, reach=40.0):
     return Dataset("world1", tuple(scenes), train=train, test=test, noise=(0.3, 0.3))
 
 
-def close_world_one(movies, seed, declared=(DECLARED,), n_null=299, grammar="ullman"):
+def close_world_one(movies, seed, declared=(DECLARED,), grammar="ullman"):
     """The loop's report: the declared friction against what the flights say."""
     return close_loop(
         world_one(movies), declared, rng=np.random.default_rng(seed), seed=seed,
-        grammar=grammar, n_null=n_null, max_rounds=3, exclude=(),
+        grammar=grammar, max_rounds=3, exclude=(),
     )  # fmt: skip
 
 

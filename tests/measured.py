@@ -5,20 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from bsp_gp.loop.attempts import evaluate
-from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.preparing import observe
-
 SPRING = "c1 * (norm(p_j - p_i) - l_i) * normalize(p_j - p_i)"
 """Of a known rest length: the declared law of `worlds.tied`."""
-
-
-def prepared(dataset, *laws):
-    """The observation of a data set, and the declared law fitted to it."""
-    law = declared_law(dataset, laws)
-    sources = max(len(scene.entities) for scene in dataset.scenes) > 1
-    observation = observe(dataset, law, np.random.default_rng(0), sources=sources)
-    return observation, evaluate(observation, law)
 
 
 def changed(dataset, change, scene=None):

@@ -54,8 +54,6 @@ class Criteria:
         Rivals are told whose log posterior, or log evidence, is within this of the best.
     fitted_nats : float
         Proposals whose promise is within this of the best are fitted to whole tracks.
-    nonlinear : float
-        Part of a promise that a fit to whole tracks may add to it.
     most_fits : int
         Proposals that are fitted in a round at the most.
     effort : int
@@ -80,7 +78,6 @@ class Criteria:
     class_nats: float = 8.0
     equal_nats: float = 4.0
     fitted_nats: float = 8.0
-    nonlinear: float = 0.2
     most_fits: int = 12
     effort: int = 1500
     tie_nats: float = 2.0

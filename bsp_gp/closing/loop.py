@@ -15,10 +15,17 @@ from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.closing.proposal import continued
 from bsp_gp.closing.questions import hidden_bound, noise_findings
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.closing.trace import trace
 from bsp_gp.closing.view import View, selected
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.fit import fit
 
 __all__ = ["Round", "run_rounds"]
+
+FAULTS = (EvaluationError, np.linalg.LinAlgError, FloatingPointError)
+"""By which one cause cannot be fitted, and others may."""
+MOST_TOLD = 10
+"""Variables with which what is missing changes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +158,9 @@ class _Run:
             view.tick = self.clock.tick
             turn.propose(number, view)
             asked = self.asked(view)
-            turn.p_value = _p_of_all(turn.families, view, self.looks)
+            turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value <= self.criteria.alpha:
+                asked |= self.traced(view, turn)
                 turn.fit_best()
         turn.note_time("fits")
         table = HypothesisTable(tuple(turn.rows), turn.p_value)
@@ -176,6 +184,18 @@ class _Run:
         }  # fmt: skip
 
 
+    def traced(self, view, turn):
+        """Where what is missing is, and on what it depends, by names of `Round`."""
+        if turn.note_time("fits"):
+            return {}
+        found = trace(view)
+        varies = tuple(
+            {"term": c.direction, "variable": c.variable, "p_value": c.p_value}
+            for c in found.channels if c.variable and c.evidence > 0
+        )  # fmt: skip
+        return {"trace": found, "varies_with": varies[:MOST_TOLD]}
+
+
 class _Turn:
     """Rows, fits and families of a round while it runs."""
 
@@ -185,7 +205,7 @@ class _Turn:
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
-        self.families, self.left_out, self.p_value = [], [], np.nan
+        self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -204,6 +224,18 @@ class _Turn:
             except TimeIsUp:
                 self.note_time("proposers")
 
+    def p_of_all(self, view, looks):
+        """Chance that noise alone shows as much in any family, or at another look."""
+        self.chances = {
+            f.name: selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
+            for f in self.families
+            if f.n_tried or f.rank
+        }
+        if not self.chances:
+            return 1.0
+        least = min(*self.chances.values(), 1 - 1e-16)
+        return float(-np.expm1(looks * len(self.chances) * np.log1p(-least)))
+
     def fit_best(self):
         """Fit the likeliest proposals of all families; what lies near gets rows without a fit."""
         criteria = self.run.criteria
@@ -211,30 +243,35 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        offset = height = -math.inf
+        heights = {}  # likelihoods of what was fitted, above what was promised
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
-        chosen = [pair for pair in _chosen(every, criteria) if pair not in controls]
+        clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
+        chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
+        offsets = {}  # of what was fitted above its promise, family by family
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
             row = self._fitted(source, proposal)
             if (source, proposal) not in controls:
-                offset = max(offset, row.log_posterior - proposal.promise)
-                height = max(height, row.log_likelihood - 0.5 * proposal.gain)
-        if not math.isfinite(offset):
-            return
-        # What was scored only is told in the terms of what was fitted.
-        least = max(row.log_posterior for row in self.rows[1:]) - offset - criteria.class_nats
-        highest = max(row.log_evidence for row in self.rows[1:])
-        equal = highest - offset - criteria.equal_nats
+                above = row.log_posterior - proposal.promise
+                offsets[source] = max(offsets.get(source, -math.inf), above)
+                above = row.log_likelihood - 0.5 * proposal.gain
+                heights[source] = max(heights.get(source, -math.inf), above)
+        # What was scored only is told in the terms of what was fitted of its family.
+        least = max(row.log_posterior for row in self.rows) - criteria.class_nats
+        highest = max(row.log_evidence for row in self.rows)
+        equal = highest - criteria.equal_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            is_near = proposal.promise > least or 0.5 * proposal.gain > equal
+            offset = offsets.get(source, -math.inf)
+            evidence = offset + 0.5 * proposal.gain
+            is_near = offset + proposal.promise > least or evidence > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
-                    source, proposal, "scored", min(offset + 0.5 * proposal.gain, highest),
-                    height + 0.5 * proposal.gain, self.base.n_free + proposal.rank, HeldOut(),
+                    source, proposal, "scored", min(evidence, highest),
+                    heights.get(source, -math.inf) + 0.5 * proposal.gain,
+                    self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
     def _fitted(self, source, proposal):
@@ -243,11 +280,15 @@ class _Turn:
         hypothesis = proposal.hypothesis
         names = {p.name for p in hypothesis.parameters}
         bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
-        new = fit(
-            hypothesis, self.run.dataset, starts=proposal.starts,
-            bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-            effort=self.run.criteria.effort,
-        )  # fmt: skip
+        try:
+            new = fit(
+                hypothesis, self.run.dataset, starts=proposal.starts,
+                bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
+                effort=self.run.criteria.effort,
+            )  # fmt: skip
+        except FAULTS:
+            nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
+            return self._add(source, proposal, *nothing)
         self.fits[len(self.rows)] = new
         return self._add(
             source, proposal, new.status, log_evidence(new, hypothesis, self.run.criteria),
@@ -268,33 +309,20 @@ class _Turn:
         return self.rows[-1]
 
 
-def _p_of_all(families, view, looks):
-    """Chance that noise alone shows as much in any family, or at another look."""
-    chances = [
-        selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
-        for f in families
-        if f.n_tried or f.rank
-    ]
-    if not chances:
-        return 1.0
-    return float(-np.expm1(looks * len(chances) * np.log1p(-min(min(chances), 1 - 1e-16))))
+def _chosen(every, clear, criteria):
+    """The first proposal of every family that shows something, then those near the best.
 
-
-def _chosen(every, criteria):
-    """The proposals that are fitted: those near the best, and the first of other families.
-
-    A family's first may be a part of the best's promise behind: promises are linear.
+    Promises of different families are not of one measure.
     """
     top = every[0][1].promise if every else 0.0
-    near, far = top - criteria.fitted_nats, (1 - criteria.nonlinear) * top - criteria.fitted_nats
-    chosen, families, keys = [], set(), set()
-    for name, proposal in every:
+    firsts = {name: pair for name, *pair in reversed(every) if name in clear}
+    first = [(name, *pair) for name, pair in firsts.items()]
+    near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
+    chosen, keys = [], set()
+    for name, proposal in [*first, *near]:
         if len(chosen) == criteria.most_fits:
             break
-        is_near = proposal.promise > (near if name in families else far)
-        if is_near and (proposal.key not in keys or proposal.starts):
+        if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
-            families.add(name)
             keys.add(proposal.key)
     return chosen
-

@@ -209,6 +209,8 @@ class LoopReport:
         See `bsp_gp.closing.writing_up.residual_table`.
     fit, hypothesis : Fit, Hypothesis
         The last ones.
+    extras : tuple of dict
+        Sections that whoever closed the loop adds: title, paragraphs, table, values.
     """
 
     dataset: dict
@@ -236,6 +238,7 @@ class LoopReport:
     residuals: object = field(default=None, repr=False)
     fit: object = field(default=None, repr=False)
     hypothesis: object = field(default=None, repr=False)
+    extras: tuple = field(default=(), repr=False)
 
     @property
     def alpha(self):
@@ -262,6 +265,7 @@ class LoopReport:
                 "rounds": [done.to_dict() for done in self.rounds],
                 "law": law,
                 "total": total,
+                "extras": self.extras,
             }
         )
 

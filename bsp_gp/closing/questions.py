@@ -76,7 +76,7 @@ def noise_findings(view):
     if np.any((steps > 0) & (steps >= levels)):
         found.append(Finding("grid", 0.0))
     error = _PureError(view)
-    if error.used.any():
+    if error.z[0].any():
         found += error.findings()
     return tuple(sorted(found, key=lambda f: f.p_value))
 
@@ -179,8 +179,12 @@ def _smooth(whitener, channels, seen):
     """Whitened polynomials of time, orthonormal channel by channel, (K, T, C)."""
     counts = seen.sum(axis=0)
     n = int(np.clip(counts[counts > 0].min() // ROWS_EACH, 1, MOST_FUNCTIONS))
-    low, high = (f(np.where(seen, channels.times, np.nan), axis=0) for f in (np.nanmin, np.nanmax))
-    share = (channels.times - low) / (high - low)
+    low, high = (
+        f(np.where(seen, channels.times, end), axis=0)
+        for f, end in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    with np.errstate(invalid="ignore"):  # of a channel that shows nothing
+        share = (channels.times - low) / (high - low)
     angle = np.arccos(np.clip(2 * np.where(seen, share, 0.0) - 1, -1, 1))
     waves = np.cos(np.arange(n)[:, None, None] * angle) * seen
     q, _ = np.linalg.qr(np.moveaxis(whitener.whiten(waves), (0, 1, 2), (2, 1, 0)))

@@ -14,6 +14,7 @@ from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import FitTolerances, fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
+from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
@@ -24,7 +25,8 @@ from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_
 from bsp_gp.units import ACCELERATION, Unit
 
 __all__ = [
-    "errors_of", "held_out_errors", "held_out_rows", "predictions", "regression_of", "with_states",
+    "errors_of", "held_out_errors", "held_out_rows", "initial_states", "predictions",
+    "regression_of", "with_states",
 ]  # fmt: skip
 
 LEAST_ROWS = 3
@@ -218,12 +220,44 @@ def _first_states(found, dataset, scenes, deadline):
     """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
     heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
     heads, _ = without_outliers(heads, found.noise.levels)
-    head = with_states(found, dataset, heads, deadline=deadline)
+    return _states_of(with_states(found, dataset, heads, deadline=deadline))
+
+
+def _states_of(head):
+    """First states of a fit, (scene, body) -> (2, d)."""
     return {
         (scene, name): nodes[:, r, :, 0, s]
         for chains, nodes in zip(head.groups, head.nodes, strict=True)
         for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True))
         for r, name in enumerate(members)
+    }
+
+
+def initial_states(dataset, law, *, paper_steps=False):
+    """States at the first row of every scene, fitted on the first rows under a law as it is.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Where velocities were measured, the first row is the state.
+    law : ForceLaw
+        Its constants have values.
+    paper_steps : bool
+
+    Returns
+    -------
+    dict of str to ndarray, shape (2, R, d)
+        Places and velocities of the moving bodies by the name of the scene.
+    """
+    scenes = dataset.scenes
+    if _is_measured(dataset, scenes):
+        rows = ((s.name, s.positions[0, s.dynamic], s.velocities[0, s.dynamic]) for s in scenes)
+        return {name: np.stack(state) for name, *state in rows}
+    heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
+    heads = replace(dataset, scenes=heads, train=(), test=())
+    states = _states_of(_fixed(law, paper_steps, NoiseModel.of(dataset), heads))
+    return {
+        s.name: np.stack([states[s.name, s.names[k]] for k in s.dynamic], axis=1) for s in scenes
     }
 
 
@@ -242,17 +276,22 @@ def with_states(found, dataset, scenes, *, deadline=None):
     Fit
         Of no constants but those that belong to these scenes alone.
     """
-    noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
-    own = _own(found.law, scenes)
-    law = found.law.with_constants({
-        name: {**found.law.constants[name], **{p.entity: p.start for p in own if p.name == name}}
+    scenes = replace(dataset, scenes=tuple(scenes), train=(), test=())
+    return _fixed(found.law, found.paper_steps, found.noise, scenes, deadline)
+
+
+def _fixed(law, paper_steps, noise, dataset, deadline=None):
+    """Fit of initial states alone, under noise that is known."""
+    noise = replace(noise, sources=("declared",) * len(noise.levels))
+    own = _own(law, dataset.scenes)
+    law = law.with_constants({
+        name: {**law.constants[name], **{p.entity: p.start for p in own if p.name == name}}
         for name in {p.name for p in own}
     })  # fmt: skip
-    forces = FixedForces(law, found.paper_steps, own)
-    more = unknown_beyond(law, scenes)
+    forces = FixedForces(law, paper_steps, own)
+    more = unknown_beyond(law, dataset.scenes)
     hypothesis = Hypothesis((forces, *more, Positions(), TrackNoise(noise)))
-    scenes = replace(dataset, scenes=tuple(scenes), train=(), test=())
-    return fit(hypothesis, scenes, deadline=deadline, tolerances=ONE_START)
+    return fit(hypothesis, dataset, deadline=deadline, tolerances=ONE_START)
 
 
 def _stacked(chains, states, measured):

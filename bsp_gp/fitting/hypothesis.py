@@ -281,3 +281,22 @@ def read_law(dataset, texts: Sequence[str]):
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {})
     return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
+
+
+def declared_law(dataset, texts: Sequence[str]):
+    """The same with constants at 1 until they are fitted.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    texts : sequence of str
+
+    Returns
+    -------
+    ForceLaw
+    """
+    law = read_law(dataset, texts)
+    return law.with_constants({
+        name: dict.fromkeys(value, 1.0) if hasattr(value, "items") else 1.0
+        for name, value in law.constants.items()
+    })  # fmt: skip

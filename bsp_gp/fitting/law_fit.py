@@ -13,7 +13,7 @@ import numpy as np
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.split import choose_split
-from bsp_gp.errors import SettingsError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
@@ -225,7 +225,14 @@ def training_part(dataset, scenes, said):
         Its scenes are `scenes` themselves where nothing is left out for being far off.
     far_off : str
         Which rows are far off their neighbours.
+
+    Raises
+    ------
+    DataError
+        If nothing moves.
     """
+    if not np.isfinite(said.sigma).any():
+        raise DataError("nothing moves: no dynamic entity changes its position on any axis")
     train = replace(dataset, scenes=scenes, train=(), test=())
     kept, far_off = without_outliers(scenes, said.sigma)
     if bears_outliers(NoiseModel.of(train), is_exact(scenes, said.sigma)):

@@ -14,11 +14,11 @@ from bsp_gp.report.numbers import format_constant, is_number
 from bsp_gp.report.page import page_of
 from bsp_gp.report.typeset import law_document
 
-__all__ = ["KIND", "write_report"]
+__all__ = ["KIND", "RESIDUALS", "write_report"]
 
 KIND = "report"
 
-_COLUMNS = (
+RESIDUALS = (
     "scene",
     "entity",
     "split",
@@ -105,9 +105,9 @@ def _law_text(report):
 def _residuals(table):
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    writer.writerow(RESIDUALS)
     if table is not None:
-        columns = [getattr(table, name) for name in _COLUMNS]
+        columns = [getattr(table, name) for name in RESIDUALS]
         for row in zip(*columns, strict=True):
             writer.writerow([_csv_cell(value) for value in row])
     return out.getvalue()

@@ -7,6 +7,7 @@ import shlex
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bsp_gp.report.codes import KINDS, TONES
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
@@ -27,7 +28,9 @@ from bsp_gp.report.sentences import (
     constant_groups,
     group_range,
     headline,
+    hidden_sentence,
     missing_sentence,
+    noise_sentence,
     outcome_sentence,
     overturned_by,
     ratio_caution,
@@ -38,7 +41,6 @@ from bsp_gp.report.typeset import to_svg
 
 __all__ = ["render_html"]
 
-_MAX_RIVALS = 20
 _MAX_ROWS = 300
 _ERRORS = (
     ("rollout_rmse", "Position error of rollouts (RMS)", "unit"),
@@ -47,23 +49,6 @@ _ERRORS = (
     ("one_step_nrmse", "One-step error (nRMSE)", "unit"),
     ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
 )
-_KINDS = {
-    "pair": "force between bodies",
-    "field": "force on each body by itself",
-    "hidden_body": "unseen body",
-    "measurement": "measurement",
-    "declared_term_change": "change of a declared term",
-    "noise": "noise",
-}
-_TONES = {
-    "effect adopted": "found",
-    "effective law": "found",
-    "the noise is not as assumed": "open",
-    "nothing missing": "clean",
-    "seen, not adopted": "open",
-    "cannot tell": "open",
-}
-
 
 def render_html(report, run_info=None, figures=None):
     """Write the page of a report.
@@ -97,13 +82,13 @@ def render_html(report, run_info=None, figures=None):
         number=format_number,
         p_value=format_p,
         value=format_value,
-        kind=lambda k: _KINDS.get(k, k),
+        kind=lambda k: KINDS.get(k, k),
     )
     return environment.get_template("report.html").render(
         name=report.dataset.get("name") or "data",
         facts=_facts(report),
         verdict=report.verdict,
-        tone=_TONES.get(report.verdict, "open"),
+        tone=TONES.get(report.verdict, "open"),
         sentence=sentence,
         detail=detail,
         head=headline(report),
@@ -228,31 +213,15 @@ def _intervals_note(report):
 
 def _round(r, report):
     effect = r.effect
-    table = _error_table(r.before, r.after, r.floor, r.ratios)
+    table = _error_table(r.before, r.after, r.floor, {"rollout_rmse": r.ratio})
     shared, own = constant_groups(effect.constants if effect is not None else ())
-    title = effect.name if effect is not None else (r.verdict or "no effect traced")
-    rivals = [
-        {
-            "name": v.name,
-            "kind": _KINDS.get(v.kind, v.kind),
-            "law": v.law,
-            "bic": format_number(v.delta_bic),
-            "share": f"{100 * v.training_share:.0f} %"
-            if is_number(v.training_share)
-            else NOT_KNOWN,
-            "ratio": format_number(v.held_out_ratio),
-            "complexity": format_number(v.complexity),
-            "reason": v.reason,
-        }
-        for v in r.rivals[:_MAX_RIVALS]
-    ]
     return {
         "number": r.number,
-        "title": title,
+        "title": effect.name if effect is not None else r.verdict,
         "state": _state(r),
         "missing": missing_sentence(r, report.alpha),
-        "tests": [(k, format_p(p)) for k, p in r.missing.tests.items()],
-        "durbin_watson": format_number(r.missing.durbin_watson),
+        "noise": noise_sentence(r),
+        "hidden": hidden_sentence(r),
         "trace": trace_section(r),
         "outcome": outcome_sentence(r),
         "effect": effect,
@@ -260,10 +229,8 @@ def _round(r, report):
         "own": [group_range(*group) for group in own],
         "entities": _names(effect.entities) if effect else "",
         "table": [] if table == _total_table(report) else table,
-        "rivals": rivals,
-        "hypotheses": getattr(r, "hypotheses", ()),
-        "n_hypotheses": getattr(r, "n_hypotheses", 0),
-        "n_rivals_left": max(len(r.rivals) - _MAX_RIVALS, 0),
+        "hypotheses": r.hypotheses,
+        "n_hypotheses": r.n_hypotheses,
         "held_out": _table_of_dicts(r.held_out),
         "overturned_by": overturned_by(r),
         "certificate": r.certificate,

@@ -2,104 +2,62 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 
-from bsp_gp.closing.outcome import LoopReport
-from bsp_gp.loop.naming import describe
-from bsp_gp.report.numbers import format_number, is_number
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import split_linear
+from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
+from bsp_gp.report.naming import describe
+from bsp_gp.report.numbers import format_number, format_value, is_number
 
 __all__ = ["page_of"]
 
-_CAUSES = {
-    "exponent": "another exponent", "number": "another number", "period": "a period",
-    "constant_per_body": "a constant for each body",
-    "constant_per_scene": "a constant for each scene",
-    "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
-    "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
-    "drift": "a camera that drifts", "offset": "an origin that is off",
-    "delay": "a delay of one body", "exposure": "an exposure that blurs",
-    "lens": "a lens that distorts", "perspective": "perspective",
-    "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
-    "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
-    "noise": "noise that is not as assumed",
-}  # fmt: skip
-_REASONS = {
-    "adopted": "it is significant, likelier than all else, and borne out by scenes left out",
-    "not_significant": "noise alone shows as much as the best of everything that was tried",
-    "no_better_than_before": "it is no likelier than the model without it",
-    "kinds_tie": "a cause of another kind is as likely",
-    "held_out_refuses": "scenes that were left out do not gain what it promises",
-    "no_candidate_fits": "nothing that was tried could be fitted",
-    "not_tested": "what is left could not be tested",
-    "declared_model_not_fitted": "the declared model could not be fitted to the tracks",
-    "noise_explains": "the noise is not as assumed, and explains it",
-    "time_is_up": "the time was up before everything was looked at",
-    "superseded": "what was found later made it superfluous",
-}
-_STOPS = {
-    "nothing_left": "nothing is left above the noise",
-    "nothing_adopted": "nothing more was good enough to adopt",
-    "most_rounds": "the limit of rounds was reached; more may be left",
-    "time_is_up": "the time was up",
-    "failed": "the declared model could not be fitted",
-}
-_LEFT_OUT = {
-    "proposers": "some kinds of causes were not looked for",
-    "fits": "some causes were not fitted",
-    "held_out": "what acts in held-out scenes alone was not looked for",
-    "removal": "what became superfluous was not taken back",
-    "intervals": "neither the noise floor nor all intervals were found out",
-}  # fmt: skip
-_METHODS = {
-    "parametric": "simulated copies of the held-out scenes, of which there are fewer than five",
-    "resampled": "resampling whole held-out scenes", "none": "",
-}  # fmt: skip
 _TOLD = 20
 """Hypotheses of a round that a page lists."""
+_MOST_FINDINGS = 3
 
 
 def page_of(report):
-    """A report as pages read it; what is one already is given back.
+    """A report as pages read it.
 
     Parameters
     ----------
-    report : LoopReport
+    report : LoopReport, or what this function gave
 
     Returns
     -------
     SimpleNamespace
     """
-    if not isinstance(report, LoopReport):
+    if isinstance(report, SimpleNamespace):
         return report
     rounds = [_round(done, report) for done in report.rounds]
     kept = (
         "dataset", "declared", "grammar", "seed", "alpha", "noise", "law_text", "law_latex",
-        "constants", "verdict", "versions", "wall_s", "overlays", "residuals",
+        "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras",
     )  # fmt: skip
     total = {**report.total, "ratio": _ratio(report.total["ratio"])}
     return SimpleNamespace(
         **{name: getattr(report, name) for name in kept},
-        total=total, rounds=rounds, stop_reason=_STOPS[report.stop_reason],
-        notes=tuple(_notes(report)), extras=(),
+        total=total, rounds=rounds, stop_reason=STOPS[report.stop_reason],
+        notes=tuple(_notes(report)),
         corrections=tuple(
             {"name": r.effect.name, "text": r.effect.law, "kind": r.effect.kind}
             for r in rounds
-            if r.adopted and r.effect.kind in ("measurement", "hidden_body")
+            if r.adopted and not r.removed and r.effect.kind in ("measurement", "hidden_body")
         ),
     )  # fmt: skip
 
 
 def _ratio(ratio):
     return SimpleNamespace(
-        value=ratio.value, low=ratio.low, high=ratio.high, method=_METHODS[ratio.method]
+        value=ratio.value, low=ratio.low, high=ratio.high, method=METHODS[ratio.method]
     )
 
 
 def _notes(report):
     """What a reader must know."""
     if report.left_out:
-        listed = "; ".join(_LEFT_OUT[code] for code in report.left_out)
+        listed = "; ".join(LEFT_OUT[code] for code in report.left_out)
         yield f"the run was ended by its time limit: {listed}"
     last = report.rounds[-1]
     if any(r.adopted for r in report.rounds) and last.verdict == "seen, not adopted":
@@ -114,38 +72,48 @@ def _notes(report):
     if symbols:
         listed = ", ".join(f"{v} stands for {k}" for k, v in symbols.items())
         yield f"not calibrated: {listed}; constants are in the data's own units"
+    yield from _unsupported(report)
     if report.noise["source"] == "estimated":
         yield f"the noise was estimated {report.noise['method']}"
 
 
+def _unsupported(report):
+    """Declared terms that the data do without: their constant may as well be zero."""
+    estimates = {c.name: c for c in report.constants if not c.entity}
+    for term in report.law.terms:
+        name, _ = split_linear(term.formula)
+        c = estimates.get(name)
+        if term.is_declared and c is not None and c.low < 0 < c.high:
+            size = format_value(c.value, c.low, c.high, c.unit)
+            yield f"the declared term {to_text(term.formula)} has no support: {name} = {size}"
+
+
 def _round(done, report):
-    missing = _missing(done, report.alpha)
     name = "" if done.effect is None else _name(done.effect)
     tied = _tied(done) if done.reason == "kinds_tie" else ()
+    p_value = done.missing.p_value
+    bound = done.hidden_bound
     return SimpleNamespace(
-        number=done.number, missing=missing, missing_held_out=None,
-        is_something_missing=missing.is_missing,
+        number=done.number, missing=done.missing,
+        is_missing=is_number(p_value) and p_value <= report.alpha,
+        noise=tuple(_noise(finding) for finding in done.noise_findings[:_MOST_FINDINGS]),
+        bound=None if bound is None else SimpleNamespace(**bound),
         effect=None if done.effect is None else _effect(done.effect, name, tied),
-        rivals=(), hypotheses=_hypotheses(done), n_hypotheses=len(done.hypotheses),
+        hypotheses=_hypotheses(done), n_hypotheses=len(done.hypotheses),
         adopted=done.adopted or done.reason == "superseded",
-        removed=_REASONS["superseded"] if done.reason == "superseded" else "",
-        reason=_sentence(_REASONS[done.reason]), verdict=done.verdict, undecided=tied,
-        significance="", before=done.before, after=done.after, floor=done.floor,
-        ratio=done.ratio, ratios={"rollout_rmse": done.ratio}, held_out=done.held_out,
-        certificate=done.certificate, seconds=done.seconds, trace=None, guidance=None,
-        noise_memory=0.0,
+        removed=REASONS["superseded"] if done.reason == "superseded" else "",
+        reason=_sentence(REASONS[done.reason]), verdict=done.verdict, undecided=tied,
+        before=done.before, after=done.after, floor=done.floor, ratio=_ratio(done.ratio),
+        held_out=done.held_out, certificate=done.certificate, seconds=done.seconds,
+        trace=done.trace,
     )  # fmt: skip
 
 
-def _missing(done, alpha):
-    missing = done.missing
-    is_failed = not is_number(missing.p_value)
-    return SimpleNamespace(
-        statistic=missing.statistic, p_value=missing.p_value, tests={}, durbin_watson=math.nan,
-        is_missing=not is_failed and missing.p_value <= alpha, is_failed=is_failed,
-        detectable=missing.detectable, detectable_unit=missing.unit, detectable_force=math.nan,
-        detectable_force_unit="", detectable_share=math.nan,
-    )  # fmt: skip
+def _noise(finding):
+    """One finding about the noise, with where it shows."""
+    where = [finding[key] for key in ("entity", "scene") if finding[key]]
+    where += [f"row {finding['row'] + 1}"] if finding["row"] >= 0 else []
+    return NOISE[finding["code"]] + (f" ({', '.join(where)})" if where else "")
 
 
 def _name(effect):
@@ -155,7 +123,7 @@ def _name(effect):
         return describe(effect.formula, value)
     if effect.kind == "declared_term_change":
         return effect.name
-    return _CAUSES.get(effect.code, effect.name)
+    return CAUSES.get(effect.code, effect.name)
 
 
 def _effect(effect, name, tied):
@@ -163,16 +131,16 @@ def _effect(effect, name, tied):
         name=name, kind=effect.kind, law=effect.law or effect.name, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,
-        equivalents=tied or effect.equivalents, separated_by="", n_unnamed=0, details={},
+        equivalents=tied or effect.equivalents, details=getattr(effect, "details", None) or {},
     )  # fmt: skip
 
 
 def _tied(done):
     """Causes of another kind that are as likely."""
     best = done.effect
-    rows = sorted(done.hypotheses, key=lambda row: -(row["probability"] or 0.0))
+    rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
     others = [row for row in rows if row["code"] not in (best.code, "base")]
-    return tuple(dict.fromkeys(_CAUSES.get(row["code"], row["law"]) for row in others[:2]))
+    return tuple(dict.fromkeys(CAUSES.get(row["code"], row["law"]) for row in others[:2]))
 
 
 def _hypotheses(done):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bsp_gp.report.codes import FINDINGS
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -22,7 +23,9 @@ __all__ = [
     "constant_groups",
     "group_range",
     "headline",
+    "hidden_sentence",
     "missing_sentence",
+    "noise_sentence",
     "outcome_sentence",
     "overturned_by",
     "ratio_caution",
@@ -57,18 +60,11 @@ def _ended(text):
     return text if not text or text[-1] in ".!?" else text + "."
 
 
-_FINDINGS = {
-    "hidden_body": "an unseen body acts on these ({})",
-    "measurement": "the measurement distorts the motion ({})",
-    "declared_term_change": "a declared term has to change ({})",
-}
-
-
 def _findings(rounds):
     """What was found, effects of one kind told together."""
     groups = {}
     for r in rounds:
-        sentence = _FINDINGS.get(r.effect.kind, "the declared model lacks {}")
+        sentence = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
         groups.setdefault(sentence, []).append(_either(r))
     return _joined(sentence.format(_joined(names)) for sentence, names in groups.items())
 
@@ -110,11 +106,10 @@ def verdict_parts(report):
         return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
     if report.verdict == "cannot tell" and adopted:
         text = "Something is missing from the declared model, but these data cannot tell whether "
-        which = "; ".join(f"to tell: {r.effect.separated_by}" for r in adopted if r.undecided)
-        detail = _ended(f"The law was taken up for predictions; {which}")
+        detail = "The law was taken up for predictions."
         return f"{text}it is {_joined(_either(r) for r in adopted)}.", detail
     if report.verdict == "cannot tell":
-        if last is not None and last.missing.is_missing:
+        if last is not None and last.is_missing:
             text = "Something is missing from the declared model, but these data cannot tell what."
         else:
             text = "These data cannot tell whether anything is missing from the declared model."
@@ -127,21 +122,31 @@ _SHORT = {"kg m/s^2": "N"}
 
 
 def _detectable(missing):
-    if is_number(missing.detectable_force):
-        unit = _SHORT.get(missing.detectable_force_unit, missing.detectable_force_unit)
-        size = with_unit(format_number(missing.detectable_force, 2), unit)
-        what = f"force of {size}"
-        if is_number(missing.detectable_share):
-            what += f" ({format_number(100 * missing.detectable_share, 2)} % of the declared force)"
-    elif is_number(missing.detectable):
-        size = with_unit(format_number(missing.detectable, 2), missing.detectable_unit)
-        what = f"acceleration of {size}"
-    else:
+    if not is_number(missing.detectable):
         return ""
+    size = with_unit(format_number(missing.detectable, 2), missing.unit)
     return (
-        f"A constant extra {what} or more would have been seen with 95 % power; a smaller one may "
-        "hide in the noise."
+        f"A constant extra acceleration of {size} or more would have been seen with 95 % power; a "
+        "smaller one may hide in the noise."
     )
+
+
+def hidden_sentence(round_):
+    """How much may still be hidden beside the model that entered a round; "" if not known."""
+    bound = round_.bound
+    if bound is None or not is_number(bound.force):
+        return ""
+    size = with_unit(format_number(bound.force, 2), _SHORT.get(bound.unit, bound.unit))
+    share = f" ({format_number(bound.percent, 2)} % of the declared force)"
+    share = share if is_number(bound.percent) else ""
+    return f"A constant force of up to {size}{share} is not excluded (95 %)."
+
+
+def noise_sentence(round_):
+    """What was found of the noise; "" where it is as assumed."""
+    if not round_.noise:
+        return ""
+    return f"The noise is not quite as assumed: {_joined(round_.noise)}."
 
 
 def missing_sentence(round_, alpha):
@@ -150,7 +155,7 @@ def missing_sentence(round_, alpha):
     numbers = format_p(missing.p_value)
     if is_number(missing.statistic):
         numbers = f"{format_number(missing.statistic)} where noise alone gives 1, {numbers}"
-    if missing.is_missing:
+    if round_.is_missing:
         text = f"More is left than noise explains (whitened χ² per degree of freedom {numbers})."
     elif not is_number(missing.p_value):
         return "The model could not be fitted, so that what it leaves could not be tested."
@@ -160,7 +165,7 @@ def missing_sentence(round_, alpha):
         text = text.replace("whitened χ² per degree of freedom ", "")
     level = f" Tested at {format_level(alpha)}."
     # Beside what is missing, an effect would have to be as large to be seen.
-    smallest = "" if missing.is_missing else _detectable(missing)
+    smallest = "" if round_.is_missing else _detectable(missing)
     return f"{text}{level} {smallest}".strip()
 
 
@@ -199,16 +204,11 @@ def overturned_by(round_):
     if effect is None:
         return []
     out = []
-    fitted = [v for v in round_.rivals if is_number(v.delta_bic) and v.delta_bic > 0]
-    nearest = min(fitted, key=lambda v: v.delta_bic, default=None)
-    if nearest is not None:
+    if effect.equivalents:
         out.append(
-            f"Data in which the nearest rival, {nearest.name}, does better: here its BIC is higher "
-            f"by {format_number(nearest.delta_bic)}, and evidence of this kind grows with the "
-            "number of rows."
+            f"Data in which {effect.equivalents[0]} does better: these do not tell it apart, and "
+            "evidence of this kind grows with the number of rows."
         )
-    if effect.separated_by:
-        out.append(f"What would part it from those that fit as well: {effect.separated_by}.")
     if round_.adopted:
         out.append(
             "A new recording whose held-out error is no smaller with it than without, or that "

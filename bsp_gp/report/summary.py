@@ -12,6 +12,8 @@ from bsp_gp.report.sentences import (
     constant_groups,
     group_range,
     headline,
+    hidden_sentence,
+    noise_sentence,
     ratio_caution,
     verdict_sentence,
 )
@@ -52,6 +54,7 @@ def summary_text(report):
     lines += _rounds(report)
     lines += _traced(report)
     lines += _ties(report)
+    lines += _noise(report)
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
@@ -86,7 +89,7 @@ def _rounds(report):
     out = []
     for r in report.rounds[-_MAX_ROUNDS:]:
         if r.effect is None:
-            text = f"{r.verdict or r.reason or 'no effect traced'} ({format_p(r.missing.p_value)})"
+            text = f"{r.verdict} ({format_p(r.missing.p_value)})"
         else:
             state = "adopted" if r.adopted else "seen, not adopted"
             if r.removed:
@@ -109,22 +112,22 @@ def _traced(report):
     return []
 
 
+def _noise(report):
+    """What is odd about the noise, and how much may be hidden, beside the last model."""
+    last = report.rounds[-1]
+    return _wrapped(noise_sentence(last), 2, "  ") + _wrapped(hidden_sentence(last), 2, "  ")
+
+
 def _ties(report):
     rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
     for r in reversed(rounds):
         if r.effect is not None and r.effect.equivalents:
-            n = len(r.effect.equivalents) + r.effect.n_unnamed
+            n = len(r.effect.equivalents)
             text = (
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
                 f"the likeliest {r.effect.equivalents[0]}"
             )
-            if r.effect.kind not in ("pair", "field"):
-                text = f"Not separable on these data: {' and '.join(r.effect.equivalents)}"
-            elif r.undecided:
+            if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
-                more = n - len(r.undecided)
-                text += f" and {more} other law{'s' if more > 1 else ''}" if more > 0 else ""
-            if r.effect.separated_by:
-                text += f"; to tell: {r.effect.separated_by}"
             return _wrapped(text, 2, indent="  ")
     return []

@@ -80,12 +80,12 @@ def warm():
     import bsp_gp.cli  # noqa: F401
     import bsp_gp.cli_latents  # noqa: F401
     import bsp_gp.cli_make  # noqa: F401
+    import bsp_gp.closing.close  # noqa: F401
     import bsp_gp.fitting.law_fit  # noqa: F401
-    import bsp_gp.loop.close  # noqa: F401
-    import bsp_gp.loop.comparison  # noqa: F401
     import bsp_gp.report.drawing  # noqa: F401
     import bsp_gp.report.folder  # noqa: F401
     import bsp_gp.report.scenes  # noqa: F401
+    import bsp_gp.search.comparison  # noqa: F401
     import bsp_gp.simulate.truth  # noqa: F401
     import bsp_gp.vision.recording  # noqa: F401
     from bsp_gp.cli import main

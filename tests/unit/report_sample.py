@@ -1,29 +1,25 @@
 """Loop reports made up by formulas, one of every kind that a run can end with."""
 
 import math
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from bsp_gp.loop.outcome import (
-    ConstantEstimate,
-    Effect,
-    Errors,
-    LoopReport,
-    Missing,
-    Overlay,
-    Ratio,
-    ResidualTable,
-    Rival,
-    Round,
-)
+from bsp_gp.closing.accounts import Ratio
+from bsp_gp.closing.criteria import Criteria
+from bsp_gp.closing.outcome import Effect, LoopReport, Missing, Overlay, RoundRecord
+from bsp_gp.closing.trace import Channel, Trace
+from bsp_gp.fitting.estimates import ConstantEstimate, Errors
+from bsp_gp.language.inputs import input_types
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.metrics import METRICS
 
 NAN = math.nan
 DRAG = r"-{c}_{1}\,\mathbf{v}_i\,\left\|\mathbf{v}_i\right\|"
 GRAVITY = r"9.81\,[\mathrm{m/s^2}]\,m_i\,\left(-\hat{\mathbf{u}}\right)"
-RATIO = Ratio(0.18, 0.15, 0.22, "resampling 5 held-out scenes")
+RATIO = Ratio(0.18, 0.15, 0.22, "resampled")
 RATIOS = dict.fromkeys(METRICS, RATIO)
 HOSTILE = '<script>alert("x")</script>&$\\frac{'
 
@@ -54,24 +50,41 @@ def residual_table(n_rows=6000, entities=("ball",)):
     speed = 4 + 9 * np.abs(np.sin(t * 3)) + rng.normal(0, 0.2, n_rows)
     before = np.abs(0.1 * speed**2 / 4 + rng.normal(0, 0.3, n_rows))
     after = np.abs(rng.normal(0, 0.3, n_rows))
-    return ResidualTable(
+    return residuals(
         [f"throw_{k % 4}" for k in range(n_rows)],
         [entities[k % len(entities)] for k in range(n_rows)],
         ["test" if k % 3 == 0 else "train" for k in range(n_rows)],
         t, speed, np.full(n_rows, NAN), before, after, -before, after * np.sign(t - 1),
-    )
+    )  # fmt: skip
 
 
-RIVALS = (
-    Rival("drag, linear in speed", "field", "-c1 * v_i", r"-c_{1}\,\mathbf{v}_i", 41.3, 0.86, 0.31,
-          9.2, "less evidence, and a worse held-out error"),
-    Rival("wrong length scale", "measurement", "scale * x", "s", 62.0, 0.71, 0.52, 3.1,
-          "explains the fall but not the slowing down sideways"),
-    Rival("constant wind", "field", "c1 * m_i * e_x", r"c_{1}\,m_i\,\hat{\mathbf{x}}", 188.4, 0.4,
-          0.8, 7.7, "its direction would have to turn with the throw"),
-    Rival("free g", "declared_term_change", "c1 * m_i * down", "c_{1}", 203.0, 0.22, 0.91, 4.0,
-          "g = 11.2 [11.0, 11.4] m/s^2 is excluded by its published value"),
-)
+def residuals(*columns):
+    names = ("scene", "entity", "split", "t", "speed", "distance", "before", "after",
+             "before_along", "after_along")  # fmt: skip
+    return pd.DataFrame(dict(zip(names, columns, strict=True)))
+
+
+def row(number, code, law, evidence, probability, gain=NAN):
+    return {
+        "id": number, "code": code, "law": law, "source": "laws" if number else "",
+        "status": "converged", "log_evidence": evidence,
+        "held_out": {"gain": gain, "se": 3.0, "promised": 400.0}, "p_value": 0.00201,
+        "probability": probability,
+    }  # fmt: skip
+
+
+ROWS = (
+    row(0, "base", "", -3000.0, 0.0), row(1, "law", "c1 * v_i * norm(v_i)", -2510.0, 0.86, 380.0),
+    row(2, "law", "c1 * v_i", -2541.3, 0.1, 310.0),
+    row(3, "scale", "x = (1 + scale) X", -2600.0, NAN),
+)  # fmt: skip
+TRACE = Trace(
+    (Channel("along", "speed", 3, 3, 970.0, 1e-200, 0.97, 470.0),
+     Channel("e_x", "", 1, 1, 9.0, 0.003, 0.01, 1.0)),
+    (2.0, 6.0, 12.0), (-0.1, -0.9, -3.6), (0.1, 0.1, math.inf),
+)  # fmt: skip
+FINDING = {"code": "autocorrelation", "p_value": 1e-5, "scene": "", "entity": "", "row": -1}
+BOUND = {"snr": 2.5, "force": 0.0124, "unit": "kg m/s^2", "percent": 0.31}
 
 
 def adopted():
@@ -83,38 +96,39 @@ def adopted():
         for k, name in enumerate(names)
     )
     shared = (ConstantEstimate("g", 9.80665, 9.79123, 9.82211, "m/s^2"),)
-    effect = Effect("drag, quadratic in speed", "field", "-c1 * v_i * norm(v_i)", DRAG,
-                    tuple(names), own, 0.00201,
-                    ("-c1 * v_i * norm(v_i)^1.1", "-c1 * R_i * v_i * norm(v_i)"),
-                    "balls of different radius, or speeds beyond 20 m/s")
-    held_out = tuple(
-        {"scene": f"throw_{k}", "n_rows": 60, "rollout_before": 6.1 + k, "rollout_after": 1.12,
-         "ratio": 1.12 / (6.1 + k)} for k in range(4)
-    )
-    first = Round(1, Missing(8.31, 0.0, 0.0213, "m/s^2", {"chi2": 0.0, "ljung_box": 3e-7}), effect,
-                  RIVALS, True, "Explains 97 % of the residual, and the held-out error falls.",
-                  errors(5.55), errors(1.0), errors(0.27), RATIO,
-                  held_out, "All 75,816 laws up to depth 5 were tried.\n12 rules masked.", 41.2,
-                  "effect adopted", ratios=RATIOS)
-    second = Round(2, Missing(1.03, 0.31, 0.0193, "m/s^2", {"chi2": 0.31}, False), None, (), False,
-                   "Nothing is left above the noise.", errors(1.0), None, errors(0.27), None, (),
-                   "No search: nothing is missing.", 0.4, "nothing missing")
+    effect = Effect(
+        "drag, quadratic in speed", "law", "field", "c1 * v_i * norm(v_i)", DRAG, tuple(names), own,
+        0.00201, 0.86, ("c1 * v_i * norm(v_i)^1.1", "c1 * R_i * v_i * norm(v_i)"),
+    )  # fmt: skip
+    held_out = tuple({"scene": f"throw_{k}", "before": 6.1 + k, "after": 1.12} for k in range(4))
+    first = RoundRecord(
+        1, Missing(8.31, 0.0, 0.0213, "m/s^2"), effect, ROWS, True, "effect adopted", "adopted",
+        errors(5.55), errors(1.0), errors(0.27), RATIO, held_out, (), (FINDING,), BOUND,
+        "All 75,816 laws up to depth 5 were tried.\n12 rules masked.", 41.2, TRACE,
+    )  # fmt: skip
+    second = RoundRecord(
+        2, Missing(1.03, 0.31, 0.0193, "m/s^2"), None, ROWS[:1], False, "nothing missing",
+        "not_significant", errors(1.0), None, errors(0.27), Ratio(), (), (), (), BOUND, "", 0.4,
+    )  # fmt: skip
     return LoopReport(
         dataset={"name": "Thrown balls", "n_scenes": 16, "n_rows": 960, "n_entities": 14,
-                 "train": 12, "test": 4, "provenance": "made up", "fingerprint": "sha256:3fa9",
-                 "units": {"length": "m", "time": "s"}},
+                 "train": ["a"] * 12, "test": ["b"] * 4, "provenance": {"source": "made up"},
+                 "fingerprint": "sha256:3fa9", "split": "no split declared",
+                 "units": {"length": "m", "time": "s"}, "symbols": {},
+                 "notes": ["3 rows of throw_2 were dropped: y is empty (lines 40 to 42)."]},
         declared=({"law": "g * m_i * down", "latex": GRAVITY},),
-        grammar={"name": "newtonian", "fingerprint": "sha256:77aa"}, seed=7, alpha=0.01,
-        noise={"sigma": [0.05, 0.051], "unit": "m", "source": "estimated"},
+        grammar={"name": "newtonian", "fingerprint": "sha256:77aa"}, search="exhaustive", seed=7,
+        criteria=asdict(Criteria()),
+        noise={"sigma": [0.05, 0.051], "unit": "m", "source": "quoted", "method": ""},
         rounds=(first, second), law=ForceLaw(),
         law_text="9.80665 [m/s^2] * m_i * down + -c1 * v_i * norm(v_i)",
         law_latex=r"\mathbf{F}_i = " + GRAVITY + " + " + DRAG, constants=shared + own,
         total={"before": errors(5.55), "after": errors(1.0), "floor": errors(0.27),
                "ratio": RATIO, "ratios": RATIOS},
-        verdict="effect adopted", stop_reason="Nothing is left above the noise after round 1.",
+        verdict="effect adopted", probability=0.86, equivalents=effect.equivalents,
+        stop_reason="nothing_left", left_out=(), n_fits=4,
         versions={"bsp_gp": "0.1.0", "numpy": "2.4.6"}, wall_s=41.63, overlays=overlays_2d(),
         residuals=residual_table(entities=tuple(names)),
-        notes=("3 rows of throw_2 were dropped: y is empty (lines 40 to 42).",),
         extras=({"title": "Decomposition of the residual",
                  "paragraphs": ["Most of it lies against the velocity."],
                  "table": [["channel", "share"], ["along the velocity", 0.94], ["across", 0.03]]},),
@@ -127,37 +141,40 @@ def nothing_missing():
     return replace(
         full, rounds=(only,), verdict="nothing missing", constants=full.constants[:1],
         law_text="9.80665 [m/s^2] * m_i * down", law_latex=r"\mathbf{F}_i = " + GRAVITY,
-        total={"before": errors(0.28), "after": None, "floor": errors(0.27), "ratio": None},
-        stop_reason="Nothing is left above the noise.", extras=(), notes=(),
+        total={"before": errors(0.28), "after": errors(0.28), "floor": errors(0.27),
+               "ratio": Ratio(1.0, 1.0, 1.0), "ratios": {}},
+        extras=(),
     )
 
 
 def seen_not_adopted():
     full = adopted()
-    effect = replace(full.rounds[0].effect, name="thrust along the velocity", constants=(
-        ConstantEstimate("c1", -0.02, -0.05, 0.01, "kg/m"),), entities=("ball 01",), p_value=0.03)
+    effect = replace(full.rounds[0].effect, constants=(
+        ConstantEstimate("c1", 0.02, 0.01, 0.05, "kg/m"),), entities=("ball 01",), p_value=0.003,
+        formula=parse_formula("c1 * v_i * norm(v_i)", input_types({})))
     only = replace(full.rounds[0], effect=effect, adopted=False, verdict="seen, not adopted",
-                   reason="Its sign is that of a force that pushes a ball forward.",
+                   reason="held_out_refuses",
                    after=errors(5.2), ratio=Ratio(0.94, 0.88, 1.03))
     return replace(
         full, rounds=(only,), verdict="seen, not adopted", constants=full.constants[:1],
         total={"before": errors(5.55), "after": errors(5.55), "floor": errors(0.27),
-               "ratio": Ratio(1.0, 1.0, 1.0)},
-        stop_reason="No explanation was good enough.", overlays=full.overlays[:1], residuals=None,
+               "ratio": Ratio(1.0, 1.0, 1.0), "ratios": {}},
+        stop_reason="nothing_adopted", overlays=full.overlays[:1], residuals=None,
     )
 
 
 def cannot_tell():
     full = adopted()
     only = replace(full.rounds[0], effect=None, adopted=False, verdict="cannot tell", after=None,
-                   ratio=None, missing=Missing(1.4, 0.02, NAN), before=errors(5.0, "px", "px/s^2"),
-                   floor=errors(NAN, "px", "px/s^2"),
-                   reason="A wrong scale, a wrong clock and a wrong g fit one drop alike.")
+                   ratio=Ratio(), missing=Missing(1.4, 0.002, NAN),
+                   before=errors(5.0, "px", "px/s^2"), floor=errors(NAN, "px", "px/s^2"),
+                   reason="time_is_up", trace=None, hidden_bound=None, noise_findings=())
     return replace(
         full, rounds=(only,), verdict="cannot tell", constants=(), residuals=None, overlays=(),
         noise={"sigma": None, "unit": "px", "source": "unknown"},
-        total={"before": only.before, "after": None, "floor": only.floor, "ratio": None},
-        stop_reason="Nothing more can be learned from one drop.",
+        total={"before": only.before, "after": only.before, "floor": only.floor, "ratio": Ratio(),
+               "ratios": {}},
+        stop_reason="time_is_up", left_out=("fits",),
     )
 
 
@@ -178,11 +195,12 @@ def orbit():
                 1.9 * position + 60.0 * drift * along, 40),
     )
     n = len(t)
-    table = ResidualTable(["sun"] * n, ["Mercury"] * n, ["test"] * n, t,
+    table = residuals(["sun"] * n, ["Mercury"] * n, ["test"] * n, t,
                           4.8e4 + 1e4 * np.sin(angle), 5.8e10 * (1 + 0.2 * np.cos(angle)),
                           1e-8 * (1 + np.cos(angle) ** 2),
                           np.abs(rng.normal(0, 2e-11, n)), np.zeros(n), np.zeros(n))
     effect = replace(full.rounds[0].effect, name="inverse-cube attraction", kind="pair",
+                     formula=None, code="hidden_body",
                      law="c1 * m_i / norm(p_j - p_i)^3 * normalize(p_j - p_i)",
                      entities=("Mercury",),
                      latex=r"\sum_{j\ne i} \frac{c_{1}\,m_i}{{r}_{ij}^{3}}\,\hat{\mathbf{r}_{ij}}",
@@ -194,7 +212,7 @@ def orbit():
     )
     ratio = Ratio(0.000296, 0.000251, 0.000344)
     first = replace(full.rounds[0], effect=effect, before=before, after=after, floor=floor,
-                    ratio=ratio, rivals=(), held_out=())
+                    ratio=ratio, hypotheses=(), held_out=(), trace=None)
     return replace(
         full, dataset={**full.dataset, "name": "Inner planets"}, rounds=(first,), overlays=overlays,
         residuals=table, noise={"sigma": 30.0, "unit": "m", "source": "quoted"},
@@ -203,7 +221,8 @@ def orbit():
         r"[\mathrm{m^3/s^2}]\,m_i}{{r}_{ij}^{2}}\,\hat{\mathbf{r}_{ij}} + " + effect.latex,
         constants=(ConstantEstimate("GM", 1.32712440018e20, 1.32712440010e20, 1.32712440026e20,
                                     "m^3/s^2"), *effect.constants),
-        total={"before": before, "after": after, "floor": floor, "ratio": ratio}, extras=(),
+        total={"before": before, "after": after, "floor": floor, "ratio": ratio, "ratios": {}},
+        extras=(),
     )
 
 
@@ -216,6 +235,8 @@ def _spoiled(value):
         return type(value)(_spoiled(v) for v in value)
     if isinstance(value, np.ndarray):
         return np.full_like(value, NAN, dtype=float)
+    if isinstance(value, pd.DataFrame):
+        return value.assign(**{k: NAN for k in value.select_dtypes("number")})
     return NAN if isinstance(value, float) else value
 
 
@@ -224,22 +245,24 @@ def all_nan():
     return _spoiled(adopted())
 
 
+CODES = ("verdict", "reason", "stop_reason", "left_out", "code", "kind", "method", "status",
+         "direction", "variable", "split", "train", "test")  # fmt: skip
+
+
 def _hostile(value):
     if is_dataclass(value) and not isinstance(value, ForceLaw):
-        return replace(value, **{f.name: _hostile(getattr(value, f.name)) for f in fields(value)})
+        own = {f.name: getattr(value, f.name) for f in fields(value)}
+        return replace(value, **{k: v if k in CODES else _hostile(v) for k, v in own.items()})
     if isinstance(value, dict):
-        return {k: _hostile(v) for k, v in value.items()}
+        return {k: v if k in CODES else _hostile(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return type(value)(_hostile(v) for v in value)
     return value + HOSTILE if isinstance(value, str) else value
 
 
 def hostile():
-    """The report of drag with markup in every text, the verdict and the splits excepted."""
-    full = adopted()
-    bad = _hostile(full)
-    return replace(bad, verdict=full.verdict, residuals=replace(bad.residuals,
-                                                                split=full.residuals.split))
+    """The report of drag with markup in every text that is no code."""
+    return _hostile(adopted())
 
 
 ALL = {f.__name__: f for f in (adopted, nothing_missing, seen_not_adopted, cannot_tell, orbit,

@@ -12,8 +12,7 @@ from bsp_gp.cli import main
 from bsp_gp.data.cells import plain_cell, safe_cell, safe_table
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.data.tables import load_dataset, save_dataset
-from bsp_gp.loop.outcome import ResidualTable
-from bsp_gp.report.folder import _residuals
+from bsp_gp.report.folder import RESIDUALS, _residuals
 from tests.planted import SI
 
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
@@ -73,7 +72,8 @@ def test_names_come_back_and_no_cell_is_a_formula(tmp_path, masses):
 
 def test_residuals_and_tables_of_laws():
     one = np.array([-0.5])
-    table = ResidualTable(["=1+1"], ["@x"], ["train"], *(one for _ in range(7)))
+    values = (["=1+1"], ["@x"], ["train"], *(one for _ in range(7)))
+    table = pd.DataFrame(dict(zip(RESIDUALS, values, strict=True)))
     row = _residuals(table).splitlines()[1].split(",")
     assert row == ["'=1+1", "'@x", "train", *["-0.5"] * 7]
     frame = pd.DataFrame({"law": ["-c * v_i", "c * v_i"], "=loss": [-1.0, 2.0]}, index=["+a", "b"])

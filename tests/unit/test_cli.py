@@ -110,7 +110,7 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
 
 def test_close_on_hypotheses_writes_the_same_files(closed, data, tmp_path):
     out = tmp_path / "report"
-    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2"]
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out)]
     assert main([*command, "--max-levels", "5", "--quiet"]) == 0
     names = {p.relative_to(closed).as_posix() for p in closed.glob("*") if p.is_file()}
     assert names == {p.relative_to(out).as_posix() for p in out.glob("*") if p.is_file()}
@@ -126,7 +126,7 @@ def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeyp
     from bsp_gp.closing import close
 
     out = tmp_path / "report"
-    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--loop", "2", "--quiet",
+    command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--quiet",
                "--max-levels", "5"]  # fmt: skip
 
     def interrupted(*_, **__):
@@ -441,7 +441,7 @@ def test_interrupt_is_130(data, tmp_path, monkeypatch, capsys):
     out = tmp_path / "r"
     words = ["close", data, "--declare", GRAVITY, "--out", str(out), *FAST]
     with monkeypatch.context() as patch:
-        patch.setattr("bsp_gp.loop.close.close_loop", interrupted)
+        patch.setattr("bsp_gp.closing.close.close_loop", interrupted)
         assert main(words) == 130
     assert capsys.readouterr().err == "bsp-gp: interrupted; nothing was written\n"
     assert not out.exists()

@@ -21,7 +21,6 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.fit import STATUSES, fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.report import page
 from bsp_gp.report.html import render_html
 from bsp_gp.report.summary import summary_text
 from tests import worlds
@@ -30,7 +29,7 @@ from tests.worlds import WEIGHT
 TOP = {
     "schema", "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
     "rounds", "law", "total", "verdict", "probability", "equivalents", "stop_reason", "complete",
-    "left_out", "n_fits", "versions", "wall_s",
+    "left_out", "n_fits", "versions", "wall_s", "extras",
 }  # fmt: skip
 ROUND = {
     "missing": {"statistic", "p_value", "detectable"},
@@ -150,13 +149,6 @@ def test_unusable_settings_are_refused(settings, said):
 
 
 # --- words ----------------------------------------------------------------------------------------
-
-
-def test_every_code_has_words():
-    assert set(page._REASONS) == set(REASONS)
-    assert set(page._STOPS) == set(STOP_REASONS)
-    assert set(page._LEFT_OUT) == set(LEFT_OUT)
-    assert set(page._CAUSES) >= set(CAUSES) - {"law"}
 
 
 def test_page_and_summary_say_what_was_found(report):

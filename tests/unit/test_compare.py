@@ -11,11 +11,10 @@ from bsp_gp.cli import main
 from bsp_gp.cli_inputs import masked_grammar
 from bsp_gp.data.tables import save_dataset
 from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.comparison import compare_searches
-from bsp_gp.loop.preparing import observe
 from bsp_gp.search.compare import certified, compare, run_one
+from bsp_gp.search.comparison import compare_searches, regressions
 from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget
@@ -110,7 +109,7 @@ def test_the_weak_form_on_a_users_data():
     assert "v_i" in rows[0]["law"] and rows[0]["share"] > 0.5
     law = declared_law(dataset, ["-1 [kg/s] * v_i"])
     with pytest.raises(SettingsError, match="not by 'one_step'"):
-        observe(dataset, law, np.random.default_rng(0), method="one_step")
+        regressions(dataset, law, np.random.default_rng(0), "one_step")
 
 
 def falling_ball(tmp_path):

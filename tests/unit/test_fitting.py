@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from bsp_gp.errors import BspError, LawError, SettingsError
+from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.fitting.law_fit import fit_law
-from bsp_gp.loop.close import declared_law
-from bsp_gp.loop.simulation import simulate_law
+from bsp_gp.fitting.simulation import simulate_law
 from tests.throws import C1, DRAG, GRAVITY, throws
 
 

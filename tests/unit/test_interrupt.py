@@ -28,7 +28,7 @@ def test_interrupt_leaves_nothing(how, workers, tmp_path):
     )  # fmt: skip
     try:
         seen = []
-        while not seen or "round 1: searching" not in seen[-1]:
+        while not seen or "round 1: laws" not in seen[-1]:
             line = process.stderr.readline()
             assert line, f"it ended before it could be interrupted: {seen}"
             seen.append(line)

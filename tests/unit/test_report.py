@@ -9,17 +9,28 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bsp_gp.closing.criteria import (
+    CAUSES,
+    LEFT_OUT,
+    NOISE_FINDINGS,
+    REASONS,
+    STOP_REASONS,
+    VERDICTS,
+)
 from bsp_gp.errors import OutputError
+from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.html import render_html
 from bsp_gp.report.numbers import format_number, format_p, format_value, pretty_unit, rounded
+from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
     caveats,
     headline,
@@ -40,8 +51,9 @@ _spec.loader.exec_module(sample)
 RUN = {"argv": ["bsp-gp", "close", "my data", "--seed", "7"]}
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 CONTRACT = (
-    "schema", "dataset", "declared", "grammar", "seed", "alpha", "noise", "rounds", "law", "total",
-    "verdict", "stop_reason", "versions", "wall_s",
+    "schema", "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
+    "rounds", "law", "total", "verdict", "probability", "equivalents", "stop_reason", "complete",
+    "left_out", "n_fits", "versions", "wall_s",
 )  # fmt: skip
 
 
@@ -162,8 +174,9 @@ def test_page_of_an_adopted_effect_has_the_facts(pages):
         "The declared model lacks drag, quadratic in speed.", "6.11 m", "1.10 m", "0.297 m",
         "0.18 [0.15, 0.22]", "9.807", "[9.791, 9.822]", "m/s²", "ball 13", "kg/m",
         "whitened χ² per degree of freedom 8.31", "p = 0.002, selection included",
-        "-c1 * R_i * v_i * norm(v_i)", "balls of different radius, or speeds beyond 20 m/s",
-        "drag, linear in speed", "less evidence, and a worse held-out error", "86 %", "41.3",
+        "c1 * R_i * v_i * norm(v_i)", "x = (1 + scale) X", "−2541.3", "310 of 400", "0.86",
+        "a push along the velocity that changes with speed (97 % of it, p < 0.0001)",
+        "it has a memory from row to row", "up to 0.012 N (0.31 % of the declared force)",
         "throw_3", "Decomposition of the residual", "along the velocity",
         "All 75,816 laws up to depth 5 were tried.", "sha256:3fa9", "numpy 2.4.6",
         "bsp-gp close 'my data' --seed 7", "3 rows of throw_2 were dropped",
@@ -172,7 +185,7 @@ def test_page_of_an_adopted_effect_has_the_facts(pages):
     ):  # fmt: skip
         assert fact in text
     assert pages["adopted"].count('class="math"') == 3
-    assert pages["adopted"].count("<img") == 4
+    assert pages["adopted"].count("<img") == 5
     assert "Read this first" not in text and "<b>Notes</b>" in pages["adopted"]
 
 
@@ -181,9 +194,10 @@ def test_page_of_every_other_verdict(pages):
     assert "Nothing is missing from the declared model" in text["nothing_missing"]
     assert "0.019 m/s² or more would have been seen" in text["nothing_missing"]
     assert "Adopted law" not in text["nothing_missing"]
-    assert "thrust along the velocity, was seen and not adopted" in text["seen_not_adopted"]
-    assert "Its sign is that of a force that pushes a ball forward." in text["seen_not_adopted"]
+    assert "forward push, quadratic in speed, was seen" in text["seen_not_adopted"]
+    assert "do not gain what it promises" in text["seen_not_adopted"]
     assert "these data cannot tell what" in text["cannot_tell"]
+    assert "ended by its time limit: some causes were not fitted" in text["cannot_tell"]
     assert "Lengths are not calibrated (they are in px)" in text["cannot_tell"]
     assert "The noise of the measurement is not known" in text["cannot_tell"]
     assert "Read this first" in text["cannot_tell"]
@@ -205,7 +219,7 @@ def test_text_of_users_is_escaped_everywhere(tmp_path, pages):
 def test_figures_belong_to_what_the_report_has(caplog):
     caplog.set_level(logging.WARNING)
     names = {name: list(build_figures(make())) for name, make in sample.ALL.items()}
-    assert names["adopted"] == ["tracks", "constants", "rounds", "residuals"]
+    assert names["adopted"] == ["tracks", "constants", "rounds", "residuals", "trace_1"]
     assert names["orbit"] == ["tracks", "track_errors", "constants", "rounds", "residuals"]
     assert names["cannot_tell"] == []
     assert names["all_nan"] == []
@@ -282,13 +296,14 @@ def test_summary_has_the_facts():
     text = " ".join(summary_text(sample.adopted()).split())
     for fact in ("lacks drag, quadratic in speed", "6.11 m → 1.10 m, ratio 0.18 [0.15, 0.22]",
                  "noise floor 0.297 m", "g = 9.807 [9.791, 9.822] m/s²", "c1: 14 entities",
-                 "2 other laws", "balls of different radius", "p = 0.002"):  # fmt: skip
+                 "2 other laws", "p = 0.002", "up to 0.012 N"):  # fmt: skip
         assert fact in text
 
 
 def test_summary_shows_every_doubt_about_the_data():
     notes = ("a first note", "check: the clock of scene 'a' seems to jump by 10", "check: far off")
-    text = summary_text(replace(sample.adopted(), notes=notes))
+    report = sample.adopted()
+    text = summary_text(replace(report, dataset={**report.dataset, "notes": notes}))
     assert "Check: the clock of scene 'a' seems to jump by 10\nCheck: far off\n" in text
     assert text.count("first note") <= 1 and "check:" not in text
 
@@ -296,40 +311,47 @@ def test_summary_shows_every_doubt_about_the_data():
 def test_summary_stays_short_however_much_there_is():
     full = sample.adopted()
     long = "word " * 400
+    notes = (long, f"check: {long}") * 9
     report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
-                     notes=(long, f"check: {long}") * 9, law_text=long, stop_reason=long)
+                     dataset={**full.dataset, "notes": notes}, law_text=long)
     lines = summary_text(report).split("\n")
     assert len(lines) <= 25 and max(map(len, lines)) <= 100
 
 
 def test_sentences_match_the_verdict():
-    hidden = sample.adopted()
-    effect = replace(hidden.rounds[0].effect, kind="hidden_body", name="0.3 M☉ at 2 AU")
-    hidden = replace(hidden, rounds=(replace(hidden.rounds[0], effect=effect),))
-    assert verdict_sentence(hidden) == "An unseen body acts on these (0.3 M☉ at 2 AU)."
-    assert "nothing was good enough" in verdict_sentence(sample.seen_not_adopted())
-    assert headline(sample.nothing_missing())["ratio"] == "–"
-    assert "more is left than noise" in missing_sentence(sample.adopted().rounds[0], 0.01).lower()
-    empty = replace(sample.nothing_missing(), rounds=(), total={})
-    assert verdict_sentence(empty).startswith("Nothing is missing")
-    assert render_html(empty) and summary_text(empty)
+    full = sample.adopted()
+    effect = replace(full.rounds[0].effect, kind="hidden_body", code="hidden_body", formula=None)
+    hidden = replace(full, rounds=(replace(full.rounds[0], effect=effect),))
+    assert verdict_sentence(page_of(hidden)) == "An unseen body acts on these (an unseen body)."
+    assert "nothing was good enough" in verdict_sentence(page_of(sample.seen_not_adopted()))
+    assert headline(page_of(sample.nothing_missing()))["ratio"] == "–"
+    said = missing_sentence(page_of(full).rounds[0], 0.01).lower()
+    assert "more is left than noise" in said
+
+
+@pytest.mark.parametrize(
+    ("codes", "words"),
+    [(CAUSES, codes.CAUSES), (REASONS, codes.REASONS), (STOP_REASONS, codes.STOPS),
+     (LEFT_OUT, codes.LEFT_OUT), (NOISE_FINDINGS, codes.NOISE), (VERDICTS, codes.TONES)],
+)  # fmt: skip
+def test_every_code_has_words(codes, words):
+    assert set(codes) - {"law"} == set(words)
 
 
 def test_doubtful_gains_and_missing_knowledge_are_said():
-    report = sample.adopted()
-    ratio = report.total["ratio"]
+    report = page_of(sample.adopted())
+    ratio = sample.RATIO
 
     def caution(**changes):
-        return ratio_caution(
-            replace(report, total={**report.total, "ratio": replace(ratio, **changes)})
-        )
+        total = {**report.total, "ratio": replace(ratio, **changes)}
+        return ratio_caution(SimpleNamespace(**{**vars(report), "total": total}))
 
     assert caution() == ""
     assert "includes 1" in caution(high=1.2)
     assert "no better" in caution(value=1.1, high=1.2)
     assert "no interval" in caution(high=math.nan)
     assert caveats(report) == []
-    assert len(caveats(sample.cannot_tell())) == 2
+    assert len(caveats(page_of(sample.cannot_tell()))) == 2
 
 
 @pytest.mark.parametrize("name", sample.ALL)
@@ -342,14 +364,15 @@ def test_report_json_keeps_its_contract(name):
         assert {"residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint",
                 "unit"} <= set(data["total"][key])  # fmt: skip
     for r in data["rounds"]:
-        assert {"missing", "effect", "rivals", "adopted", "reason", "before", "after", "floor",
-                "ratio", "held_out", "certificate"} <= set(r)  # fmt: skip
+        assert {"missing", "effect", "hypotheses", "varies_with", "noise_findings", "hidden_bound",
+                "adopted", "reason", "before", "after", "floor", "ratio", "held_out",
+                "certificate"} <= set(r)  # fmt: skip
         assert {"statistic", "p_value", "detectable"} <= set(r["missing"])
 
 
 def test_folder_has_every_file(written):
     names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file()}
-    figures = {f"figures/{n}.{e}" for n in ("tracks", "constants", "rounds", "residuals")
+    figures = {f"figures/{n}.{e}" for n in ("tracks", "constants", "rounds", "residuals", "trace_1")
                for e in ("svg", "png")}
     assert names == figures | {"report.html", "report.json", "law.txt", "law.tex", "residuals.csv",
                                "run.json", ".bsp_gp"}

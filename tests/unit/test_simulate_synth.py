@@ -10,7 +10,7 @@ import pytest
 
 from bsp_gp.data.tables import load_dataset, save_dataset
 from bsp_gp.errors import OutputError, SettingsError
-from bsp_gp.loop.close import declared_law
+from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.physics.metrics import one_step_nrmse
 from bsp_gp.simulate.effects import EFFECTS, effect, parse_effect
 from bsp_gp.simulate.layouts import Fixed

@@ -9,7 +9,7 @@ import numpy as np
 from bsp_gp.closing.proposal import Family, Proposal, with_term
 from bsp_gp.closing.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.closing.proposers.varying import beside_unknown
-from bsp_gp.errors import BspError, EvaluationError
+from bsp_gp.errors import BspError, EvaluationError, SettingsError
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
@@ -55,6 +55,11 @@ class Laws:
         grammar = grammar.for_properties(scalars, vectors)
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
+        if not has_pairs and "field" not in self.grammar.start:
+            raise SettingsError(
+                f"grammar {grammar.name} knows forces between bodies only, and no scene has two "
+                "bodies; choose one with forces on each body, such as physics"
+            )
         least = self.grammar.min_levels
         self.kinds = [
             kind for kind, start in self.grammar.start.items()

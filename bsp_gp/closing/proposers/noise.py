@@ -53,6 +53,8 @@ class Noise:
 def _gain(view, model):
     """Twice the gain of the likelihood of the residual, its level as it comes."""
     channels, rows = view.fit.channels, np.nan_to_num(view.fit.residual)
+    if not rows.any():
+        return 0.0
     heights = []
     for noise in (view.fit.noise, model):
         whitener = noise.whitener(channels)

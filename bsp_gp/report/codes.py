@@ -1,0 +1,89 @@
+"""What the codes of the loop mean in words: the one place where a code becomes a sentence."""
+
+from __future__ import annotations
+
+__all__ = [
+    "CAUSES", "DIRECTIONS", "FINDINGS", "KINDS", "LEFT_OUT", "METHODS", "NOISE", "REASONS", "STOPS",
+    "TONES", "VARIABLES",
+]  # fmt: skip
+
+CAUSES = {
+    "exponent": "another exponent", "number": "another number", "period": "a push with a period",
+    "constant_per_body": "a constant for each body",
+    "constant_per_scene": "a constant for each scene",
+    "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
+    "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
+    "drift": "a camera that drifts", "offset": "an origin that is off",
+    "delay": "a delay of one body", "exposure": "an exposure that blurs",
+    "lens": "a lens that distorts", "perspective": "perspective",
+    "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
+    "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
+    "noise": "noise that is not as assumed",
+}  # fmt: skip
+KINDS = {
+    "pair": "force between bodies", "field": "force on each body by itself",
+    "hidden_body": "unseen body", "measurement": "measurement",
+    "declared_term_change": "change of a declared term", "noise": "noise",
+}  # fmt: skip
+FINDINGS = {
+    "hidden_body": "an unseen body acts on these ({})",
+    "measurement": "the measurement distorts the motion ({})",
+    "declared_term_change": "a declared term has to change ({})",
+    "noise": "the noise is not as it was assumed ({})",
+}
+"""What was adopted, by kind."""
+REASONS = {
+    "adopted": "it is significant, likelier than all else, and borne out by scenes left out",
+    "not_significant": "noise alone shows as much as the best of everything that was tried",
+    "no_better_than_before": "it is no likelier than the model without it",
+    "kinds_tie": "a cause of another kind is as likely",
+    "held_out_refuses": "scenes that were left out do not gain what it promises",
+    "no_candidate_fits": "nothing that was tried could be fitted",
+    "not_tested": "what is left could not be tested",
+    "declared_model_not_fitted": "the declared model could not be fitted to the tracks",
+    "noise_explains": "noise of another kind explains it as well as any force",
+    "time_is_up": "the time was up before everything was looked at",
+    "superseded": "what was found later made it superfluous",
+}
+STOPS = {
+    "nothing_left": "nothing is left above the noise",
+    "nothing_adopted": "nothing more was good enough to adopt",
+    "most_rounds": "the limit of rounds was reached; more may be left",
+    "time_is_up": "the time was up",
+    "failed": "the declared model could not be fitted",
+}
+LEFT_OUT = {
+    "proposers": "some kinds of causes were not looked for",
+    "fits": "some causes were not fitted",
+    "held_out": "what acts in held-out scenes alone was not looked for",
+    "removal": "what became superfluous was not taken back",
+    "intervals": "neither the noise floor nor all intervals were found out",
+}
+METHODS = {
+    "parametric": "simulated copies of the held-out scenes, of which there are fewer than five",
+    "resampled": "resampling whole held-out scenes", "none": "",
+}  # fmt: skip
+NOISE = {
+    "size": "it is of another size than declared",
+    "autocorrelation": "it has a memory from row to row",
+    "tails": "it has heavier tails than a normal distribution",
+    "level_of_scene": "its level differs from scene to scene",
+    "level_of_body": "its level differs from body to body",
+    "level_with_speed": "it grows with the speed",
+    "grid": "positions lie on a grid that is as coarse as the noise",
+    "row": "a single row is far off",
+}
+"""What may be found of the noise."""
+DIRECTIONS = {
+    "along": "along the velocity", "across": "across the velocity",
+    "line": "along the lines to the other bodies",
+}  # fmt: skip
+VARIABLES = {
+    "time": "time", "speed": "speed", "distance": "distance", "body": "the body",
+    "scene": "the scene",
+}  # fmt: skip
+TONES = {
+    "effect adopted": "found", "effective law": "found", "the noise is not as assumed": "open",
+    "nothing missing": "clean", "seen, not adopted": "open", "cannot tell": "open",
+}  # fmt: skip
+"""In what tone a verdict is shown."""

@@ -1,0 +1,117 @@
+"""Names of forces in plain words."""
+
+from __future__ import annotations
+
+from bsp_gp.language.formula import Call, Number, factors
+from bsp_gp.language.inputs import property_of
+from bsp_gp.language.render import to_text
+from bsp_gp.physics.force import split_linear
+
+__all__ = ["describe"]
+
+_DIRECTIONS = {
+    "v_i": "velocity",
+    "v_i - v_j": "relative velocity",
+    "p_i - p_j": "line to the other body",
+    "p_i - p_c": "line to the contact point",
+}
+
+
+_POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
+
+
+def describe(formula, value=None):
+    """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
+    direction, conditions, powers = _parts(formula)
+    return _phrase(direction, conditions[-1] if conditions else None, powers, value)
+
+
+def _parts(formula):
+    """Direction, conditions and powers of the scalar factors of a term."""
+    _, rest = split_linear(formula)
+    above, below = factors(rest)
+    direction, conditions, powers = None, [], {}
+    for sign, parts in ((1, above), (-1, below)):
+        for part in parts:
+            if part.type.shape == "vector":
+                direction = part
+            elif part.type.shape == "bool":
+                conditions.append(part)
+            else:
+                _add_powers(part, sign, powers)
+    return direction, conditions, powers
+
+
+def _add_powers(part, sign, powers):
+    power = sign
+    while isinstance(part, Call) and part.operator in ("square", "inverse", "pow"):
+        if part.operator == "square":
+            power *= 2
+        elif part.operator == "inverse":
+            power *= -1
+        elif isinstance(part.args[1], Number):
+            power *= part.args[1].value
+        else:
+            break
+        part = part.args[0]
+    if isinstance(part, Number):
+        return
+    if isinstance(part, Call) and part.operator in ("mul", "div"):
+        above, below = factors(part)
+        for s, inner in ((power, above), (-power, below)):
+            for p in inner:
+                _add_powers(p, s, powers)
+        return
+    powers[to_text(part)] = powers.get(to_text(part), 0) + power
+
+
+def _phrase(direction, condition, powers, value):
+    text = to_text(direction) if direction is not None else ""
+    where = ""
+    if condition is not None:
+        where = " while on the mat" if "is_on" in to_text(condition) else " at contact"
+    speed = powers.get("norm(v_i)", 0) or powers.get("norm(v_i - v_j)", 0)
+    distance = powers.get("norm(p_i - p_j)", 0)
+    radial = any("along(" in name for name in powers)
+    extension = [p for name, p in powers.items() if name.startswith("norm(p_i - p_j) - ")]
+    if text in ("normalize(v_i)", "v_i") and not distance and not radial:
+        brakes = value is None or value <= 0
+        total = speed + (1 if text == "v_i" else 0)
+        if total == 0:
+            return f"{'friction' if brakes else 'forward push'} of constant size{where}"
+        kind = "drag" if brakes else "forward push"
+        return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
+    if text.startswith("perp(normalize(v_i") or text.startswith("cross("):
+        return f"force across the velocity, speed^{speed:g} (magnetic or Magnus){where}"
+    if text in ("e_x", "e_y", "e_z"):
+        return f"uniform push along {text[-1]}" + _scaling(powers) + where
+    if text.startswith("normalize(p_i - p"):
+        verb = "force along the line to the other body"
+        if value is not None:
+            verb = "push from the other body" if value > 0 else "pull to the other body"
+        if extension == [1] and not (distance or speed or radial):
+            return f"spring towards the other body{where}"
+        return verb + _scaling(powers) + where
+    inner = text.removeprefix("normalize(").removesuffix(")")
+    along = _DIRECTIONS.get(inner, text or "a fixed direction")
+    return f"force along the {along}" + _scaling(powers) + where
+
+
+_WORDS = {"norm(p_i - p_j)": "distance", "norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
+
+
+def _scaling(powers):
+    words = []
+    for name, power in powers.items():
+        if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
+            continue
+        label = _WORDS.get(name, "radial speed" if name.startswith("along(") else None)
+        label = label or ("|radial speed|" if name.startswith("abs(along(") else name)
+        words.append(label if power == 1 else f"{label}^{power:g}")
+    return f", as {' * '.join(words)}" if words else ""
+
+
+def _input_names(text):
+    import re
+
+    return re.findall(r"[A-Za-z_]\w*", text)
