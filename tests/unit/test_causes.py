@@ -150,6 +150,7 @@ def test_an_error_of_the_measurement_is_among_the_likeliest_with_its_number(code
             assert abs(abs(constant.value) - abs(value)) < 4 * (constant.high - constant.low)
 
 
+@pytest.mark.slow
 def test_swapped_tracks_are_found_and_put_right():
     data = changed(orbits(0, **FEW), lambda s: wrong.swapped(s, 15), "1")
     report = close(data, GRAVITY, max_rounds=2)
@@ -158,6 +159,7 @@ def test_swapped_tracks_are_found_and_put_right():
     assert not [r for r in report.rounds[1:] if r.adopted]
 
 
+@pytest.mark.slow
 def test_a_lost_track_is_found():
     data = changed(orbits(0, **FEW), lambda s: wrong.frozen(s, 20), "1")
     first = close(data, GRAVITY).rounds[0]
