@@ -260,10 +260,14 @@ def _run_loop(args, progress):
             args.kept.save(joined_texts([earlier, *rounds]))
 
     with worker_pool(args.workers) as pool:
-        report = close_loop(
-            dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
-            earlier=earlier, workers=pool, progress=progress, **settings,
-        )  # fmt: skip
+        try:
+            report = close_loop(
+                dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
+                earlier=earlier, workers=pool, progress=progress, **settings,
+            )  # fmt: skip
+        except BspError:  # it would end there again
+            args.kept.clear()
+            raise
     return report, {"grammar": args.grammar, "workers": args.workers, **settings}
 
 

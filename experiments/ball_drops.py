@@ -17,9 +17,12 @@ import numpy as np
 from common import options, reference_data, write_table
 
 from bsp_gp.closing.close import close_loop
+from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.data.tables import load_dataset
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import with_states
-from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.physics.masses import with_usable_masses
 
 DECLARED = "9.81 [m/s^2] * m_i * down"
 LEFT_OUT = "bowling_ball"
@@ -98,7 +101,7 @@ def interval(rows, function, rng, n_draws=2000):
     return np.quantile(draws, (0.05, 0.95))
 
 
-def pooled(seed):
+def pooled():
     """One drag law for all balls of known mass and radius, and each ball's own coefficient."""
     folder = reference_data("measured", "ball_drops")
     dataset = load_dataset(folder, train="*_drop1", test="*_drop2")
@@ -111,41 +114,36 @@ def pooled(seed):
         laws = [DECLARED, f"-d1 * R_i^2 * {form}"]
         every = [s for s in dataset.scenes if s.names[s.dynamic[0]] in balls]
         own = {
-            ball: _fitted(dataset, [s for s in every if ball in s.names], laws, seed)
+            ball: _fitted(dataset, [s for s in every if ball in s.names], laws)
             for ball in balls
         }
-        fits[power] = _fitted(dataset, every, laws, seed), own
+        fits[power] = _fitted(dataset, every, laws), own
     return fits
 
 
-def _fitted(dataset, scenes, laws, seed):
-    """A fit to all of some scenes."""
-    names = tuple(s.name for s in scenes)
-    return fit_law(replace(dataset, scenes=tuple(scenes), train=names, test=()), laws, rng=seed)
+def _fitted(dataset, scenes, laws):
+    """The constant fitted to all of some scenes, half of its interval, and the log-evidence."""
+    dataset = with_usable_masses(replace(dataset, scenes=tuple(scenes), train=(), test=()))
+    hypothesis = Hypothesis.from_laws(dataset, laws)
+    found = fit(hypothesis, dataset)
+    half = Z_90 * float(found.covariance[0, 0]) ** 0.5
+    return float(found.values[0]), half, log_evidence(found, hypothesis)
 
 
 def told_of_pooled(fits):
     """Lines about the pooled law."""
-    power = max(fits, key=lambda p: fits[p][0].log_evidence)
-    common, own = fits[power]
-    value, half = _drag(common)
+    power = max(fits, key=lambda p: fits[p][0][2])
+    (value, half, evidence), own = fits[power]
     unit, form = {1: ("kg/(m^2 s)", ""), 2: ("kg/m^3", "|v|")}[power]
     yield f"one law for all: -{value:.3g} ± {half:.2g} {unit} * R^2 * {form}v"
-    worse = common.log_evidence - fits[2][0].log_evidence
-    size, error = (x / HALF_DENSITY for x in _drag(fits[2][0]))
+    worse = evidence - fits[2][0][2]
+    size, error = (x / HALF_DENSITY for x in fits[2][0][:2])
     yield (f"    square in speed: drag coefficient {size:.2f} ± {error:.2f}"
            + (f", log evidence lower by {worse:.0f}" if worse > 0 else ""))  # fmt: skip
-    for ball, found in own.items():
-        v, h = _drag(found)
+    for ball, (v, h, _) in own.items():
         off = (v - value) / np.hypot(h, half) * Z_90
         verdict = "  departs" if abs(off) > 3 else ""
         yield f"    {ball:20s} {v:8.3g} ± {h:.2g}  {off:+.1f} sd{verdict}"
-
-
-def _drag(found):
-    """The constant of a fit, and half of its interval."""
-    (d1,) = found.constants
-    return d1.value, (d1.high - d1.low) / 2
 
 
 def main():
@@ -172,7 +170,7 @@ def main():
             low, high = interval(mine, function, np.random.default_rng(args.seed))
             told.append(f"{name} {value:.2f} m [{low:.2f}, {high:.2f}]")
         print(f"{label}: {len(mine)} predictions: end point {', '.join(told)}")
-    for line in told_of_pooled(pooled(args.seed)):
+    for line in told_of_pooled(pooled()):
         print(line)
     write_table(rows, args.out / "results.csv")
     print(f"table: {args.out / 'results.csv'}")

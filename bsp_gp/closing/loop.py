@@ -17,12 +17,12 @@ from bsp_gp.closing.questions import hidden_bound, noise_findings
 from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.closing.trace import trace
 from bsp_gp.closing.view import View, selected
-from bsp_gp.errors import EvaluationError
+from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 
 __all__ = ["Round", "run_rounds"]
 
-FAULTS = (EvaluationError, np.linalg.LinAlgError, FloatingPointError)
+FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""

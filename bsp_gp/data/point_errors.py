@@ -1,19 +1,13 @@
-"""Positions that are less sure than the others: gross outliers, and bodies that are seen worse.
+"""Gross outliers among measured positions, found before any law is fitted.
 
-Both are found before any law is fitted, so that no law can profit from what is left out. Such
-points are kept, with an error of their own (`Scene.sigma`).
+No law can profit from what is left out.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from bsp_gp.data.noise import FLOOR, estimate_noise
-from bsp_gp.data.scene import CHECK
-
-__all__ = ["gross_errors", "with_point_errors"]
+__all__ = ["gross_errors"]
 
 REACH = 5
 """Points before and after by which a point is predicted."""
@@ -41,96 +35,6 @@ ENDS = {
     0: ((1,), 0), 1: ((-1,), 0), 2: ((-2, -1), 1), 3: ((-3, -2, -1), 2), 4: ((-4, -3, -2, -1), 2),
 }  # fmt: skip
 """Those on the short side of the first points of a track."""
-UNLIKE = 1.4
-"""Ratio of a body's noise to that of all at which it is given its own."""
-SURE = 4.0
-"""And its distance from 1 in standard errors of the ratio."""
-
-
-def with_point_errors(dataset, noise, *, is_exact=False):
-    """The data set with errors of single points where these differ from the common one.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    noise : NoiseEstimate
-        Of all bodies together.
-    is_exact : bool
-        Whether that is a resolution and no noise: then no body is seen worse, see `gross_errors`.
-
-    Returns
-    -------
-    dataset : Dataset
-        The same object where nothing differs.
-    notes : tuple of str
-        What was found, for the report.
-    """
-    sigma = np.array(noise.sigma, dtype=float)
-    is_own = noise.source == "estimated" and not is_exact
-    own = _own_noise(dataset, noise) if is_own else {}
-    floor = FLOOR * _spans(dataset)  # as for the noise of all: numbers say no more than that
-    scenes, found = [], []
-    for scene in dataset.scenes:
-        size = np.broadcast_to(sigma, scene.positions.shape)
-        if scene.sigma is not None:
-            size = np.where(scene.sigma > 0, scene.sigma, size)
-        size = np.maximum(size, floor)
-        changed = scene.sigma is not None and bool(np.any(scene.sigma < floor))
-        for k in scene.dynamic:
-            factor = own.get(scene.names[k], 1.0)
-            size[:, k] *= factor
-            track = scene.times, scene.positions[:, k], sigma * factor
-            off = gross_errors(*track, is_exact=is_exact)
-            far = off > 1
-            # As far off as twice their own error: they hardly count.
-            size[:, k] *= np.where(far, np.maximum(off / 2, 1.0), 1.0)[:, None]
-            found += [(scene.name, scene.names[k], scene.times[row]) for row in np.flatnonzero(far)]
-            changed |= factor != 1.0 or far.any()
-        scenes.append(replace(scene, sigma=size) if changed else scene)
-    notes = [f"{name} is seen with {factor:.2g} times the noise" for name, factor in own.items()]
-    if found:
-        listed = ", ".join(f"{name} of {scene} at t = {t:.4g}" for scene, name, t in found[:5])
-        more = f" and {len(found) - 5} more" if len(found) > 5 else ""
-        notes.append(f"{CHECK}far off their neighbours, and given little weight: {listed}{more}")
-    if all(new is old for new, old in zip(scenes, dataset.scenes, strict=True)):
-        return dataset, tuple(notes)
-    return replace(dataset, scenes=tuple(scenes)), tuple(notes)
-
-
-def _spans(dataset):
-    """Range of the positions of all that moves, per axis."""
-    tracks = [scene.positions[:, scene.dynamic] for scene in dataset.scenes]
-    rows = np.concatenate([track.reshape(-1, dataset.n_dims) for track in tracks])
-    return np.nan_to_num(np.fmax.reduce(rows) - np.fmin.reduce(rows))
-
-
-def _own_noise(dataset, noise):
-    """Factor of every body whose noise is clearly unlike that of all."""
-    names = dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
-    factors = {}
-    for name in names if len(names) > 1 else ():
-        alone = [_only(scene, name) for scene in dataset.scenes if name in scene.names]
-        alone = [scene for scene in alone if len(scene.dynamic)]
-        if sum(np.isfinite(s.positions[:, s.dynamic[0], 0]).sum() for s in alone) < 20:
-            continue
-        mine = estimate_noise(alone)
-        ratios, counts = [], []
-        for one, all_, n in zip(mine.sigma, noise.sigma, mine.n_effective, strict=True):
-            if np.isfinite(one) and np.isfinite(all_) and np.isfinite(n) and n > 0:
-                ratios.append(one / all_)
-                counts.append(n)
-        if not ratios:
-            continue
-        ratio = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12)))))
-        error = 1 / np.sqrt(2 * sum(counts))
-        if max(ratio, 1 / ratio) > UNLIKE and abs(np.log(ratio)) > SURE * error:
-            factors[name] = ratio
-    return factors
-
-
-def _only(scene, name):
-    entities = tuple(replace(e, is_static=e.is_static or e.name != name) for e in scene.entities)
-    return replace(scene, entities=entities)
 
 
 def gross_errors(times, positions, sigma, *, is_exact=False):

@@ -206,23 +206,6 @@ class Regression:
             )
         )
 
-    def log_scale(self):
-        """Logarithm of the determinant of the whitening, for likelihoods of the noise itself.
-
-        Of the methods whose whitener is square.
-        """
-        total = 0.0
-        for batch in self.batches:
-            total += float(np.log(batch.scale[batch.valid]).sum())
-            if batch.whitener is not None:
-                diagonal = np.einsum("...tt->...t", batch.whitener)
-                if diagonal.ndim == 3:
-                    diagonal = np.moveaxis(diagonal, -1, 0)
-                else:
-                    diagonal = diagonal[:, None, None]
-                used = np.broadcast_to(diagonal[..., None], batch.valid.shape)[batch.valid]
-                total += float(np.log(used).sum())
-        return total
 
     def raw_residuals(self, law):
         """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""

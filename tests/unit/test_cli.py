@@ -108,18 +108,22 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
     assert cli._data_name("/") == "data"
 
 
-def test_close_on_hypotheses_writes_the_same_files(closed, data, tmp_path):
-    out = tmp_path / "report"
-    command = ["close", data, "--declare", GRAVITY, "--out", str(out)]
-    assert main([*command, "--max-levels", "5", "--quiet"]) == 0
-    names = {p.relative_to(closed).as_posix() for p in closed.glob("*") if p.is_file()}
-    assert names == {p.relative_to(out).as_posix() for p in out.glob("*") if p.is_file()}
-    told = json.loads((out / "report.json").read_text())
+def test_close_tells_its_schema_its_settings_and_its_law(closed):
+    told = json.loads((closed / "report.json").read_text())
     assert told["schema"] == "bsp_gp/report/2"
-    assert json.loads((out / "run.json").read_text())["settings"]["time_limit"] is None
-    assert (out / "law.txt").read_text().startswith(told["law"]["text"])
-    header = [(folder / "residuals.csv").read_text().splitlines()[0] for folder in (closed, out)]
-    assert header[0] == header[1]
+    assert json.loads((closed / "run.json").read_text())["settings"]["time_limit"] is None
+    assert (closed / "law.txt").read_text().startswith(told["law"]["text"])
+
+
+@pytest.mark.parametrize(
+    ("option", "said"), [(["--guide", "off"], "is gone"), (["--per-entity", "yes"], "auto or no")]
+)
+def test_options_that_close_has_no_more_are_refused(option, said, data, tmp_path, capsys):
+    words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*words, *option]) == 2
+    error = capsys.readouterr().err
+    assert said in error and len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):

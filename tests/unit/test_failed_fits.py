@@ -13,7 +13,7 @@ import pytest
 import bsp_gp.closing.loop as loop
 from bsp_gp.cli import main
 from bsp_gp.closing.close import close_loop
-from bsp_gp.errors import DataError, EvaluationError
+from bsp_gp.errors import DataError, EvaluationError, FitError
 from bsp_gp.fitting.law_fit import _correlation as correlation_of
 from bsp_gp.fitting.law_fit import fit_law
 from bsp_gp.physics.likelihood import build_regression
@@ -31,8 +31,8 @@ def rng():
 
 @pytest.mark.parametrize(
     "fault",
-    [EvaluationError("no value"), np.linalg.LinAlgError("SVD did not converge"),
-     FloatingPointError("overflow")],
+    [EvaluationError("no value"), FitError("no noise"), FloatingPointError("overflow"),
+     np.linalg.LinAlgError("SVD did not converge")],
 )  # fmt: skip
 def test_a_cause_whose_fit_fails_is_told_and_ends_no_run(fault, monkeypatch):
     def fails(hypothesis, *args, **kwargs):

@@ -1,13 +1,11 @@
 """Gross errors and bodies that are seen worse: found before any law is fitted, kept and told."""
 
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from bsp_gp.data.noise import FLOOR, estimate_noise
-from bsp_gp.data.point_errors import gross_errors, with_point_errors
+from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.law_fit import fit_law
 
@@ -66,38 +64,6 @@ def dataset(rng, factor=1.0, gross=False):
             p[25, 0] += 0.4
         scenes.append(Scene(f"s{k}", TIMES, p, [Entity("a"), Entity("b")]))
     return Dataset("two", scenes)
-
-
-def test_nothing_is_changed_where_all_is_alike():
-    data = dataset(np.random.default_rng(4))
-    same, notes = with_point_errors(data, estimate_noise(data))
-    assert same is data and notes == ()
-
-
-def test_a_body_that_is_seen_worse_has_its_own_noise():
-    data = dataset(np.random.default_rng(5), factor=5.0)
-    new, notes = with_point_errors(data, estimate_noise(data))
-    sizes = np.median([s.sigma for s in new.scenes], axis=(0, 1, 3))
-    assert sizes == pytest.approx([SIGMA, 5 * SIGMA], rel=0.15)
-    assert any(note.startswith("b is seen with") for note in notes)
-
-
-def test_a_gross_error_is_kept_with_an_error_of_its_own():
-    data = dataset(np.random.default_rng(6), gross=True)
-    new, (note,) = with_point_errors(data, estimate_noise(data))
-    assert "a of s2 at t = 1.25" in note
-    assert new.scenes[2].sigma[25, 0, 0] > 10 * SIGMA
-    assert np.array_equal(new.scenes[2].positions, data.scenes[2].positions)
-    assert new.scenes[0].sigma is None
-
-
-def test_quoted_errors_stay_and_are_multiplied():
-    data = dataset(np.random.default_rng(7), gross=True)
-    quoted = np.full(data.scenes[0].positions.shape, SIGMA)
-    data = replace(data, scenes=tuple(replace(s, sigma=quoted) for s in data.scenes))
-    new, notes = with_point_errors(data, estimate_noise(data))
-    assert len(notes) == 1
-    assert np.count_nonzero(new.scenes[2].sigma != SIGMA) == 2
 
 
 FALL = 0.04 * np.arange(16)
@@ -184,14 +150,3 @@ def test_a_fit_tells_a_gross_error_of_sixteen_rows_and_stands_it(row, sigma):
     assert fit.constants[0].value == pytest.approx(9.81, rel=0.01)
 
 
-def test_quoted_errors_that_no_number_resolves_are_floored_without_a_word():
-    track = 1e100 * swinging(np.random.default_rng(7))
-    errors = np.stack([np.full(60, 1e-3), np.full(60, np.nan)], axis=1)
-    scene = Scene("a", TIMES, track[:, None], [Entity("ball")], sigma=errors[:, None])
-    dataset = Dataset("d", (scene,))
-    floored, notes = with_point_errors(dataset, estimate_noise(dataset))
-    assert notes == ()
-    np.testing.assert_allclose(floored.scenes[0].sigma[..., 0], FLOOR * np.ptp(track[:, 0]))
-    fine = replace(scene, sigma=np.full_like(scene.sigma, 1e95))
-    same, notes = with_point_errors(Dataset("d", (fine,)), estimate_noise(Dataset("d", (fine,))))
-    assert same.scenes[0] is fine

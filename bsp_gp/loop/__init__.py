@@ -1,1 +1,0 @@
-"""Closing the loop: what is left, where it comes from, which law adds it, what that bought."""
