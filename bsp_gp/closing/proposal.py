@@ -110,7 +110,8 @@ def continued(hypothesis, fit):
     for part in hypothesis.parts:
         if isinstance(part, Forces):
             known = {name: fit.law.constants[name] for name in part.law.names}
-            part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
+            law = replace(part.law, constants=known)
+            part = replace(part, law=law, paper_steps=fit.paper_steps)
         elif part.kind == "instrument" and part.parameters:
             part = part.at(fit.law.constants)
         parts.append(part)

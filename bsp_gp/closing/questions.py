@@ -179,7 +179,8 @@ def _smooth(whitener, channels, seen):
     """Whitened polynomials of time, orthonormal channel by channel, (K, T, C)."""
     counts = seen.sum(axis=0)
     n = int(np.clip(counts[counts > 0].min() // ROWS_EACH, 1, MOST_FUNCTIONS))
-    low, high = (f(np.where(seen, channels.times, np.nan), axis=0) for f in (np.nanmin, np.nanmax))
+    looked = np.where(seen | ~seen.any(axis=0), channels.times, np.nan)
+    low, high = np.nanmin(looked, axis=0), np.nanmax(looked, axis=0)
     share = (channels.times - low) / (high - low)
     angle = np.arccos(np.clip(2 * np.where(seen, share, 0.0) - 1, -1, 1))
     waves = np.cos(np.arange(n)[:, None, None] * angle) * seen

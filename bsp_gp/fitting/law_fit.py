@@ -324,6 +324,8 @@ def constant_estimates(found, dataset, bounds=None):
             units[name] = dataset.units.text(unit)
     for part in found.law.frame:
         units |= {p.name: dataset.units.text(p.unit) for p in part.parameters}
+    for body in found.law.unseen:
+        units |= {name: dataset.units.text(unit) for name, unit in body.units.items()}
     massless = {
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip

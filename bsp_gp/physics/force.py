@@ -23,7 +23,8 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "ForceLaw", "Term", "constant_units", "fresh_name", "kind_of", "split_linear", "term_gradient",
+    "ForceLaw", "Term", "Unseen", "constant_units", "fresh_name", "kind_of", "split_linear",
+    "term_gradient",
 ]  # fmt: skip
 
 _MASS = ("m_i", "mass_i")
@@ -89,6 +90,36 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """A body without rows that forces move: constants of the law are its state at the first row.
+
+    Attributes
+    ----------
+    entity : str
+    places, speeds : tuple of str
+        Names of the coordinates of its place and its velocity.
+    strength : mapping of str to Unit
+        Of the constants that are properties of the body.
+    """
+
+    entity: str
+    places: tuple[str, ...]
+    speeds: tuple[str, ...]
+    strength: Mapping = field(default_factory=dict)
+
+    @property
+    def names(self):
+        return (*self.places, *self.speeds)
+
+    @property
+    def units(self):
+        """Units of its constants by name."""
+        metre, speed = Unit.of(m=1), Unit.of(m=1, s=-1)
+        own = {**dict.fromkeys(self.places, metre), **dict.fromkeys(self.speeds, speed)}
+        return {**own, **self.strength}
+
+
+@dataclass(frozen=True)
 class ForceLaw:
     """A sum of terms with the values of their constants.
 
@@ -99,11 +130,14 @@ class ForceLaw:
         Every constant that the terms name. A mapping means one value per receiver.
     frame : tuple of Instrument
         Through what bodies are seen; fits to tracks alone know of it (`bsp_gp.fitting.seen`).
+    unseen : tuple of Unseen
+        Bodies whose first states are constants (`bsp_gp.fitting.unseen`).
     """
 
     terms: tuple[Term, ...] = ()
     constants: Mapping = field(default_factory=dict)
     frame: tuple = ()
+    unseen: tuple[Unseen, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
@@ -118,12 +152,12 @@ class ForceLaw:
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in self.constants.items()
         }
-        return (ForceLaw, (self.terms, plain, self.frame))
+        return (ForceLaw, (self.terms, plain, self.frame, self.unseen))
 
     @property
     def names(self):
-        """Names of the free constants, in order of appearance, those of the frame first."""
-        seen = [name for part in self.frame for name in part.names]
+        """Names of the free constants, in order of appearance, those of no term first."""
+        seen = [name for part in (*self.frame, *self.unseen) for name in part.names]
         return tuple(dict.fromkeys(seen + [n for t in self.terms for n in t.formula.constants]))
 
     def with_constants(self, constants):
@@ -147,7 +181,7 @@ class ForceLaw:
     def without(self, index):
         """The law without its term number `index`; constants that nothing names are dropped."""
         terms = self.terms[:index] + self.terms[index + 1 :]
-        law = ForceLaw(terms, {}, self.frame)
+        law = ForceLaw(terms, {}, self.frame, self.unseen)
         return law.with_constants({n: self.constants[n] for n in law.names if n in self.constants})
 
     def values(self, bodies):
