@@ -16,6 +16,7 @@ from bsp_gp.language.formula import (
     evaluate_with_gradient,
     factors,
     product,
+    walk,
 )
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs
@@ -295,14 +296,21 @@ def split_linear(formula):
 
 
 def constant_units(term):
-    """Unit of the linear constant of a term: what turns the rest into a force.
+    """Units of constants of a term: of what is added to a quantity, and of its linear constant.
 
     Returns
     -------
     dict of str to Unit
-        Empty if the rest of the term has other constants with open units.
+        The linear constant turns the rest into a force; it is not among them if the rest has other
+        constants with open units.
     """
+    units = {}
+    for node in walk(term.formula):
+        if isinstance(node, Call) and node.operator in ("add", "sub"):
+            for one, other in (node.args, node.args[::-1]):
+                if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
+                    units[one.name] = other.type.unit
     name, rest = split_linear(term.formula)
     if name is None or rest.type.unit is None:
-        return {}
-    return {name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
+        return units
+    return {**units, name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
