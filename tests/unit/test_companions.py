@@ -12,11 +12,14 @@ from bsp_gp.closing.loop import run_rounds
 from bsp_gp.closing.proposers.companions import Companions
 from bsp_gp.closing.proposers.hidden import Hidden
 from bsp_gp.closing.view import selected
+from bsp_gp.closing.writing_up import told
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_rows
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.hidden import HiddenBody
+from bsp_gp.report.hidden_map import draw_hidden_map
 from tests.closing_views import view_of
 from tests.throws import SI
 
@@ -167,3 +170,36 @@ def test_rounds_adopt_it_and_go_on_from_what_was_kept(world):
     json.loads(text)
     again = rounds_from(text, hypothesis, train)
     assert again[0].after.values == pytest.approx(rounds[0].after.values, rel=0, abs=0)
+
+
+def test_draws_are_of_the_fit_and_make_a_map(world, family, found):
+    train, _, first, _ = world
+    view = view_of(train, LAW)
+    details = Companions().details(view, family.proposals[0], found, np.random.default_rng(0))
+    again = Companions().details(view, family.proposals[0], found, np.random.default_rng(0))
+    assert json.loads(json.dumps(details)) == details == again
+    at = [[n for n, _ in found.parameters].index(n) for n in details["names"]]
+    draws = np.array(details["draws"])
+    assert draws.std(axis=0) == pytest.approx(found.errors[at], rel=0.15)
+    truth = np.append(first, MASSES[-1])
+    assert np.all(np.abs(truth - draws.mean(axis=0)) < 3 * draws.std(axis=0))
+    assert (details["motion"], details["property"], details["unit"]) == ("under the law", "mass", "kg")
+    assert np.allclose(details["track"][0], details["best"][:2], atol=1e-6)
+    figure = draw_hidden_map({**details, "p_value": 0.0}, truth=first[:2])
+    assert len(figure.axes) == 2
+
+
+def test_a_report_tells_the_intervals_of_the_draws(world, family, found):
+    train, *_ = world
+    view = view_of(train, LAW)
+    details = Companions().details(view, family.proposals[0], found, np.random.default_rng(0))
+    laplace = constant_estimates(found, train)
+    draws = dict(zip(details["names"], np.array(details["draws"]).T, strict=True))
+    for constant in told(laplace, details):
+        ends = np.quantile(draws[constant.name], [0.05, 0.95])
+        assert (constant.low, constant.high) == pytest.approx(ends)
+    other = {**details, "best": [value + 1e-6 for value in details["best"]]}
+    assert told(laplace, other) == laplace  # those are draws of another fit
+    assert {c.name: c.unit for c in laplace} == {
+        "h_x1": "m", "h_y1": "m", "u_x1": "m/s", "u_y1": "m/s", "M1": "kg",
+    }  # fmt: skip

@@ -16,6 +16,7 @@ from scipy.stats import norm, qmc
 
 from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.closing.proposers.hidden import LOG_PRIOR, Stage, apart, pulls_of, still
+from bsp_gp.closing.whereabouts import whereabouts
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.flow import Flow
@@ -68,6 +69,10 @@ class Companions:
             self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
             is_continuum=True,
         )  # fmt: skip
+
+    def details(self, view, proposal, fit, rng):
+        """What the posterior of a fitted body is, see `whereabouts`."""
+        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
 
 
 def _moves_anything(law):
@@ -238,10 +243,8 @@ class Orbits:
         first = self.tracks(state[None])[0, :, :, 0].ravel()
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[:d])
         unit = view.dataset.property_units.get(self.column)
-        body = Unseen(
-            fresh_body(self.scene), stage.names, speeds,
-            {stage.strength: unit} if unit is not None else {},
-        )  # fmt: skip
+        known = {} if unit is None else {stage.strength: unit}
+        body = Unseen(fresh_body(self.scene), stage.names, speeds, known)
         starts = dict(zip((stage.strength, *body.names), map(float, (strength, *first)),
                           strict=True))  # fmt: skip
         pulls = tuple(body_pull(term, stage.strength) for term, _ in self.terms)
@@ -250,6 +253,7 @@ class Orbits:
         known = {**{n: law[n] for n in names if n in law}, **starts}
         part = HiddenBody(
             ForceLaw(pulls, known, unseen=(body,)), None, stage.names, speeds, **stage.common,
+            between=tuple(term for term, _ in self.terms), epoch=float(self.times[0]),
             properties={self.column: float(strength)} if self.column else {},
         )  # fmt: skip
         text = " + ".join(to_text(term.formula) for term, _ in self.terms)

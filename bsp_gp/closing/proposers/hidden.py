@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bsp_gp.closing.proposal import Family, Proposal
+from bsp_gp.closing.whereabouts import whereabouts
 from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
 from bsp_gp.language.inputs import STATE_INPUTS
@@ -65,6 +66,10 @@ class Hidden:
             self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
             is_continuum=True,
         )  # fmt: skip
+
+    def details(self, view, proposal, fit, rng):
+        """What the posterior of a fitted source is, see `whereabouts`."""
+        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
 
 
 def pulls_of(view, strength):
@@ -177,7 +182,7 @@ class Stage:
         texts = " + ".join(to_text(term.formula) for term, _ in terms)
         pulls = tuple(pull_of(term, self.strength, self.names) for term, _ in terms)
         rest = ForceLaw(pulls, _known(view, terms, starts))
-        part = HiddenSource(rest, None, self.names, (), **self.common)
+        part = HiddenSource(rest, None, self.names, (), **self.common, between=_between(terms))
         out = [
             Proposal(
                 "hidden_body", f"at rest: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
@@ -196,12 +201,17 @@ class Stage:
         pulls = tuple(pull_of(term, self.strength, self.names, speeds, epoch) for term, _ in terms)
         starts = {**starts, **dict.fromkeys(speeds, 0.0)}
         part = HiddenSource(
-            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common
+            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common,
+            between=_between(terms), epoch=epoch,
         )
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part, LOG_PRIOR, gain,
             1 + 2 * self.n_dims, starts,
         )  # fmt: skip
+
+
+def _between(terms):
+    return tuple(term for term, _ in terms)
 
 
 def _known(view, terms, starts):

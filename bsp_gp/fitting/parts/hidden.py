@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from bsp_gp.data.scene import Entity
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.unseen import MARK, with_entity
@@ -14,7 +16,7 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, substitute, w
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
-from bsp_gp.units import Unit
+from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = ["HiddenBody", "HiddenSource", "body_pull", "pull_of", "unit_pull"]
 
@@ -34,6 +36,10 @@ class HiddenSource(Forces):
         Extent of the data and typical speed: what is far, and fast.
     strength : str
         Name of its strength.
+    between : tuple of Term
+        Forces between visible bodies by which it acts.
+    epoch : float, s
+        When it is at its place.
     """
 
     places: tuple = ()
@@ -42,6 +48,28 @@ class HiddenSource(Forces):
     size: float = 1.0
     speed: float = 1.0
     strength: str = ""
+    between: tuple = ()
+    epoch: float = 0.0
+
+    @property
+    def motion(self):
+        """How it moves: "at rest" or "moving"."""
+        return "moving" if self.speeds else "at rest"
+
+    def track(self, fit, times):
+        """Where a fit has it at the rows of a scene, (T, d)."""
+        states = np.array([[fit.law.constants[n] for n in (*self.places, *self.speeds)]])
+        place, speed = np.split(states, [len(self.places)], axis=1)
+        return place + (times[:, None] - self.epoch) * (speed if self.speeds else 0.0)
+
+    @property
+    def column(self):
+        """The property by which it acts; "" where it has a strength of its own."""
+        return unit_pull(self.between[0], self.strength)[1]
+
+    def unit(self, dataset):
+        """Unit of its strength in a data set."""
+        return dataset.property_units.get(self.column, DIMENSIONLESS)
 
     @property
     def parameters(self):
@@ -66,6 +94,12 @@ class HiddenBody(HiddenSource):
     """
 
     properties: dict = field(default_factory=dict)
+    motion = "under the law"
+
+    def track(self, fit, times):
+        """Where a fit has it at the rows of a scene, (T, d)."""
+        (body,), (chains,), (nodes,) = self.law.unseen, fit.groups, fit.nodes
+        return nodes[0, chains.bodies[0].index(body.entity), :, : len(times), 0].T
 
     def seen(self, dataset):
         """The rows with a body more that they do not show."""
