@@ -93,7 +93,8 @@ def work(planet, arcsec, n_epochs, seed, out):
     return [
         {
             **row,
-            "verdict": "found" if decision.is_adopted else "cannot tell",
+            # Adopted beside another motion that does as well, it may be anywhere.
+            "verdict": "found" if decision.is_fact else "cannot tell",
             "motion": details["motion"],
             "direction_deg": float(_angles(part.track(best, scene.times) - sun, true - sun).max()),
             "direction_90_deg": float(np.quantile(spread, 0.9)),

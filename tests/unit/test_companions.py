@@ -183,7 +183,8 @@ def test_draws_are_of_the_fit_and_make_a_map(world, family, found):
     assert draws.std(axis=0) == pytest.approx(found.errors[at], rel=0.15)
     truth = np.append(first, MASSES[-1])
     assert np.all(np.abs(truth - draws.mean(axis=0)) < 3 * draws.std(axis=0))
-    assert (details["motion"], details["property"], details["unit"]) == ("under the law", "mass", "kg")
+    kind = (details["motion"], details["property"], details["unit"])
+    assert kind == ("under the law", "mass", "kg")
     assert np.allclose(details["track"][0], details["best"][:2], atol=1e-6)
     figure = draw_hidden_map({**details, "p_value": 0.0}, truth=first[:2])
     assert len(figure.axes) == 2
