@@ -231,6 +231,8 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
     effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
+    for done in rounds:
+        constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),

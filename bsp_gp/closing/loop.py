@@ -46,6 +46,8 @@ class Round:
     seconds : float
     left_out : tuple of str
         What there was no time for, of `LEFT_OUT`.
+    details : dict
+        What the proposer of the likeliest cause tells beyond its fit.
     detectable : float, m/s^2
         Least constant acceleration that would have been seen, see `View.detectable`.
     noise_findings, varies_with : tuple
@@ -63,6 +65,7 @@ class Round:
     proposals: dict = field(default_factory=dict)
     seconds: float = 0.0
     left_out: tuple = ()
+    details: dict = field(default_factory=dict)
     detectable: float = np.nan
     noise_findings: tuple = ()
     varies_with: tuple = ()
@@ -152,7 +155,7 @@ class _Run:
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
-        asked = {}
+        asked, view = {}, None
         if turn.rows[0].is_fit:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
             view.tick = self.clock.tick
@@ -169,10 +172,20 @@ class _Run:
         if turn.left_out:  # what was not looked at might have changed it
             nothing = {"is_adopted": False, "is_fact": False}
             decision = replace(decision, verdict="cannot tell", reason="time_is_up", **nothing)
+        details = self.details(decision.best, turn, view, rng)
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
-            turn.proposals, time.monotonic() - started, tuple(turn.left_out), **asked,
+            turn.proposals, time.monotonic() - started, tuple(turn.left_out), details, **asked,
         )  # fmt: skip
+
+    def details(self, best, turn, view, rng):
+        """What its proposer tells of the likeliest cause, if it does."""
+        proposer = next((p for p in self.proposers if best and p.name == best.source), None)
+        if not hasattr(proposer, "details") or best.id not in turn.fits or self.clock.is_over:
+            return {}
+        self.says(f"drawing from the posterior of {best.text}")
+        (stream,) = rng.spawn(1)
+        return proposer.details(view, turn.proposals[best.id], turn.fits[best.id], stream)
 
     def asked(self, view):
         """What else is asked of the fit that enters, by names of `Round`."""

@@ -65,6 +65,8 @@ class Effect:
     is_fact : bool
         Whether its form is told apart from all rivals.
     formula : Formula or None
+    details : dict
+        What its proposer tells beyond the fit: of an unseen body draws from its posterior.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Effect:
     equivalents: tuple[str, ...] = ()
     is_fact: bool = False
     formula: object = field(default=None, repr=False, compare=False)
+    details: dict = field(default_factory=dict, repr=False, compare=False)
 
     def to_dict(self):
         """Everything but the formula."""

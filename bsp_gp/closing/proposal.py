@@ -118,7 +118,8 @@ def continued(hypothesis, fit):
         if isinstance(part, Forces):
             known = {**part.law.constants, **fit.law.constants}
             known = {name: known[name] for name in part.law.names}
-            part = replace(part, law=ForceLaw(part.law.terms, known), paper_steps=fit.paper_steps)
+            law = replace(part.law, constants=known)
+            part = replace(part, law=law, paper_steps=fit.paper_steps)
         elif part.kind != "noise" and part.parameters:
             part = part.at(fit.law.constants)
             part = part.off_bounds() if part.kind == "world" else part

@@ -104,6 +104,11 @@ class View:
         return self._moments[0]
 
     @property
+    def taken(self):
+        """Orthonormal moments that the constants of the law can take up, (n, k)."""
+        return self._moments[1]
+
+    @property
     def n_left(self):
         """Independent moments beside the constants."""
         kept = sum(int(b.kept.sum()) for b in self.response.regression.batches)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -17,11 +17,12 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.units import ACCELERATION, FORCE
 
 __all__ = [
-    "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "versions",
+    "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "told", "versions",
 ]  # fmt: skip
 
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
+TAIL = 0.05
 
 
 def record_of(done, scored, accounts, dataset, bounds, is_removed):
@@ -109,12 +110,16 @@ def _effect(done, dataset, bounds):
         entities=tuple(
             dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
         ),
-        constants=tuple(c for c in constant_estimates(fit, dataset, bounds) if c.name not in old),
+        constants=tuple(
+            c for c in told(constant_estimates(fit, dataset, bounds), done.details)
+            if c.name not in old
+        ),
         p_value=done.table.p_value,
         probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact,
         formula=proposal.formulas[0] if len(proposal.formulas) == 1 else None,
+        details={**done.details, "p_value": done.table.p_value} if done.details else {},
     )  # fmt: skip
 
 
@@ -122,6 +127,26 @@ def _added(done, fit):
     """Terms that a cause has brought in or changed."""
     known = {term.formula for term in done.entering.law.terms}
     return tuple(term.formula for term in fit.law.terms if term.formula not in known)
+
+
+def told(constants, details):
+    """Constants with the intervals of the draws of a round, where they are of the same fit.
+
+    Parameters
+    ----------
+    constants : tuple of ConstantEstimate
+    details : dict
+        Of a `Round`.
+    """
+    drawn = {}
+    for k, name in enumerate(details.get("names", ())):
+        ends = np.quantile([draw[k] for draw in details["draws"]], (TAIL, 1 - TAIL))
+        drawn[name, details["best"][k]] = tuple(map(float, ends))
+    out = []
+    for c in constants:
+        low, high = drawn.get((c.name, c.value), (c.low, c.high))
+        out.append(replace(c, low=low, high=high))
+    return tuple(out)
 
 
 def _kind(best, law):

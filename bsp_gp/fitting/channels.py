@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,6 +85,13 @@ class Channels:
             quoted=quoted,
             speed=None if speeds is None else np.abs(join(speeds)),
         )
+
+    def only(self, kept):
+        """Some of the channels; `kept` is an array of bool, shape (C,)."""
+        rows = {n: getattr(self, n) for n in ("times", "seen", "quoted", "speed")}
+        own = {n: getattr(self, n)[kept] for n in ("axis", "body", "scene", "chain")}
+        rows = {n: None if v is None else v[:, kept] for n, v in rows.items()}
+        return replace(self, **rows, **own)
 
 
 def join(arrays):

@@ -21,6 +21,7 @@ from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
+from bsp_gp.fitting.unseen import carried
 
 __all__ = ["Climb"]
 
@@ -99,7 +100,12 @@ class Climb:
     # --- levels ---------------------------------------------------------------------------------
 
     def levels(self):
-        """Rows of the pieces, level by level; None = whole tracks."""
+        """Rows of the pieces, level by level; None = whole tracks.
+
+        Of a body without rows a piece of its track tells nothing.
+        """
+        if self.run.law.unseen:
+            return [None]
         longest = max(int(chains.lengths.max()) for chains in self.run.groups)
         rows = max(self.scales.rows, LEAST_ROWS)
         out = []
@@ -142,6 +148,7 @@ class Climb:
         """The best minimum of all starts, with the count of those that agree."""
         points = self.first_points()
         may_grow = not self.paper_steps and (self.is_coarse or not self.run.is_aside)
+        may_grow = may_grow and not self.run.law.unseen
         ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
@@ -344,7 +351,8 @@ class Climb:
             constants = np.array(constants, dtype=float)
             if free:
                 constants = regressed(self.flows, nodes, self.noises, constants, free)
-            points.append(TrackPoint(self.coordinates.unknowns(constants), nodes))
+            own = tuple(carried(f, o, constants) for f, o in zip(self.flows, nodes, strict=True))
+            points.append(TrackPoint(self.coordinates.unknowns(constants), own))
         if len(inner) == 1 and free:
             points += self._sized(points[0], nodes, free)
         return _unlike(points)[: run.tolerances.most_starts]

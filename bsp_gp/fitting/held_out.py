@@ -19,6 +19,7 @@ from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.fitting.seen import sight
+from bsp_gp.fitting.unseen import shown
 from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
@@ -138,6 +139,7 @@ def predictions(found, dataset, scenes, *, deadline=None):
     list of ndarray, shape (T, R, d), one per scene
         inf where the motion runs away, nan for bodies that the first rows do not show.
     """
+    scenes = shown(found, scenes)
     measured = _is_measured(dataset, scenes)
     begun = _begun(found.law, dataset, scenes, measured)
     states = {} if measured or not begun else _first_states(found, dataset, begun, deadline)
@@ -276,7 +278,7 @@ def with_states(found, dataset, scenes, *, deadline=None):
     Fit
         Of no constants but those that belong to these scenes alone.
     """
-    scenes = replace(dataset, scenes=tuple(scenes), train=(), test=())
+    scenes = replace(dataset, scenes=tuple(shown(found, scenes)), train=(), test=())
     return _fixed(found.law, found.paper_steps, found.noise, scenes, deadline)
 
 
@@ -331,7 +333,7 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         (T, R, d), and the number of rows `n_initial` that they start from. None for a fit without
         finite constants.
     """
-    scenes = tuple(scenes)
+    scenes = tuple(shown(found, scenes))
     if not scenes or not np.isfinite(found.values).all():
         return []
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
@@ -369,6 +371,7 @@ def _track_errors(found, dataset, scene, track, measured):
 
 def regression_of(found, dataset, scenes):
     """Accelerations read off the scenes as they can be read best, a Regression."""
+    scenes = shown(found, scenes)
     measured = _is_measured(dataset, scenes)
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
     pairs = _has_pairs(found.law)

@@ -201,16 +201,17 @@ class Hypothesis:
     @property
     def law(self):
         """All forces in one law, and through what they are seen."""
-        terms, constants, frame = [], {}, []
+        terms, constants, frame, unseen = [], {}, [], []
         for part in self.parts:
             if isinstance(part, Forces):
                 terms += part.law.terms
                 constants.update(part.law.constants)
                 frame += part.law.frame
+                unseen += part.law.unseen
             elif part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
-        return ForceLaw(tuple(terms), constants, tuple(frame))
+        return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))
 
     @property
     def paper_steps(self):

@@ -36,7 +36,7 @@ from bsp_gp.units import Unit
 
 __all__ = [
     "SCHEMA", "LawFit", "about_noise", "about_outliers", "constant_estimates", "fit_law",
-    "training_part", "unset",
+    "training_part", "unset", "widening",
 ]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
@@ -189,7 +189,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     if time_limit is not None:
         left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
     errors = held_out_errors(found, dataset, split.test, deadline=left)
-    widening = _widening(found)
+    wider = widening(found)
     constants = constant_estimates(found, dataset, bounds)
     noise_told = about_noise(found.noise, said, dataset.units)
     return LawFit(
@@ -203,7 +203,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         notes=(
             *dataset.notes, *said.notes,
             *about_outliers(found, train.scenes is not split.train, far_off),
-            *doubts(found, widening, bool(split.test)),
+            *doubts(found, wider, bool(split.test)),
             *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
         ),
@@ -291,10 +291,14 @@ def unset(law):
 # --- what is told ---------------------------------------------------------------------------------
 
 
-def _widening(found):
+def widening(found):
     """Factor on standard errors: misfit beyond the noise counts against the constants.
 
     With as many independent rows as the autocorrelation of the residual leaves.
+
+    Parameters
+    ----------
+    found : Fit
     """
     dof = max(found.n_rows - found.n_free, 1)
     misfit = found.chisqr / dof
@@ -324,7 +328,7 @@ def constant_estimates(found, dataset, bounds=None):
     """
     from scipy.stats import t as student_t  # a slow import
 
-    bounds, widening = bounds or {}, _widening(found)
+    bounds, wider = bounds or {}, widening(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
     units = {}
@@ -335,11 +339,13 @@ def constant_estimates(found, dataset, bounds=None):
     for part in found.law.frame:
         units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit is not None}
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
+    for body in found.law.unseen:
+        units |= {name: dataset.units.text(unit) for name, unit in body.units.items()}
     bounds = {**{name: (p.low, p.high) for name, p in priors.items()}, **bounds}
     massless = {
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip
-    halves = student_t.ppf(0.95, dof) * widening * found.errors
+    halves = student_t.ppf(0.95, dof) * wider * found.errors
     out = []
     for (name, entity), value, half, error in zip(
         found.parameters, found.values, halves, found.errors, strict=True

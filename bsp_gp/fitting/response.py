@@ -22,6 +22,7 @@ from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 from bsp_gp.physics.evaluation import Settling
@@ -149,6 +150,7 @@ def respond(fit, dataset, scenes=None):
     -------
     Response
     """
+    fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         batches, columns, levels, used, total = [], [], [], 0, 0
         first = 0

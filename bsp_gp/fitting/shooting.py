@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.fitting.seen import sight
+from bsp_gp.fitting.unseen import tied
 
 __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 
@@ -105,6 +106,7 @@ class Shooting:
         self._number = np.full(self.chains.times.shape, -1)
         self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         self.prior = self._prior()
+        self._tied = tied(flow.motion)
         self._extents = self._window_extents()
         size = np.abs(np.nan_to_num(self.chains.observed)).max(axis=(0, 2, 3), initial=0.0)
         self._rounding = ROUNDINGS * np.finfo(float).eps * size
@@ -164,7 +166,7 @@ class Shooting:
         rest = 0.0 if np.isfinite(gaps).all() else np.nan
         condensed, residuals, jacobians = [], [], []
         for group in self.groups:
-            columns = self._columns(group, transitions, gaps)
+            columns = self._columns(group, transitions, gaps, self._begun(group, values, nodes))
             rows, _ = self._rows(group, len(columns))
             shown = seen.shown(columns, rows, self.windows.chain[group], n)
             factor = self._factor(group, shown, seen.places)
@@ -201,7 +203,20 @@ class Shooting:
             self._groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
         return self._groups
 
-    def _columns(self, group, transitions, gaps):
+    def _begun(self, group, values, nodes):
+        """How first nodes hang on themselves or, of bodies without rows, on constants."""
+        n, k = self.flow.n_state, self.flow.n_constants
+        begun = np.zeros((len(group), n, n + k + 1))
+        begun[:, np.arange(n), np.arange(n)] = 1.0
+        first, chain = self.windows.first[group], self.windows.chain[group]
+        for state, number in self._tied:
+            begun[:, state] = 0.0
+            begun[:, state, n + number] = 1.0
+            now = nodes.reshape(n, *nodes.shape[3:])[state, first, chain]
+            begun[:, state, -1] = values[number] - now
+        return begun
+
+    def _columns(self, group, transitions, gaps, begun):
         """How all nodes of the windows hang on their first ones, (L, W, n, n + k + 1).
 
         Long windows are cut into blocks that are condensed side by side and joined afterwards, so
@@ -213,19 +228,21 @@ class Shooting:
         longest = int(length.max())
         size = max(int(np.sqrt(longest / 2)), 8)
         if longest <= 4 * size:
-            return self._chained(first, chain, length, transitions, gaps)
+            return self._chained(first, chain, length, transitions, gaps, begun)
         n_blocks = -(-(longest - 1) // size)
         offset = size * np.arange(n_blocks)
         block_first = (first[:, None] + offset).ravel()
         # A block ends with the first node of the next one.
         block_length = np.clip(length[:, None] - offset, 0, size + 1).ravel()
+        alone = np.zeros((len(block_first), *begun.shape[1:]))
+        alone[:, np.arange(begun.shape[1]), np.arange(begun.shape[1])] = 1.0
         local = self._chained(
-            block_first, np.repeat(chain, n_blocks), block_length, transitions, gaps
+            block_first, np.repeat(chain, n_blocks), block_length, transitions, gaps, alone
         )
         local = local.reshape(size + 1, len(group), n_blocks, *local.shape[2:])
         n = local.shape[-2]
         columns = np.zeros((n_blocks * size + 1, len(group), *local.shape[-2:]))
-        start = local[0, :, 0]
+        start = begun
         for block in range(n_blocks):
             joined = local[:, :, block, :, :n] @ start
             joined[..., n:] += local[:, :, block, :, n:]
@@ -233,11 +250,11 @@ class Shooting:
             start = joined[-1]
         return columns[:longest]
 
-    def _chained(self, first, chain, length, transitions, gaps):
-        """Columns of pieces of tracks by one step after the other."""
+    def _chained(self, first, chain, length, transitions, gaps, begun):
+        """Columns of pieces of tracks from those of their first nodes, step after step."""
         n, k = self.flow.n_state, self.flow.n_constants
         columns = np.zeros((max(int(length.max()), 1), len(first), n, n + k + 1))
-        columns[0, :, np.arange(n), np.arange(n)] = 1.0
+        columns[0] = begun
         for row in range(len(columns) - 1):
             open_ = np.flatnonzero(row + 1 < length)
             number = self._number[first[open_] + row, chain[open_]]

@@ -16,6 +16,7 @@ from bsp_gp.language.formula import (
     evaluate_with_gradient,
     factors,
     product,
+    walk,
 )
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs
@@ -23,8 +24,8 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "COPY", "ForceLaw", "Term", "constant_units", "entry", "fresh_name", "key_of", "kind_of",
-    "split_linear", "tabled", "term_gradient",
+    "COPY", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name", "key_of",
+    "kind_of", "split_linear", "tabled", "term_gradient",
 ]  # fmt: skip
 
 _MASS = ("m_i", "mass_i")
@@ -92,6 +93,36 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """A body without rows that forces move: constants of the law are its state at the first row.
+
+    Attributes
+    ----------
+    entity : str
+    places, speeds : tuple of str
+        Names of the coordinates of its place and its velocity.
+    strength : mapping of str to Unit
+        Of the constants that are properties of the body.
+    """
+
+    entity: str
+    places: tuple[str, ...]
+    speeds: tuple[str, ...]
+    strength: Mapping = field(default_factory=dict)
+
+    @property
+    def names(self):
+        return (*self.places, *self.speeds)
+
+    @property
+    def units(self):
+        """Units of its constants by name."""
+        metre, speed = Unit.of(m=1), Unit.of(m=1, s=-1)
+        own = {**dict.fromkeys(self.places, metre), **dict.fromkeys(self.speeds, speed)}
+        return {**own, **self.strength}
+
+
+@dataclass(frozen=True)
 class ForceLaw:
     """A sum of terms with the values of their constants.
 
@@ -104,11 +135,14 @@ class ForceLaw:
     frame : tuple of Part
         Through what bodies are seen, and which of their properties are fitted; fits to tracks
         alone know of it (`bsp_gp.fitting.seen`, `bsp_gp.fitting.owners`).
+    unseen : tuple of Unseen
+        Bodies whose first states are constants (`bsp_gp.fitting.unseen`).
     """
 
     terms: tuple[Term, ...] = ()
     constants: Mapping = field(default_factory=dict)
     frame: tuple = ()
+    unseen: tuple[Unseen, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
@@ -123,12 +157,12 @@ class ForceLaw:
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in self.constants.items()
         }
-        return (ForceLaw, (self.terms, plain, self.frame))
+        return (ForceLaw, (self.terms, plain, self.frame, self.unseen))
 
     @property
     def names(self):
-        """Names of the free constants, in order of appearance, those of the frame first."""
-        seen = [name for part in self.frame for name in part.names]
+        """Names of the free constants, in order of appearance, those of no term first."""
+        seen = [name for part in (*self.frame, *self.unseen) for name in part.names]
         return tuple(dict.fromkeys(seen + [n for t in self.terms for n in t.formula.constants]))
 
     def with_constants(self, constants):
@@ -152,7 +186,7 @@ class ForceLaw:
     def without(self, index):
         """The law without its term number `index`; constants that nothing names are dropped."""
         terms = self.terms[:index] + self.terms[index + 1 :]
-        law = ForceLaw(terms, {}, self.frame)
+        law = ForceLaw(terms, {}, self.frame, self.unseen)
         return law.with_constants({n: self.constants[n] for n in law.names if n in self.constants})
 
     def values(self, bodies):
@@ -304,14 +338,21 @@ def split_linear(formula):
 
 
 def constant_units(term):
-    """Unit of the linear constant of a term: what turns the rest into a force.
+    """Units of constants of a term: of what is added to a quantity, and of its linear constant.
 
     Returns
     -------
     dict of str to Unit
-        Empty if the rest of the term has other constants with open units.
+        The linear constant turns the rest into a force; it is not among them if the rest has other
+        constants with open units.
     """
+    units = {}
+    for node in walk(term.formula):
+        if isinstance(node, Call) and node.operator in ("add", "sub"):
+            for one, other in (node.args, node.args[::-1]):
+                if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
+                    units[one.name] = other.type.unit
     name, rest = split_linear(term.formula)
     if name is None or rest.type.unit is None:
-        return {}
-    return {name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
+        return units
+    return {**units, name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bsp_gp.closing.proposers.companions import Companions
+from bsp_gp.closing.proposers.contacts import Contacts
 from bsp_gp.closing.proposers.defects import Defects
 from bsp_gp.closing.proposers.exponents import Declared
 from bsp_gp.closing.proposers.hidden import Hidden
@@ -27,5 +29,5 @@ def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
     """
     return [
         Laws(grammar, dataset, max_levels, exclude), Declared(), Varying(), Periods(), Hidden(),
-        Measurement(), Defects(), Noise(),
+        Companions(), Contacts(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

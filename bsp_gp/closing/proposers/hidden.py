@@ -7,15 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of
+from bsp_gp.closing.whereabouts import whereabouts
+from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
-from bsp_gp.language.inputs import STATE_INPUTS, property_of
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
-__all__ = ["Hidden"]
+__all__ = ["Hidden", "Stage", "apart", "pulls_of", "still"]
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -45,20 +46,17 @@ class Hidden:
         ----------
         view : View
         """
-        stage = _Stage(view)
+        stage = Stage(view)
         null = np.zeros(view.moment_draws.shape[1])
         proposals, n_tried = [], 0
-        for terms in _pulls(view, stage.strength, stage.names):
-            columns = np.concatenate([stage.columns(terms, part) for part in stage.chunks], axis=1)
-            rows = view.beside(columns)
-            size = np.square(rows).sum(axis=0)
-            good = size > 1e-8 * np.square(columns).sum(axis=0)
-            unit = np.where(good, rows / np.sqrt(np.where(good, size, 1.0)), 0.0)
+        for terms in pulls_of(view, stage.strength):
+            parts = [stage.columns(terms, still(part)) for part in stage.chunks]
+            unit, size = stage.beside(np.concatenate(parts, axis=1))
             gains = np.square(unit.T @ view.left)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
-            for k in _apart(unit, gains):
-                strength = float(unit[:, k] @ view.left / np.sqrt(size[k]))
+            for k in apart(unit, gains):
+                strength = float(unit[:, k] @ view.left / size[k])
                 proposals += stage.proposals(terms, k, strength, float(gains[k]))
         proposals.sort(key=lambda p: -p.promise)
         best = max((p.gain for p in proposals), default=0.0)
@@ -67,28 +65,43 @@ class Hidden:
             is_continuum=True,
         )  # fmt: skip
 
+    def details(self, view, proposal, fit, rng):
+        """What the posterior of a fitted source is, see `whereabouts`."""
+        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
 
-def _pulls(view, strength, names):
-    """Sets of terms by which one source may act."""
+
+def pulls_of(view, strength):
+    """Sets of terms by which one source may act, each with its pull per unit of strength.
+
+    Parameters
+    ----------
+    view : View
+    strength : str
+        Name of the constant that stands for the strength.
+
+    Returns
+    -------
+    list of tuple of (Term, Term)
+    """
     law, columns = view.fit.law, {}
     for term in law.terms:
-        pull = pull_of(term, strength, names) if term.kind == "pair" else None
+        pull = unit_pull(term, strength) if term.kind == "pair" else None
         if pull is not None:
-            known = map(property_of, term.formula.inputs)
-            of_source = sorted(one[0] for one in known if one and one[1] == "j")
-            columns.setdefault(tuple(of_source), []).append((term, pull))
+            columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
     if columns:
         return [tuple(both) for both in columns.values()]
     types = dataset_types(view.dataset)
     types |= {name: STATE_INPUTS[name] for name in ("p_j", "v_j")}
-    out = []
-    for text in PULLS:
-        term = Term(parse_formula(text, types), "pair")
-        out.append(((term, pull_of(term, strength, names)),))
-    return out
+    terms = [Term(parse_formula(text, types), "pair") for text in PULLS]
+    return [((term, Term(unit_pull(term, strength)[0], "pair")),) for term in terms]
 
 
-class _Stage:
+def still(places):
+    """Tracks of sources at rest (C, d)."""
+    return lambda batch: (places, np.zeros_like(places))
+
+
+class Stage:
     """Places at which a source is sought."""
 
     def __init__(self, view):
@@ -109,41 +122,65 @@ class _Stage:
         step = max(CHUNK // per_place, 1)
         self.chunks = [self.places[k : k + step] for k in range(0, len(self.places), step)]
 
-    def columns(self, terms, places):
-        """Moments of the pull of unit strength from places (C, d), (n, C)."""
+    def columns(self, terms, tracks):
+        """Moments of the pull of unit strength of C sources, (n, C).
+
+        Parameters
+        ----------
+        terms : tuple of (Term, Term)
+        tracks : callable
+            ``tracks(batch)`` gives places and velocities, (C, d) or (n, S, 1, C, d).
+        """
         view = self.view
         constants = {
             name: value
             for name, value in view.fit.law.constants.items()
             if not hasattr(value, "items")
         }
-        constants |= dict(zip(self.names, places.T, strict=True))
         constants |= {name: 1.0 for _, pull in terms for name in pull.formula.constants
                       if name not in constants}  # fmt: skip
         parts = []
         for batch in view.response.regression.batches:
-            lookup = _Spread(batch)
+            places, velocities = tracks(batch)
+            lookup = _Spread(batch, places, velocities)
             total = 0.0
             for _, pull in terms:
                 force = evaluate(pull.acceleration_formula, lookup, constants)
                 if pull.needs_mass:
                     force = force / lookup["m_i"][..., None]
                 total = total + force
-            shape = (*batch.target.shape[:3], len(places), self.n_dims)
+            count = places.shape[-2]
+            shape = (*batch.target.shape[:3], count, self.n_dims)
             total = np.broadcast_to(np.where(np.isfinite(total), total, 0.0), shape)
             moments = batch.whiten(total)
-            parts.append(np.moveaxis(moments[:, :, 0, :, 0], -1, 0).reshape(len(places), -1))
+            parts.append(np.moveaxis(moments[:, :, 0, :, 0], -1, 0).reshape(count, -1))
         return np.concatenate(parts, axis=1).T
+
+    def beside(self, columns):
+        """Columns (n, C) beside all constants, of unit length, and their lengths."""
+        rows = self.view.beside(columns)
+        size = np.square(rows).sum(axis=0)
+        good = size > 1e-8 * np.square(columns).sum(axis=0)
+        size = np.sqrt(np.where(good, size, 1.0))
+        return np.where(good, rows / size, 0.0), size
+
+    @property
+    def common(self):
+        """What is far and fast, as parts take it."""
+        return {
+            "middle": tuple(map(float, self.middle)), "size": self.size, "speed": self.speed,
+            "strength": self.strength,
+        }  # fmt: skip
 
     def proposals(self, terms, k, strength, gain):
         """A source at a place, at rest; in one recording also moving."""
         view = self.view
         place = self.places[k]
         starts = {self.strength: strength, **dict(zip(self.names, map(float, place), strict=True))}
-        common = {"middle": tuple(map(float, self.middle)), "size": self.size, "speed": self.speed}
         texts = " + ".join(to_text(term.formula) for term, _ in terms)
-        rest = ForceLaw(tuple(pull for _, pull in terms), _known(view, terms, starts))
-        part = HiddenSource(rest, None, self.names, (), **common)
+        pulls = tuple(pull_of(term, self.strength, self.names) for term, _ in terms)
+        rest = ForceLaw(pulls, _known(view, terms, starts))
+        part = HiddenSource(rest, None, self.names, (), **self.common, between=_between(terms))
         out = [
             Proposal(
                 "hidden_body", f"at rest: {texts}", view.hypothesis + part,
@@ -151,10 +188,10 @@ class _Stage:
             )
         ]  # fmt: skip
         if len(view.dataset.scenes) == 1:
-            out.append(self._moving(terms, starts, gain, common, texts))
+            out.append(self._moving(terms, starts, gain, texts))
         return out
 
-    def _moving(self, terms, starts, gain, common, texts):
+    def _moving(self, terms, starts, gain, texts):
         view = self.view
         times = view.dataset.scenes[0].times
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[: self.n_dims])
@@ -162,12 +199,17 @@ class _Stage:
         pulls = tuple(pull_of(term, self.strength, self.names, speeds, epoch) for term, _ in terms)
         starts = {**starts, **dict.fromkeys(speeds, 0.0)}
         part = HiddenSource(
-            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **common
+            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common,
+            between=_between(terms), epoch=epoch,
         )
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part,
             -view.criteria.cause_nats, gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
         )  # fmt: skip
+
+
+def _between(terms):
+    return tuple(term for term, _ in terms)
 
 
 def _known(view, terms, starts):
@@ -178,14 +220,17 @@ def _known(view, terms, starts):
 
 
 class _Spread(Mapping):
-    """Inputs of field laws with an axis for candidates behind those of the rows."""
+    """Inputs of one source with an axis for candidates behind those of the rows."""
 
-    def __init__(self, batch):
+    def __init__(self, batch, places, velocities):
         self._inputs = law_inputs(
             "field", batch.bodies, batch.positions, batch.velocities, batch.times
         )
+        self._of_source = {"p_j": places, "v_j": velocities}
 
     def __getitem__(self, name):
+        if name in self._of_source:
+            return self._of_source[name]
         value = np.asarray(self._inputs[name])
         if value.ndim == 1:  # a direction
             return value
@@ -216,7 +261,7 @@ def _grid(n_dims):
     return np.concatenate([near, (far[:, None, None] * ways).reshape(-1, n_dims)])
 
 
-def _apart(unit, gains):
+def apart(unit, gains):
     """The best places that do not look alike."""
     chosen = []
     for k in np.argsort(-gains):

@@ -1,0 +1,122 @@
+"""Kicks that nobody declared: found at their instant, with their velocity, and not invented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.closing.loop import run_rounds
+from bsp_gp.closing.proposers.contacts import Contacts
+from bsp_gp.closing.proposers.laws import Laws
+from bsp_gp.closing.view import selected
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import held_out_rows
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.language.grammar import load_grammar
+from tests.closing_views import GRAVITY, edited, throws, view_of
+
+INSTANT, GAIN = 0.433, np.array([0.6, -0.8])
+
+
+def kicked(rng, gain=GAIN, **settings):
+    """Throws of which one body of the second scene gains a velocity between two rows."""
+    dataset = throws(rng, **settings)
+    since = np.maximum(dataset.scenes[1].times - INSTANT, 0.0)
+
+    def change(positions):
+        positions[:, -1] += since[:, None] * gain
+
+    return edited(dataset, change, scene=1)
+
+
+def p_of(family, view):
+    return selected(family.gain, family.rank, family.null, view.noise_dof, family.is_continuum)
+
+
+@pytest.mark.parametrize("n_bodies", [1, 2])
+def test_a_kick_is_found_with_its_instant_and_velocity(n_bodies):
+    dataset = kicked(np.random.default_rng(0), n_bodies=n_bodies)
+    view = view_of(dataset)
+    family = Contacts().propose(view)
+    best = family.proposals[0]
+    assert p_of(family, view) < 1e-10
+    assert best.code == "contact" and best.rank == 3
+    (part,) = [p for p in best.hypothesis.parts if isinstance(p, Kick)]
+    assert (part.scene, part.entity) == (dataset.scenes[1].name, str(n_bodies))
+    found = fit(best.hypothesis, dataset, starts=best.starts, bounds=best.bounds)
+    assert found.status == "converged"
+    assert found.chisqr == pytest.approx(view.fit.chisqr - family.gain, abs=0.05 * family.gain)
+    truth = {"w_x1": GAIN[0], "w_y1": GAIN[1], "t1": INSTANT}
+    away = found.values - [truth[name] for name, _ in found.parameters]
+    assert away @ np.linalg.solve(found.covariance, away) < 16.3  # chi-squared of 3: 99.9 %
+    units = {c.name: c.unit for c in constant_estimates(found, dataset)}
+    assert units == {"w_x1": "m/s", "w_y1": "m/s", "t1": "s"}
+
+
+def test_derivatives_are_those_of_the_motion_where_forces_depend_on_the_place():
+    """On an oscillator, against fits with a number held a little to either side."""
+    rng = np.random.default_rng(1)
+    times = 0.05 * np.arange(40)
+    dataset = throws(rng, n_scenes=2)
+    late = np.maximum(times - INSTANT, 0.0)
+    scenes = []
+    for k, scene in enumerate(dataset.scenes):
+        path = np.stack([np.cos(2 * times), np.sin(2 * times + 0.3)], axis=1)
+        path = path + k * 0.5 * np.sin(2 * late)[:, None] * GAIN
+        noise = 1e-3 * rng.standard_normal(path.shape)
+        scenes.append(replace(scene, times=times, positions=(path + noise)[:, None]))
+    dataset = replace(dataset, scenes=tuple(scenes), noise=(1e-3,))
+    best = Contacts().propose(view_of(dataset, "-4 [1/s^2] * m_i * (p_i - origin)")).proposals[0]
+    at = fit(best.hypothesis, dataset, starts=best.starts)
+    names = [name for name, _ in at.parameters]
+    assert np.abs(at.values - [{"t1": INSTANT, "w_x1": 0.6, "w_y1": -0.8}[n] for n in names]).max(
+    ) < 0.02  # fmt: skip
+    seen = at.channels.seen
+    own = np.where(seen, at.local_columns, 0.0)
+    for number, name in enumerate(names):
+        ends = []
+        for sign in (1, -1):
+            values = dict(zip(names, at.values, strict=True))
+            values[name] += sign * 1e-4
+            held = {n: (v, v) for n, v in values.items()}
+            ends.append(fit(best.hypothesis, dataset, starts=values, bounds=held).residual)
+        expected = np.where(seen, ends[1] - ends[0], 0.0) / 2e-4
+        left = np.where(seen, at.shared_columns[number], 0.0)
+        for chain in np.unique(at.channels.chain):
+            mine = at.channels.chain == chain
+            basis = own[:, :, mine].reshape(len(own), -1).T
+            column = left[:, mine].ravel()
+            column = column - basis @ np.linalg.lstsq(basis, column, rcond=1e-9)[0]
+            left[:, mine] = column.reshape(left[:, mine].shape)
+        assert left == pytest.approx(expected, abs=1e-3 * np.abs(expected).max())
+
+
+def test_noise_alone_shows_no_contact():
+    chances = []
+    for seed in range(12):
+        view = view_of(throws(np.random.default_rng(100 + seed), n_scenes=2))
+        chances.append(p_of(Contacts().propose(view), view))
+    assert min(chances) > 0.003 and np.median(chances) > 0.2
+
+
+def test_the_loop_adopts_a_kick_and_no_force():
+    dataset = kicked(np.random.default_rng(3))
+    laws = Laws(load_grammar("physics"), dataset, max_levels=5)
+    rounds = run_rounds(
+        Hypothesis.from_laws(dataset, (GRAVITY,)), dataset, [laws, Contacts()],
+        rng=np.random.default_rng(0), max_rounds=3,
+    )  # fmt: skip
+    assert [r.decision.verdict for r in rounds] == ["effect adopted", "nothing missing"]
+    assert rounds[0].decision.best.code == "contact"
+
+
+def test_other_scenes_do_not_feel_it():
+    dataset = kicked(np.random.default_rng(4))
+    view = view_of(dataset)
+    best = Contacts().propose(view).proposals[0]
+    found = fit(best.hypothesis, dataset, starts=best.starts)
+    other = throws(np.random.default_rng(5), n_scenes=1).scenes
+    rows = [held_out_rows(f, dataset, other)[0] for f in (view.fit, found)]
+    assert rows[1]["foreseen"] == pytest.approx(rows[0]["foreseen"], rel=1e-9)
