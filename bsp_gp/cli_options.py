@@ -540,11 +540,9 @@ def _loop(parser):
     )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument(
-        "--per-entity",
-        choices=("auto", "yes", "no"),
-        default="auto",
-        help="whether an effect may have a constant for every body (default auto)",
-    )
+        "--per-entity", help=argparse.SUPPRESS,
+        type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
+    )  # fmt: skip
     group.add_argument(
         "--guide", help=argparse.SUPPRESS,
         type=_gone("all laws are scored on whole tracks, and the trace is told beside them"),

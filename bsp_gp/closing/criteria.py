@@ -57,7 +57,8 @@ class Criteria:
     most_fits : int
         Proposals that are fitted in a round at the most.
     effort : int
-        Steps within which the fit of a proposal must converge: a few hundred where it is right.
+        Steps within which the fit of a proposal must converge: tens to hundreds where it is right,
+        thousands on exact data.
     tie_nats : float
         Odds within which an error of the measurement and a force are not told apart.
     noise_nats : float
@@ -79,7 +80,7 @@ class Criteria:
     equal_nats: float = 4.0
     fitted_nats: float = 8.0
     most_fits: int = 12
-    effort: int = 1500
+    effort: int = 4000
     tie_nats: float = 2.0
     noise_nats: float = 3.0
     promise: float = 0.3

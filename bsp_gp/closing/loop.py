@@ -328,8 +328,14 @@ def _chosen(every, clear, criteria):
     Promises of different families are not of one measure.
     """
     top = every[0][1].promise if every else 0.0
-    firsts = {name: pair for name, *pair in reversed(every) if name in clear}
-    first = [(name, *pair) for name, pair in firsts.items()]
+    # The likeliest single cause is among them, however well a set of causes does.
+    firsts = {(name, p.rank): (name, p) for name, p in reversed(every) if name in clear}
+    best = {name: p for name, p in reversed(every)}
+    simplest = {name: min(rank for other, rank in firsts if other == name) for name in clear}
+    first = [
+        pair for (name, rank), pair in firsts.items()
+        if pair[1] is best[name] or rank == simplest[name]
+    ]  # fmt: skip
     near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
     chosen, keys = [], set()
     for name, proposal in [*first, *near]:

@@ -199,6 +199,8 @@ def _beside(rows, waves):
 
 def _p_beside(values, is_upper=False):
     """Chance of the first value, from the others as draws of a normal distribution."""
+    size = np.abs(values).max()
+    values = values / size if 0 < size < np.inf else values
     draws = values[1:]
     spread = draws.std(ddof=1) * np.sqrt(1 + 1 / len(draws))
     t = (values[0] - draws.mean()) / spread if spread > 0 else 0.0

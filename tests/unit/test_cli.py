@@ -116,7 +116,7 @@ def test_close_tells_its_schema_its_settings_and_its_law(closed):
 
 
 @pytest.mark.parametrize(
-    ("option", "said"), [(["--guide", "off"], "is gone"), (["--per-entity", "yes"], "auto or no")]
+    ("option", "said"), [(["--guide", "off"], "is gone"), (["--per-entity", "yes"], "is gone")]
 )
 def test_options_that_close_has_no_more_are_refused(option, said, data, tmp_path, capsys):
     words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "out"), "--quiet"]

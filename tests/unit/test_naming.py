@@ -92,7 +92,7 @@ def test_no_rewriting_of_a_law_is_told_as_another(text):
     other = formula("c1 * (m_i * v_i)")
     ties = (formula(text), other, formula("c1 * (m_i^2 * inverse(m_i) * v_i)"))
     proposal = Proposal(
-        "law", "", Hypothesis(), 0.0, 1.0, formula=own, ties=ties, n_dims=2
+        "law", "", Hypothesis(), 0.0, 1.0, formulas=(own,), ties=ties, n_dims=2
     )  # fmt: skip
     assert proposal.texts_of_ties == ("c1 * (m_i * v_i)",)
 

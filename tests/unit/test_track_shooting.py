@@ -179,9 +179,10 @@ def test_long_windows_in_blocks_are_those_step_by_step():
     gaps = (ends - nodes[..., flow.row + 1, flow.chain]).reshape(flow.n_state, -1).T
     for group in shooting.groups:
         length = windows.length[group]
-        blocks = shooting._columns(group, transitions, gaps)
+        begun = shooting._begun(group, values_of(SPRING), nodes)
+        blocks = shooting._columns(group, transitions, gaps, begun)
         steps = shooting._chained(windows.first[group], windows.chain[group], length, transitions,
-                                  gaps)  # fmt: skip
+                                  gaps, begun)  # fmt: skip
         for w, n in enumerate(length):
             scale = np.abs(steps[:n, w]).max()
             np.testing.assert_allclose(blocks[:n, w], steps[:n, w], atol=1e-11 * scale)

@@ -10,7 +10,6 @@ from bsp_gp.closing.proposal import Family, Proposal, with_term
 from bsp_gp.closing.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.closing.proposers.varying import beside_unknown
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
-from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.parse import parse_formula
@@ -108,16 +107,22 @@ class Laws:
         kin = _declared_properties(view.fit.law)
         common = [_scored(view, f) for f in self.common if Term(f).kind in self.kinds]
         common = [c for c in common if c is not None]
-        keys = {canonical_key(c.formula, view.dataset.n_dims) for c in common}
         others = []
         for candidate in found:
-            twins = [c for c in common if abs(c.gain - candidate.gain) <= SAME * c.total]
-            if twins and canonical_key(candidate.formula, view.dataset.n_dims) in keys:
+            twin = next((k for k, c in enumerate(common) if _are_one(c, candidate)), None)
+            if twin is not None:
+                ties = (*common[twin].ties, candidate.formula, *candidate.ties)
+                common[twin] = replace(common[twin], ties=ties)
                 continue
             if any(kin) and candidate.kind == "pair":
                 candidate = _like(candidate, kin, view.criteria.cause_nats)
             others.append(candidate)
         return sorted((*common, *others), key=lambda c: c.complexity - 0.5 * c.gain)
+
+
+def _are_one(one, other):
+    """Whether two laws are the same on these data."""
+    return one.kind == other.kind and abs(one.gain - other.gain) <= SAME * one.total
 
 
 def _like(candidate, kin, nats):
