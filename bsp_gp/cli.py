@@ -223,11 +223,11 @@ def _run_loop(args, progress):
     """The report of the loop, and the settings that it ran with."""
     import numpy as np
 
-    from bsp_gp.closing.close import close_loop
-    from bsp_gp.closing.kept import joined_texts, text_of
-    from bsp_gp.closing.writing_up import dataset_digest
     from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.language.grammar import load_grammar
+    from bsp_gp.loop.close import close_loop
+    from bsp_gp.loop.kept import joined_texts, text_of
+    from bsp_gp.loop.writing_up import dataset_digest
     from bsp_gp.output.kept import Kept
 
     grammar = load_grammar(args.grammar)

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.ephemeris import load_ephemeris
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.loop.close import close_loop
 from bsp_gp.output.place import claim
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw

@@ -16,12 +16,12 @@ from dataclasses import replace
 import numpy as np
 from common import options, reference_data, write_table
 
-from bsp_gp.closing.close import close_loop
-from bsp_gp.closing.evidence import log_evidence
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import with_states
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.physics.masses import with_usable_masses
 
 DECLARED = "9.81 [m/s^2] * m_i * down"

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.proposers.hidden import Hidden
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.units import UnitSystem
 
 __all__ = ["GRAVITY", "HIDDEN_MASS", "Sought", "discs", "sought"]

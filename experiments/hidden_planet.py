@@ -13,14 +13,14 @@ from functools import partial
 import numpy as np
 from common import options, run_jobs, save_figure, write_study, write_text
 
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.proposers.companions import Companions
-from bsp_gp.closing.proposers.hidden import Hidden
 from bsp_gp.data.ephemeris import BODIES, load_ephemeris
 from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.data.split import choose_split
 from bsp_gp.demo import GRAVITY, J2000, YEAR
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.report.hidden_map import draw_hidden_map
 from bsp_gp.units import UnitSystem
 

@@ -12,7 +12,7 @@ from causes import is_adopted
 from common import options, run_jobs, write_study
 from made_worlds import FALL, NBODY, SPRING, make_apart, world
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 
 ALPHA = 0.01
 ALPHAS = (0.01, 0.05, 0.1, 0.2)

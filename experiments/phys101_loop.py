@@ -13,9 +13,9 @@ import pandas as pd
 from common import write_table
 from phys101_clips import FPS
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.loop.close import close_loop
 from bsp_gp.units import UnitSystem
 
 DECLARED = (

@@ -14,12 +14,12 @@ from causes import LAWS, PERIOD, Cause, Judge, causes_of, is_adopted, start_of
 from common import options, run_jobs, write_study
 from made_worlds import CLOSEST, FALL, MAT, NBODY, PUCKS, make_apart, world
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.noise import declare_noise
 from bsp_gp.errors import BspError, MissingDependencyError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.loop.close import close_loop
 from bsp_gp.simulate.effects import Effect, ExtraBody, effect
 from bsp_gp.simulate.engine import run_pymunk
 from bsp_gp.simulate.forces import MatFriction, PointSpring

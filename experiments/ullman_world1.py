@@ -13,8 +13,8 @@ import numpy as np
 from common import reference_data
 from ullman_model import contacts_of
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.loop.close import close_loop
 
 DECLARED = "c0 * (mu_j * m_i * normalize(v_i) * is_on(s_i, p_i, s_j, p_j))"
 LEAST = 24  # frames of a flight

@@ -15,7 +15,7 @@ from causes import Judge, causes_of, is_adopted
 from common import options, run_jobs, write_study
 from power import ALPHA, FORCES
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 
 SNRS = (10.0, 5.0, 30.0)
 WANTED_SNR = 10.0

@@ -41,7 +41,7 @@ def commands():
     return {
         "simulate": (["simulate", "DATA", "--law", GRAVITY, "--noise", "0.1"], ()),
         "fit": (["fit", "DATA", "--law", GRAVITY, "--law=-c1 * v_i"], ()),
-        "close": (close, ("bsp_gp.closing.close.close_loop", "bsp_gp.report.folder._contents")),
+        "close": (close, ("bsp_gp.loop.close.close_loop", "bsp_gp.report.folder._contents")),
         "compare": (["compare", "DATA", "--declare", GRAVITY, "--laws", "200", "--seeds", "1"],
                     ("bsp_gp.search.comparison.compare_searches",)),
         "infer": (infer, ("bsp_gp.cli_latents.run_infer",)),

@@ -25,7 +25,7 @@ ROOMS = (
     "fitting",
     "search",
     "inference",
-    "closing",
+    "loop",
     "vision",
     "simulate",
     "report",
@@ -291,7 +291,7 @@ def test_no_file_names_a_place_of_the_machine_it_was_written_on():
 @pytest.mark.parametrize(
     ("check", "where", "text"),
     [
-        (layer_faults, "search/genetic.py", "from bsp_gp.closing import close"),
+        (layer_faults, "search/genetic.py", "from bsp_gp.loop import close"),
         (layer_faults, "search/genetic.py", "def f():\n    import bsp_gp.report.html"),
         (layer_faults, "data/scene.py", "from ..physics import force"),
         (layer_faults, "data/scene.py", "from bsp_gp import cli"),
@@ -313,7 +313,7 @@ def test_no_file_names_a_place_of_the_machine_it_was_written_on():
         (danger_faults, "cli.py", "import random\nrandom.random()"),
         (danger_faults, "cli.py", "from random import choice"),
         (danger_faults, "cli.py", "np.random.default_rng()"),
-        (print_faults, "closing/close.py", "print('x')"),
+        (print_faults, "loop/close.py", "print('x')"),
     ],
 )
 def test_a_fault_is_found(check, where, text):
@@ -328,7 +328,7 @@ def test_a_fault_is_found(check, where, text):
         (layer_faults, "data/scene.py", "from .. import units"),
         (layer_faults, "language/grammar.py", "import bsp_gp.grammars"),
         (layer_faults, "cli.py", "from bsp_gp import __version__, close_loop"),
-        (layer_faults, "__init__.py", "from bsp_gp.closing import close"),
+        (layer_faults, "__init__.py", "from bsp_gp.loop import close"),
         (confinement_faults, "vision/film.py", "import cv2"),
         (confinement_faults, "search/genetic.py", "from deap import tools"),
         (danger_faults, "cli.py", "df.eval('a')\nre.compile('a')\nast.literal_eval('1')"),

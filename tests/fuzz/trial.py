@@ -80,8 +80,8 @@ def warm():
     import bsp_gp.cli  # noqa: F401
     import bsp_gp.cli_latents  # noqa: F401
     import bsp_gp.cli_make  # noqa: F401
-    import bsp_gp.closing.close  # noqa: F401
     import bsp_gp.fitting.law_fit  # noqa: F401
+    import bsp_gp.loop.close  # noqa: F401
     import bsp_gp.report.drawing  # noqa: F401
     import bsp_gp.report.folder  # noqa: F401
     import bsp_gp.report.scenes  # noqa: F401

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.tables import load_dataset
+from bsp_gp.loop.close import close_loop
 from bsp_gp.report.naming import describe
 from tests.told import adopted
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 from bsp_gp.simulate.effects import effect
 from bsp_gp.simulate.synth import make, preset
 

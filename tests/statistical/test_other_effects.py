@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 from bsp_gp.simulate import effects
 from bsp_gp.simulate.synth import make, preset
 from tests import worlds

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 from tests.planted import GRAVITY, orbit_dataset
 from tests.told import adopted, is_law
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
+from bsp_gp.loop.close import close_loop
 from tests import measured as wrong
 from tests import worlds
 from tests.measured import SPRING, changed

@@ -6,13 +6,13 @@ from dataclasses import asdict, fields, is_dataclass, replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.closing.accounts import Ratio
-from bsp_gp.closing.criteria import Criteria
-from bsp_gp.closing.outcome import Effect, LoopReport, Missing, Overlay, RoundRecord
-from bsp_gp.closing.trace import Channel, Trace
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.outcome import Effect, LoopReport, Missing, Overlay, RoundRecord
+from bsp_gp.loop.trace import Channel, Trace
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.metrics import METRICS
 

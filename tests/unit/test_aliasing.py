@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.loop.close import close_loop
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.force import ForceLaw
 from tests.planted import SI

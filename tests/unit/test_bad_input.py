@@ -290,7 +290,7 @@ def test_trouble_of_the_machine(error, expected, place, capsys, monkeypatch):
     def fail(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr("bsp_gp.closing.close.close_loop", fail)
+    monkeypatch.setattr("bsp_gp.loop.close.close_loop", fail)
     assert expected in complaint(
         ["close", "data", "--declare", LAW, "--out", "out"], place, capsys
     )

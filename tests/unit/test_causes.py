@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import LawError
+from bsp_gp.loop.close import close_loop
 from tests import measured as wrong
 from tests import worlds
 from tests.measured import SPRING, changed

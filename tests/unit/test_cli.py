@@ -127,7 +127,7 @@ def test_options_that_close_has_no_more_are_refused(option, said, data, tmp_path
 
 
 def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):
-    from bsp_gp.closing import close
+    from bsp_gp.loop import close
 
     out = tmp_path / "report"
     command = ["close", data, "--declare", GRAVITY, "--out", str(out), "--quiet",
@@ -445,7 +445,7 @@ def test_interrupt_is_130(data, tmp_path, monkeypatch, capsys):
     out = tmp_path / "r"
     words = ["close", data, "--declare", GRAVITY, "--out", str(out), *FAST]
     with monkeypatch.context() as patch:
-        patch.setattr("bsp_gp.closing.close.close_loop", interrupted)
+        patch.setattr("bsp_gp.loop.close.close_loop", interrupted)
         assert main(words) == 130
     assert capsys.readouterr().err == "bsp-gp: interrupted; nothing was written\n"
     assert not out.exists()

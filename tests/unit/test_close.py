@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import BspError, LawError, SettingsError
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.close import close_loop
 from bsp_gp.report.page import page_of
 from tests.planted import GRAVITY as PULL
 from tests.planted import SI, orbit_dataset

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import LatentDeclaration
+from bsp_gp.loop.close import close_loop
 from tests.planted import GRAVITY, orbit_dataset
 
 UNKNOWN = LatentDeclaration("mass", low=0.2, high=10.0, entities=("body1", "body2"))

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from bsp_gp.closing.kept import rounds_from, text_of
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.proposers.companions import Companions
-from bsp_gp.closing.proposers.hidden import Hidden
-from bsp_gp.closing.view import selected
-from bsp_gp.closing.writing_up import told
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_rows
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.hidden import HiddenBody
+from bsp_gp.loop.kept import rounds_from, text_of
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.view import selected
+from bsp_gp.loop.writing_up import told
 from bsp_gp.report.hidden_map import draw_hidden_map
-from tests.closing_views import view_of
+from tests.loop_views import view_of
 from tests.throws import SI
 
 LAW = "1 [m^3/kg/s^2] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.proposers.contacts import Contacts
-from bsp_gp.closing.proposers.laws import Laws
-from bsp_gp.closing.view import selected
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_rows
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.language.grammar import load_grammar
-from tests.closing_views import GRAVITY, edited, throws, view_of
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposers.contacts import Contacts
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.view import selected
+from tests.loop_views import GRAVITY, edited, throws, view_of
 
 INSTANT, GAIN = 0.433, np.array([0.6, -0.8])
 

@@ -5,12 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.criteria import CAUSES, REASONS, VERDICTS, Criteria
-from bsp_gp.closing.decide import decide
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.table import HeldOut, HypothesisTable, Row
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.criteria import CAUSES, REASONS, VERDICTS, Criteria
+from bsp_gp.loop.decide import decide
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.table import HeldOut, HypothesisTable, Row
 from tests.unit.test_response import thrown
 
 BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, -250.0, 4)

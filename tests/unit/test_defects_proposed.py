@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from bsp_gp.closing.criteria import CAUSES
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.proposers.defects import Defects
-from bsp_gp.closing.view import selected
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted, Swapped
-from tests.closing_views import GRAVITY, edited, throws, view_of
+from bsp_gp.loop.criteria import CAUSES
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.view import selected
+from tests.loop_views import GRAVITY, edited, throws, view_of
 
 
 def swap(positions):

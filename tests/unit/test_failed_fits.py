@@ -10,12 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import bsp_gp.closing.loop as loop
+import bsp_gp.loop.loop as loop
 from bsp_gp.cli import main
-from bsp_gp.closing.close import close_loop
 from bsp_gp.errors import DataError, EvaluationError, FitError
 from bsp_gp.fitting.law_fit import _correlation as correlation_of
 from bsp_gp.fitting.law_fit import fit_law
+from bsp_gp.loop.close import close_loop
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.summary import summary_text

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from bsp_gp.closing.proposers.laws import Laws
-from bsp_gp.closing.view import View
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.view import View
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 

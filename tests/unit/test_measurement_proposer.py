@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.criteria import CAUSES
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.proposal import continued
-from bsp_gp.closing.proposers.measurement import Measurement, kinds_of
-from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.tangent import instrument_columns
+from bsp_gp.loop.criteria import CAUSES
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposers.measurement import Measurement, kinds_of
+from bsp_gp.loop.view import View, selected
 from tests.fitted_tracks import body, dataset_of, law_of, reference, scene_of
 
 WEIGHT = "9.81 [m/s^2] * m_i * down"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
-from bsp_gp.closing.proposal import Proposal
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import describe
 from tests.worlds import WEIGHT, flights, linear_drag

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.proposers.defects import Defects
-from bsp_gp.closing.proposers.periods import Periods
-from bsp_gp.closing.view import selected
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.tangent import as_pair
-from tests.closing_views import throws, view_of
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.view import selected
+from tests.loop_views import throws, view_of
 
 RATE = 4 * np.pi
 

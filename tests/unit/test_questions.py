@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.criteria import NOISE_FINDINGS
-from bsp_gp.closing.questions import hidden_bound, noise_findings
-from tests.closing_views import edited, throws, view_of
+from bsp_gp.loop.criteria import NOISE_FINDINGS
+from bsp_gp.loop.questions import hidden_bound, noise_findings
+from tests.loop_views import edited, throws, view_of
 
 SIGMA = 0.005
 

@@ -14,7 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.criteria import (
+from bsp_gp.errors import OutputError
+from bsp_gp.loop.criteria import (
     CAUSES,
     LEFT_OUT,
     NOISE_FINDINGS,
@@ -22,7 +23,6 @@ from bsp_gp.closing.criteria import (
     STOP_REASONS,
     VERDICTS,
 )
-from bsp_gp.errors import OutputError
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.view import View, selected
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.tangent import Tangent, p_of_gain
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.view import View, selected
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import kind_of
 from tests.fitted_tracks import body, dataset_of, scene_of

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.held_out import predictions
+from bsp_gp.loop.close import close_loop
 from bsp_gp.report.page import page_of
 from tests.planted import SI
 from tests.throws import C1, GRAVITY, throws

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bsp_gp.closing.trace import trace
-from tests.closing_views import throws, view_of
+from bsp_gp.loop.trace import trace
+from tests.loop_views import throws, view_of
 
 
 def trace_of(move, **more):

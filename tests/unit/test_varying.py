@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.proposal import continued
-from bsp_gp.closing.proposers.varying import Varying
-from bsp_gp.closing.view import selected
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_rows
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.render import to_latex, to_text
-from tests.closing_views import GRAVITY, view_of
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposers.varying import Varying
+from bsp_gp.loop.view import selected
 from tests.fitted_tracks import law_of
+from tests.loop_views import GRAVITY, view_of
 from tests.throws import SI
 from tests.unit.test_decide import in_feet
 

@@ -5,11 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.close import close_loop
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.kept import rounds_from, text_of
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.table import held_out_gain
 from bsp_gp.data.scene import Dataset, Entity, LatentDeclaration, Scene
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.chains import build_chains
@@ -22,6 +17,11 @@ from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.response import respond
 from bsp_gp.inference.latents import declared_latents
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.kept import rounds_from, text_of
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.table import held_out_gain
 from tests.fitted_tracks import law_of
 from tests.planted import GRAVITY
 from tests.throws import SI

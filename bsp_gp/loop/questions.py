@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
-from bsp_gp.closing.trace import moments_of
 from bsp_gp.fitting.tangent import p_of_gain
+from bsp_gp.loop.trace import moments_of
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["Finding", "HiddenBound", "hidden_bound", "noise_findings"]

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, with_term_at
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 

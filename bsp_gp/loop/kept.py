@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 
-from bsp_gp.closing.loop import Round
-from bsp_gp.closing.proposal import Family
 from bsp_gp.errors import DataError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.language.formula import Formula
+from bsp_gp.loop.loop import Round
+from bsp_gp.loop.proposal import Family
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["joined_texts", "rounds_from", "text_of"]

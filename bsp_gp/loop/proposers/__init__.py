@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from bsp_gp.closing.proposers.companions import Companions
-from bsp_gp.closing.proposers.contacts import Contacts
-from bsp_gp.closing.proposers.defects import Defects
-from bsp_gp.closing.proposers.exponents import Declared
-from bsp_gp.closing.proposers.hidden import Hidden
-from bsp_gp.closing.proposers.laws import Laws
-from bsp_gp.closing.proposers.measurement import Measurement
-from bsp_gp.closing.proposers.noise import Noise
-from bsp_gp.closing.proposers.periods import Periods
-from bsp_gp.closing.proposers.varying import Varying
+from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.proposers.contacts import Contacts
+from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.proposers.exponents import Declared
+from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.proposers.measurement import Measurement
+from bsp_gp.loop.proposers.noise import Noise
+from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.proposers.varying import Varying
 
 __all__ = ["standard"]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from bsp_gp.closing.accounts import Ratio
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
+from bsp_gp.loop.accounts import Ratio
 
 __all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
 
@@ -209,7 +209,7 @@ class LoopReport:
     wall_s : float
     overlays : tuple of Overlay
     residuals : DataFrame or None
-        See `bsp_gp.closing.writing_up.residual_table`.
+        See `bsp_gp.loop.writing_up.residual_table`.
     fit, hypothesis : Fit, Hypothesis
         The last ones.
     extras : tuple of dict

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.closing.whereabouts import whereabouts
 from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 

@@ -14,9 +14,6 @@ from functools import partial
 import numpy as np
 from scipy.stats import norm, qmc
 
-from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.closing.proposers.hidden import Stage, apart, pulls_of, still
-from bsp_gp.closing.whereabouts import whereabouts
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.flow import Flow
@@ -24,6 +21,9 @@ from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.parts.hidden import HiddenBody, body_pull
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.hidden import Stage, apart, pulls_of, still
+from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
 
 __all__ = ["Companions", "Orbits"]

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.accounts import Accounts
 from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.fitting.channels import Channels
 from bsp_gp.fitting.fit import fit
@@ -16,6 +15,7 @@ from bsp_gp.fitting.lowering import fades_at_rest
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.simulated import draw_noise, simulated
+from bsp_gp.loop.accounts import Accounts
 from tests.fitted_tracks import body
 from tests.throws import SI
 

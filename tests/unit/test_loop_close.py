@@ -6,21 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.closing.backward import prune
-from bsp_gp.closing.clock import Clock, TimeIsUp
-from bsp_gp.closing.close import close_loop
-from bsp_gp.closing.criteria import CAUSES, LEFT_OUT, REASONS, STOP_REASONS, VERDICTS, Criteria
-from bsp_gp.closing.decide import Decision
-from bsp_gp.closing.kept import text_of
-from bsp_gp.closing.loop import Round, run_rounds
-from bsp_gp.closing.proposal import continued, with_term
-from bsp_gp.closing.proposers.exponents import Declared
-from bsp_gp.closing.proposers.laws import Laws
-from bsp_gp.closing.table import HypothesisTable, Row
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.fit import STATUSES, fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.backward import prune
+from bsp_gp.loop.clock import Clock, TimeIsUp
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.criteria import CAUSES, LEFT_OUT, REASONS, STOP_REASONS, VERDICTS, Criteria
+from bsp_gp.loop.decide import Decision
+from bsp_gp.loop.kept import text_of
+from bsp_gp.loop.loop import Round, run_rounds
+from bsp_gp.loop.proposal import continued, with_term
+from bsp_gp.loop.proposers.exponents import Declared
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.table import HypothesisTable, Row
 from bsp_gp.report.html import render_html
 from bsp_gp.report.summary import summary_text
 from tests import worlds

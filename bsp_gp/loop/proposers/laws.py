@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal, with_term
-from bsp_gp.closing.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
-from bsp_gp.closing.proposers.varying import beside_unknown
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
+from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 from bsp_gp.search.candidate import Candidate

@@ -10,10 +10,10 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.closing.view import gains
 from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.view import gains
 
 __all__ = ["Measurement", "kinds_of"]
 

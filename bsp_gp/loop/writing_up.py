@@ -9,11 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-from bsp_gp.closing.accounts import Ratio
-from bsp_gp.closing.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.units import ACCELERATION, FORCE
 
 __all__ = [

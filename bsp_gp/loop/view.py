@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from bsp_gp.closing.criteria import Criteria
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
+from bsp_gp.loop.criteria import Criteria
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
 

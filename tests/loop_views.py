@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from bsp_gp.closing.proposal import continued
-from bsp_gp.closing.view import View
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.view import View
 from tests.throws import SI
 
 GRAVITY = "-9.81 [m/s^2] * m_i * e_y"

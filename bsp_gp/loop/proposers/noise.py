@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.hypothesis import TrackNoise
+from bsp_gp.loop.proposal import Family, Proposal
 
 __all__ = ["Noise"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.tangent import INDEPENDENT, as_pair
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.closing.clock import Clock, TimeIsUp
-from bsp_gp.closing.criteria import Criteria
-from bsp_gp.closing.decide import decide
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.proposal import continued
-from bsp_gp.closing.questions import hidden_bound, noise_findings
-from bsp_gp.closing.table import HeldOut, HypothesisTable, Row, held_out_gain
-from bsp_gp.closing.trace import trace
-from bsp_gp.closing.view import View, selected
 from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
+from bsp_gp.loop.clock import Clock, TimeIsUp
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.decide import decide
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.questions import hidden_bound, noise_findings
+from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.loop.trace import trace
+from bsp_gp.loop.view import View, selected
 
 __all__ = ["Round", "run_rounds"]
 

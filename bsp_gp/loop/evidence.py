@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from bsp_gp.closing.criteria import Criteria
 from bsp_gp.fitting.starts import roles_of
+from bsp_gp.loop.criteria import Criteria
 
 __all__ = ["log_evidence"]
 

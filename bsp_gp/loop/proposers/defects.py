@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
-from bsp_gp.closing.proposers.swaps import swaps
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.swaps import swaps
 
 __all__ = ["Defects"]
 

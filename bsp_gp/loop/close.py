@@ -9,15 +9,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from bsp_gp.closing import writing_up
-from bsp_gp.closing.accounts import Accounts
-from bsp_gp.closing.backward import prune
-from bsp_gp.closing.clock import Clock
-from bsp_gp.closing.criteria import VERDICTS, Criteria
-from bsp_gp.closing.kept import rounds_from
-from bsp_gp.closing.loop import run_rounds
-from bsp_gp.closing.outcome import LoopReport
-from bsp_gp.closing.proposers import standard
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
@@ -33,6 +24,15 @@ from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.loop import writing_up
+from bsp_gp.loop.accounts import Accounts
+from bsp_gp.loop.backward import prune
+from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.criteria import VERDICTS, Criteria
+from bsp_gp.loop.kept import rounds_from
+from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.outcome import LoopReport
+from bsp_gp.loop.proposers import standard
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
@@ -86,7 +86,7 @@ def close_loop(
     progress : callable, optional
         ``progress(text)`` at every stage.
     on_round : callable, optional
-        ``on_round(round)`` after every round; `bsp_gp.closing.kept.text_of` makes text of them.
+        ``on_round(round)`` after every round; `bsp_gp.loop.kept.text_of` makes text of them.
     earlier : str, optional
         Such text of a run with the same data and settings, to go on from.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bsp_gp.closing.criteria import Criteria
+from bsp_gp.loop.criteria import Criteria
 
 __all__ = ["Decision", "decide"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.closing.proposal import Family, Proposal
 from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import fresh_name
 
 __all__ = ["Contacts"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bsp_gp.closing.clock import Clock
-from bsp_gp.closing.evidence import log_evidence
-from bsp_gp.closing.proposal import continued
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposal import continued
 
 __all__ = ["Pruned", "prune"]
 
