@@ -265,7 +265,7 @@ class _Turn:
             if self.note_time("fits"):
                 break
             row = self._fitted(source, proposal)
-            if (source, proposal) not in controls:
+            if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
                 offsets[source] = max(offsets.get(source, -math.inf), above)
                 above = row.log_likelihood - 0.5 * proposal.gain
@@ -328,17 +328,16 @@ def _chosen(every, clear, criteria):
     Promises of different families are not of one measure.
     """
     top = every[0][1].promise if every else 0.0
-    # The likeliest single cause is among them, however well a set of causes does.
-    firsts = {(name, p.rank): (name, p) for name, p in reversed(every) if name in clear}
-    best = {name: p for name, p in reversed(every)}
-    simplest = {name: min(rank for other, rank in firsts if other == name) for name in clear}
-    first = [
-        pair for (name, rank), pair in firsts.items()
-        if pair[1] is best[name] or rank == simplest[name]
-    ]  # fmt: skip
+    best, simplest = {}, {}
+    for name, proposal in every:
+        if name in clear:
+            best.setdefault(name, (name, proposal))
+            # A single cause is fitted, however well a set of causes does.
+            if name not in simplest or proposal.rank < simplest[name][1].rank:
+                simplest[name] = (name, proposal)
     near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
     chosen, keys = [], set()
-    for name, proposal in [*first, *near]:
+    for name, proposal in [*best.values(), *simplest.values(), *near]:
         if len(chosen) == criteria.most_fits:
             break
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
