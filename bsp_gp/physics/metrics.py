@@ -90,13 +90,16 @@ def residual_accelerations(regression, law):
 
 
 def residual_acceleration(regression, law):
-    """Root mean square of observed minus predicted acceleration over bodies and instants, m/s^2."""
+    """Root mean square of observed minus predicted acceleration over bodies and instants, m/s^2.
+
+    nan where no row is looked at.
+    """
     total, count = 0.0, 0
     for part in regression.raw_residuals(law):
         seen = np.isfinite(part).any(axis=-1)
         total += float(np.nansum(np.square(part)))
         count += int(seen.sum())
-    return float(np.sqrt(total / count))
+    return float(np.sqrt(total / count)) if count else float("nan")
 
 
 def _squares(field):
