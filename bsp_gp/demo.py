@@ -137,6 +137,7 @@ def _demo_report(seed, progress, workers):
         [GRAVITY],
         rng=np.random.default_rng(seed),
         seed=seed,
+        max_rounds=1,  # terms are chosen together, as one set
         workers=workers,
         progress=progress,
     )

@@ -36,6 +36,7 @@ def test_a_drag_is_named_and_sized():
     assert report.rounds[1].verdict == "nothing missing"
 
 
+@pytest.mark.slow
 def test_a_drag_that_no_allowed_law_can_say_is_not_adopted():
     report = found(4, NO_SPEED)
     assert not [e for e in adopted(report) if e.code == "law" and e.is_fact]

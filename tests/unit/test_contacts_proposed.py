@@ -101,6 +101,7 @@ def test_noise_alone_shows_no_contact():
     assert min(chances) > 0.003 and np.median(chances) > 0.2
 
 
+@pytest.mark.slow
 def test_the_loop_adopts_a_kick_and_no_force():
     dataset = kicked(np.random.default_rng(3))
     laws = Laws(load_grammar("physics"), dataset, max_levels=5)
