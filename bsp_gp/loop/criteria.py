@@ -17,9 +17,10 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
-    "superseded", "not_tested",
+    "superseded", "not_tested", "strength_varies",
 )  # fmt: skip
-"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
+"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
+"strength_varies": adopted as a description, since its constant is not the same everywhere."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
