@@ -75,7 +75,8 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
             names = {p.name for p in smaller.parameters}
             kept = {name: pair for name, pair in (bounds or {}).items() if name in names}
             other = fit(
-                smaller, dataset, bounds=kept, deadline=clock.left, effort=criteria.effort
+                smaller, dataset, bounds=kept, deadline=clock.left, effort=criteria.effort,
+                near=found,
             )
             n_fits += 1
             if clock.is_over:  # it may have been cut short

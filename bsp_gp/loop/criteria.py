@@ -81,7 +81,7 @@ class Criteria:
     equal_nats: float = 4.0
     fitted_nats: float = 8.0
     most_fits: int = 12
-    effort: int = 3000
+    effort: int = 600
     tie_nats: float = 2.0
     noise_nats: float = 3.0
     promise: float = 0.3

@@ -296,7 +296,7 @@ class _Turn:
             new = fit(
                 hypothesis, self.run.dataset, starts=proposal.starts,
                 bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-                effort=self.run.criteria.effort,
+                effort=self.run.criteria.effort, near=self.base,
             )  # fmt: skip
         except FAULTS:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
