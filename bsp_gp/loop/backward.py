@@ -72,11 +72,9 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
             if progress is not None:
                 progress(f"without {done.decision.best.text}")
             smaller = continued(smaller, found)
-            names = {p.name for p in smaller.parameters}
-            kept = {name: pair for name, pair in (bounds or {}).items() if name in names}
             other = fit(
-                smaller, dataset, bounds=kept, deadline=clock.left, effort=criteria.effort,
-                near=found,
+                smaller, dataset, bounds=smaller.own(bounds), deadline=clock.left, near=found,
+                effort=criteria.effort,
             )
             n_fits += 1
             if clock.is_over:  # it may have been cut short

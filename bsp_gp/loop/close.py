@@ -128,7 +128,8 @@ def close_loop(
 
     if earlier is not None:
         earlier = rounds_from(
-            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds
+            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds,
+            criteria=criteria,
         )
     rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
     is_cut = False

@@ -58,9 +58,12 @@ class Exponent:
     def high(self):
         return self.value + Z_90 * self.error
 
-    def is_told_apart(self, separation):
-        """Whether powers next to the one stated lie so far away, in chi-squared."""
-        return (NEIGHBOUR / self.error) ** 2 >= separation if self.error > 0 else True
+    def is_as_stated(self, criteria):
+        """Whether the data have the power that is stated, and none next to it."""
+        least = np.sqrt(criteria.separation)
+        away = abs(self.value - self.stated)
+        is_it = away <= max(least * self.error, criteria.constant_within)
+        return bool(is_it and least * self.error <= NEIGHBOUR)
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,14 @@ class Varies:
     variable : str
     p_value : float
         All terms and variables counted.
+    share : float
+        Size of the change in that of the term, as the tracks show both.
     """
 
     term: Formula
     variable: str
     p_value: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -127,24 +133,33 @@ def constancy(view):
                 value = stated + float(score.amplitudes[0])
                 error = float(score.errors[0])
                 exponents.append(Exponent(term.formula, base, stated, value, error))
-            asked.append((term.formula, to_text(base), columns))
-        asked += [(term.formula, name, c) for name, c in _smooth(view, term)]
+            asked.append((term, to_text(base), columns))
+        asked += [(term, name, c) for name, c in _smooth(view, term)]
     return Constancy(tuple(exponents), _judged(view, asked))
 
 
 def _judged(view, asked):
     """Which variables matter, the greatest gain on noise taken over all of them."""
-    null, gains = np.zeros(view.moment_draws.shape[1]), []
-    for formula, variable, columns in asked:
+    null, found = np.zeros(view.moment_draws.shape[1]), []
+    for term, variable, columns in asked:
         score = view.score_forces(columns)
         if score.rank:
             null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
-            gains.append((float(as_pair(score.statistic, score.rank)), formula, variable))
-    gains.sort(key=lambda entry: -entry[0])
+            gain = float(as_pair(score.statistic, score.rank))
+            whole = np.linalg.norm(_moments(view, term, term.formula))
+            share = float(np.linalg.norm(columns @ score.amplitudes) / (whole or np.inf))
+            found.append((gain, term.formula, variable, share))
+    found.sort(key=lambda entry: -entry[0])
     return tuple(
-        Varies(formula, variable, selected(gain, 2, null, view.noise_dof))
-        for gain, formula, variable in gains
+        Varies(formula, variable, selected(gain, 2, null, view.noise_dof), share)
+        for gain, formula, variable, share in found
     )
+
+
+def _moments(view, term, formula):
+    """Moments of a formula of the kind of a term, with its constants, (n,)."""
+    known = {name: view.fit.law.constants[name] for name in term.formula.constants}
+    return view.response.moments_of(ForceLaw((Term(formula, term.kind),), known))
 
 
 def _bases(term):
@@ -162,12 +177,8 @@ def _logarithms(view, term, base):
         return None
     ratio = Call("log", Call("div", base, Number(typical, base.type.unit)))
     once = Call("mul", ratio, term.formula)
-    known = {name: view.fit.law.constants[name] for name in term.formula.constants}
-    columns = [
-        view.response.moments_of(ForceLaw((Term(formula, term.kind),), known))
-        for formula in (once, Call("mul", ratio, once))
-    ]
-    return np.stack(columns, axis=1)
+    both = (once, Call("mul", ratio, once))
+    return np.stack([_moments(view, term, formula) for formula in both], axis=1)
 
 
 def _smooth(view, term):

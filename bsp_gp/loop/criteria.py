@@ -66,6 +66,9 @@ class Criteria:
         Odds by which a cause must be likelier than noise of another kind.
     promise : float
         Part of the gain that a hypothesis promises for held-out tracks, which it must keep.
+    constant_within : float
+        Part of its strength by which a law that was found may change from place to place, surely,
+        and be a law: some weaker effect beside it always shows where the noise is low.
     cause_nats : float
         Log odds, beforehand, against a cause that is no law of the grammar: as likely as the
         simplest laws.
@@ -85,6 +88,7 @@ class Criteria:
     tie_nats: float = 2.0
     noise_nats: float = 3.0
     promise: float = 0.3
+    constant_within: float = 0.05
     cause_nats: float = 3.0
     decades: float = 3.0
     exponent_width: float = 2.0

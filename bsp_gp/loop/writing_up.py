@@ -109,9 +109,11 @@ def _effect(done, dataset, bounds, constancy, criteria):
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
     known = (constancy or Constancy()).of(added if done.decision.is_adopted else ())
-    varies = [v for v in known.varies if v.p_value <= criteria.alpha]
-    is_apart = all(e.is_told_apart(criteria.separation) for e in known.exponents)
-    is_apart &= constancy is not None
+    varies = [
+        v for v in known.varies
+        if v.p_value <= criteria.alpha and v.share > criteria.constant_within
+    ]  # fmt: skip
+    is_apart = constancy is not None and all(e.is_as_stated(criteria) for e in known.exponents)
     return Effect(
         name=best.text,
         code=best.code,
@@ -131,7 +133,8 @@ def _effect(done, dataset, bounds, constancy, criteria):
         is_fact=done.decision.is_fact and is_apart and not varies,
         exponents=tuple(map(_exponent, known.exponents)),
         varies_with=tuple(
-            {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value} for v in varies
+            {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value}
+            for v in varies
         ),
         formula=proposal.formulas[0] if len(proposal.formulas) == 1 else None,
         details={**done.details, "p_value": done.table.p_value} if done.details else {},

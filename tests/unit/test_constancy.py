@@ -1,5 +1,7 @@
 """Whether what was found has the same strength everywhere, and which powers the data allow."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -76,7 +78,7 @@ def test_a_power_between_is_told(law):
     found = found_in(thrown(lambda t, p, v: 0.15 * v**0.5), law)
     (speed,) = found.exponents
     assert speed.low < 1.5 < speed.high or abs(speed.value - 1.5) < 0.2  # to first order
-    assert found.varies[0].p_value < 1e-6
+    assert found.varies[0].p_value < 1e-6 and found.varies[0].share > 0.05
 
 
 @pytest.mark.parametrize(
@@ -106,6 +108,10 @@ def test_a_law_that_is_not_constant_is_a_description_only():
     assert says_so == bool(done.effect.varies_with)
 
 
-def test_powers_that_lie_between_are_told_apart_by_the_criterion():
+def test_a_power_is_as_stated_where_its_neighbours_are_excluded():
     (speed,) = found_in(thrown(lambda t, p, v: 0.15), LINEAR).exponents
-    assert speed.is_told_apart(Criteria().separation) == (0.5 / speed.error >= 4.0)
+    assert speed.is_as_stated(Criteria())
+    assert not replace(speed, error=0.2).is_as_stated(Criteria()), "a half next to it may be"
+    assert not replace(speed, value=1.5).is_as_stated(Criteria())
+    near = replace(speed, value=1.002, error=1e-4)
+    assert near.is_as_stated(Criteria()), "some weaker effect always shows"
