@@ -39,7 +39,10 @@ class Referee:
 
     def is_right(self, cause):
         """Whether a cause has the form of the truth."""
-        return self.judge.is_form(cause)
+        try:
+            return self.judge.is_form(cause)
+        except BspError:  # these data have no such direction
+            return False
 
     def is_law(self, law):
         """Whether a whole law is the truth."""

@@ -20,6 +20,7 @@ from odd_noise import NOISES
 from open_judge import Referee, judge_foreign, judge_null
 from open_tables import figure, summary
 from power import ALPHA, seen_against, strength_at
+from scenes import with_noise
 
 from bsp_gp.data.noise import declare_noise
 from bsp_gp.errors import BspError
@@ -35,10 +36,7 @@ N_SETS = 2500
 SHARE_NULL = 0.2
 MAX_ROUNDS = 3
 MOST_RIVALS = 6
-QUICK = (
-    ("speed to the 1.5", 30.0), ("chirp", 10.0), ("saturating spring", 30.0), ("tails", 0.0),
-    ("memory", 0.0),
-)  # fmt: skip
+QUICK = (("speed to the 1.5", 10.0), ("speed to the 0.5", 10.0), ("tails", 0.0), ("outliers", 0.0))
 NULL_LAYOUTS = tuple(LAYOUTS)
 
 
@@ -97,23 +95,6 @@ def tuned(name, snr, plan):
     return strength, seen(strength), *made
 
 
-def noisy(dataset, scenes, sigma, with_noise):
-    """The data set as it was measured."""
-    noise = (sigma,) if with_noise else None
-    return replace(dataset, scenes=tuple(scenes), noise=noise)
-
-
-def with_white(dataset, sigma, rng):
-    """Scenes with white noise on what moves."""
-    out = []
-    for scene in dataset.scenes:
-        positions = np.array(scene.positions)
-        shape = positions[:, scene.dynamic].shape
-        positions[:, scene.dynamic] += sigma * rng.standard_normal(shape)
-        out.append(replace(scene, positions=positions))
-    return out
-
-
 # --- how far the nearest rival is -----------------------------------------------------------------
 
 
@@ -166,17 +147,19 @@ def data_set(name, snr, seed):
         Of a foreign kind: exact, truth, strength, snr_found; of a null: noise_gain.
     """
     plan = plan_of(name, snr, seed)
-    layout, with_noise = LAYOUTS[plan.layout], is_declared(name, snr, seed)
+    layout = LAYOUTS[plan.layout]
     declared, rng = layout.declared(plan.n_dims), np.random.default_rng((*plan.entropy, 2))
     if name in NOISES:
         exact, truth = moved(plan)
         scenes, gain = NOISES[name].draw(truth.scenes, layout.sigma, rng)
         size = layout.sigma if name == "missing rows" else _size(exact.scenes, scenes)
-        return noisy(exact, scenes, size, with_noise), declared, {"noise_gain": gain}
+        noise = (size,) if is_declared(name, snr, seed) else None
+        return replace(exact, scenes=tuple(scenes), noise=noise), declared, {"noise_gain": gain}
     strength, found, exact, truth = tuned(name, snr, plan)
-    scenes = with_white(exact, layout.sigma, rng)
+    scenes = tuple(with_noise(scene, layout.sigma, rng) for scene in exact.scenes)
+    noise = (layout.sigma,) if is_declared(name, snr, seed) else None
     known = {"exact": exact, "truth": truth, "strength": strength, "snr_found": found}
-    return noisy(exact, scenes, layout.sigma, with_noise), declared, known
+    return replace(exact, scenes=scenes, noise=noise), declared, known
 
 
 def _size(exact, seen):
