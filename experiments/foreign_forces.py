@@ -135,12 +135,17 @@ def kicks(rate):
     """Pushes at random, `rate` of them in a recording, each as long as the others."""
 
     def build(c, rng):
-        seed = int(rng.integers(2**32))
+        seed, known = int(rng.integers(2**32)), {}
+
+        def drawn(at):
+            own = np.random.default_rng((seed, at.scene))
+            when = own.uniform(0, at.span, (rate, len(at.p), 1))
+            return when, own.standard_normal((rate, *at.p.shape))
 
         def force(at):
-            own = np.random.default_rng((seed, at.scene))
-            shape = (rate, *at.p.shape)
-            when, way = own.uniform(0, at.span, (rate, len(at.p), 1)), own.standard_normal(shape)
+            if at.scene not in known:
+                known[at.scene] = drawn(at)
+            when, way = known[at.scene]
             length = min(0.5 / rate, 0.03) * at.span
             return c * (way * np.exp(-0.5 * np.square((at.t - when) / length))).sum(axis=0)
 
