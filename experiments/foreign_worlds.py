@@ -88,7 +88,8 @@ KINDS = {
         f.push(lambda at, a: np.sin(6 * a[0] + at.t * (3 + 2 * a[1] + 2 * at.t))), "time"),
     "shear": _kind(
         "place", "sliding", 0.0013, f.push(lambda at, a: at.p[:, 1:2] - a[0]), "y", **_SPACE),
-    "hill": _kind("place", "sliding", 0.0026, f.hill, "x", "y", "distance"),
+    "hill": _kind(
+        "place", "sliding", 0.0026, f.hill, "x", "y", "distance", near=("hidden_body",)),
     "corrugation": _kind(
         "place", "sliding", 0.0021, f.push(lambda at, a: np.sin(6 * a[0] + 5 * at.p[:, :1])), "x"),
     "drag along one axis": _kind("direction", "sliding", 0.001, f.by_axis, "speed", **_SPACE),

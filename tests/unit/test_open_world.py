@@ -231,6 +231,8 @@ UNTOLD = {"verdict": "cannot tell", "is_fact": False}
         ([one_round(NEAR)], "neighbour"),
         ([one_round("c * m_i * normalize(v_i)")], "neighbour"),
         ([one_round("x = (1 + s) X", code="hidden_body")], "neighbour"),
+        ([one_round("(norm(v_i) / 2 [m/s])^n1 * (c * v_i)", code="exponent")], "fact"),
+        ([one_round("c[body] * v_i", code="constant_per_body")], "neighbour"),
         ([one_round(OTHER)], "wrong"),
         ([one_round("x = (1 + s) X", code="scale")], "wrong"),
         ([one_round("a * v_i + b * e_x")], "wrong"),
