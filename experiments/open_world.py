@@ -170,6 +170,23 @@ def _size(exact, seen):
     return float(np.sqrt(np.square(np.concatenate(errors)).mean()))
 
 
+def learned_from(exact, report):
+    """The part of exact data that the loop learned from; None where it does not say.
+
+    Of few scenes that is the beginning of each, which shows far less than the whole.
+    """
+    if report.residuals is None:
+        return None
+    rows = report.residuals[report.residuals["split"] == "train"]
+    names = rows["scene"].str.removesuffix(" (train)")
+    out = []
+    for scene in exact.scenes:
+        seen = rows.loc[names == scene.name, "t"]
+        if len(seen):
+            out.append(scene.rows(0, int(np.searchsorted(scene.times, seen.max())) + 1))
+    return replace(exact, scenes=tuple(out))
+
+
 def lead_of(report):
     """The variable with which what is missing changes most, in the first round that tells one."""
     entries = [done.varies_with[0] for done in report.rounds if done.varies_with]
@@ -199,7 +216,10 @@ def work(name, snr, seed):
     referee = Referee(exact, truth, declared, kind.near)
     own = judge_foreign(report, referee, ALPHA)
     told = [cause for done in report.rounds for cause in causes_of(done)]
-    rival, apart = separation(exact, declared, LAYOUTS[plan.layout].sigma, referee, told)
+    part = learned_from(exact, report)
+    sigma = LAYOUTS[plan.layout].sigma
+    rival, apart = separation(exact, declared, sigma, referee, told)
+    known["snr_train"] = np.nan if part is None else seen_against(part, declared, "", sigma)
     is_lead = after["lead"] in kind.varies or own["code"] in kind.near
     more = {"family": kind.family, "aside": kind.is_aside, **known, "separation": apart}
     return [{**common, **more, "rival": rival, **own, "lead_right": is_lead, **after}]

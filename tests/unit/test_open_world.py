@@ -315,3 +315,20 @@ def test_the_summary_keeps_apart_what_is_set_aside(study):
     assert "1 sets: wrong and confident 100.0%" in text
     assert "1 sets set aside: wrong and confident 0.0%" in text
     assert "100% of 1" in text
+
+
+def test_what_the_loop_learned_from_is_cut_out_of_the_exact_data(study):
+    import pandas as pd
+
+    exact, _ = study.moved(replace(study.plan_of("chirp", 5.0, 0), is_long=False))
+    first, second = exact.scenes[:2]
+    rows = [
+        {"scene": f"{first.name} (train)", "split": "train", "t": t} for t in first.times[:20]
+    ]
+    rows += [{"scene": f"{first.name} (test)", "split": "test", "t": t} for t in first.times[25:]]
+    rows += [{"scene": second.name, "split": "train", "t": t} for t in second.times]
+    report = SimpleNamespace(residuals=pd.DataFrame(rows))
+    part = study.learned_from(exact, report)
+    assert [scene.name for scene in part.scenes] == [first.name, second.name]
+    assert [len(scene.times) for scene in part.scenes] == [20, len(second.times)]
+    assert study.learned_from(exact, SimpleNamespace(residuals=None)) is None
