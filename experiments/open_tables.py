@@ -3,8 +3,10 @@
 import numpy as np
 from open_judge import OUTCOMES, OUTCOMES_OF_NULL
 
-__all__ = ["figure", "interval", "summary"]
+__all__ = ["NULL", "figure", "interval", "summary"]
 
+NULL = "odd noise"
+"""Family of sets that lack nothing."""
 N_DRAWS = 2000
 ENDS = (0.05, 0.95)
 NATS = 10.0
@@ -36,7 +38,7 @@ def interval(kinds, hits, seed=0):
 
 def summary(table):
     """The tables as Markdown: foreign causes, and odd noise on data that lack nothing."""
-    is_null = table["family"] == "null"
+    is_null = table["family"] == NULL
     lines = [
         "# An open world\n",
         "Fact: the right form, alone. Class: it is among those that are told. Effective: told as a "
@@ -128,7 +130,7 @@ def figure(table):
     """Outcomes of each kind as stacked bars."""
     import matplotlib.pyplot as plt
 
-    is_null = table["family"] == "null"
+    is_null = table["family"] == NULL
     parts = [(table[~is_null], OUTCOMES), (table[is_null], OUTCOMES_OF_NULL)]
     counts = [max(part["kind"].nunique(), 1) for part, _ in parts]
     fig, axes = plt.subplots(

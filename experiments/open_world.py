@@ -18,7 +18,7 @@ from foreign_worlds import KINDS
 from odd_noise import ASIDE as NOISES_ASIDE
 from odd_noise import NOISES
 from open_judge import Referee, judge_foreign, judge_null
-from open_tables import figure, summary
+from open_tables import NULL, figure, summary
 from power import ALPHA, seen_against, strength_at
 from scenes import with_noise
 
@@ -209,7 +209,7 @@ def work(name, snr, seed):
     }  # fmt: skip
     if name in NOISES:
         own = judge_null(report, NOISES[name])
-        more = {"family": "null", "aside": name in NOISES_ASIDE, **known}
+        more = {"family": NULL, "aside": name in NOISES_ASIDE, **known}
         return [{**common, **more, **own, **after}]
     kind = KINDS[name]
     exact, truth = known.pop("exact"), known.pop("truth")

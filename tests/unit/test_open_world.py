@@ -307,7 +307,7 @@ def test_the_summary_keeps_apart_what_is_set_aside(study):
         "separation": 3.0, "lead_right": True, "is_class_without_truth": False, "cpu_s": 2.0,
     }  # fmt: skip
     null = {
-        "family": "null", "kind": "tails", "snr": 0.0, "aside": False, "outcome": "right_null",
+        "family": "odd noise", "kind": "tails", "snr": 0.0, "aside": False, "outcome": "right_null",
         "noise_gain": 20.0, "noise_named": True, "cpu_s": 1.0,
     }  # fmt: skip
     rows = [row, {**row, "kind": "b", "aside": True, "outcome": "fact"}, null]
