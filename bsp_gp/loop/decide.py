@@ -58,7 +58,11 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
     noise = next((row for row in candidates if row.kind == "noise"), None)
-    if noise is not None and best.log_posterior - noise.log_posterior < criteria.noise_nats:
+    is_near = noise is not None and (
+        best.log_posterior - noise.log_posterior < criteria.noise_nats
+        and noise.log_posterior > table.base.log_posterior
+    )  # fmt: skip
+    if is_near:
         return Decision("the noise is not as assumed", "noise_explains", noise, True)
     rivals = tuple(
         row for row in _comparable(table)

@@ -43,6 +43,8 @@ def log_evidence(fit, hypothesis, criteria=None):
         return total
     covariance = fit.covariance
     known = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
+    if np.isinf(np.diag(covariance)).any():
+        return float(total + _log_share(fit, hypothesis, criteria))
     inner = covariance[np.ix_(known, known)]
     size = np.sqrt(np.diag(inner))
     _, volume = np.linalg.slogdet(inner / np.outer(size, size))
@@ -63,6 +65,30 @@ def log_evidence(fit, hypothesis, criteria=None):
             total += _log_prior(roles[number.name], abs(value), error, criteria)
     more = (_log_prior_of_table(np.array(t).T, criteria) for t in tables.values())
     return float(total + sum(more))
+
+
+def _log_share(fit, hypothesis, criteria):
+    """Logarithm of the part of the prior that the data leave where they do not tell all numbers.
+
+    Directions that they do not tell keep their prior, and cost nothing; those that they tell cost
+    what they would in any other numbers.
+    """
+    roles, widths, total = roles_of(fit.law), [], 0.0
+    errors = 1.0 / np.sqrt(np.maximum(np.square(fit.jacobian).sum(axis=0), 1e-300))
+    for number, value, error in zip(hypothesis.parameters, fit.values, errors, strict=True):
+        if hasattr(number.prior, "log_prob"):
+            widths.append(math.exp(-float(number.prior.log_prob(value))) / math.sqrt(TURN))
+        elif number.prior is not None:
+            centre, scale = number.prior
+            total -= math.log1p(((value - centre) / scale) ** 2)
+            widths.append(math.pi * scale / math.sqrt(TURN))
+        else:
+            role = "linear" if number.name.endswith("]") else roles[number.name]
+            widths.append(math.exp(-_log_prior(role, abs(value), min(error, abs(value)), criteria)))
+            widths[-1] /= math.sqrt(TURN)
+    scaled = fit.jacobian * np.minimum(widths, 1e100)
+    size = np.linalg.svd(scaled, compute_uv=False)
+    return total - 0.5 * float(np.log1p(np.square(np.minimum(size, 1e150))).sum())
 
 
 def _log_prior_of_table(table, criteria):

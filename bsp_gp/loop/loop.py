@@ -26,6 +26,8 @@ FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
+SAME_MINIMUM = 1e-3
+"""Nats within which two descents of one cause have come to one minimum."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -258,11 +260,10 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        heights = {}  # likelihoods of what was fitted, above what was promised
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
         clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
         chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
-        offsets = {}  # of what was fitted above its promise, family by family
+        above = {}  # posteriors and likelihoods above what was promised, by family and rank
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
@@ -273,24 +274,25 @@ class _Turn:
                 gained = row.log_posterior - self.rows[0].log_posterior
                 self.found = max(self.found, min(gained, proposal.promise))
             if row.is_fit and (source, proposal) not in controls:
-                above = row.log_posterior - proposal.promise
-                offsets[source] = max(offsets.get(source, -math.inf), above)
-                above = row.log_likelihood - 0.5 * proposal.gain
-                heights[source] = max(heights.get(source, -math.inf), above)
+                own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
+                known = above.setdefault(source, {}).get(proposal.rank, own)
+                above[source][proposal.rank] = tuple(map(max, own, known))
         # What was scored only is told in the terms of what was fitted of its family.
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
         highest = max(row.log_evidence for row in self.rows)
         equal = highest - criteria.equal_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            offset = offsets.get(source, -math.inf)
+            own = above.get(source, {0: (-math.inf, -math.inf)})
+            # Where none of so many numbers was fitted, no more is expected than of any other.
+            offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
             evidence = offset + 0.5 * proposal.gain
             is_near = offset + proposal.promise > least or evidence > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
                     source, proposal, "scored", min(evidence, highest),
-                    heights.get(source, -math.inf) + 0.5 * proposal.gain,
+                    height + 0.5 * proposal.gain,
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
@@ -310,9 +312,20 @@ class _Turn:
         return self._add(
             source, proposal, new.status, log_evidence(new, proposal.hypothesis, run.criteria),
             new.log_likelihood, new.n_free, held_out_gain(self.base, new),
+            self._twin(source, proposal, new),
         )  # fmt: skip
 
-    def _add(self, source, proposal, status, evidence, log_likelihood, n_free, held_out):
+    def _twin(self, source, proposal, new):
+        """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""
+        for row in self.rows[1:] if proposal.starts and not new.is_failed else ():
+            is_like = (row.source, row.code, row.n_free) == (source, proposal.code, new.n_free)
+            if is_like and abs(row.log_likelihood - new.log_likelihood) < SAME_MINIMUM:
+                return row.key
+        return None
+
+    def _add(
+        self, source, proposal, status, evidence, log_likelihood, n_free, held_out, twin=None
+    ):  # fmt: skip
         """Add the row of a proposal."""
         number = len(self.rows)
         self.hypotheses[number], self.proposals[number] = proposal.hypothesis, proposal
@@ -320,7 +333,7 @@ class _Turn:
             Row(
                 number, proposal.code, proposal.text, source, status, evidence,
                 proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
-                key=proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
+                key=twin or proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
             )
         )  # fmt: skip
         return self.rows[-1]

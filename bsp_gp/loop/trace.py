@@ -2,6 +2,7 @@
 
 In every direction in which physics acts a push is tried whose strength is a smooth function of one
 variable: cosines of its rank among all instants, or a number for each body or scene (LOOP §5.3).
+Where masses differ the push is an acceleration or a force, whichever shows more.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Trace:
     at : tuple of float, or of str
         Values, SI, of the variable of the best, or names of bodies or scenes.
     values, errors : tuple of float, m/s^2
-        The push there.
+        The push there, of a body of median mass where it is a force.
     """
 
     channels: tuple[Channel, ...] = ()
@@ -73,27 +74,42 @@ class Trace:
 
 def trace(view):
     """The trace of a View."""
-    fields = [_Field(batch) for batch in view.response.regression.batches]
-    size, n = float(view.left @ view.left), view.n_left
+    batches = view.response.regression.batches
+    fields = [_Field(batch) for batch in batches]
+    ways = [[None] * len(fields)]  # a push is an acceleration, or where masses differ a force
+    masses = view.masses and np.concatenate([m.ravel() for m in view.masses])
+    if masses is not None and np.ptp(masses) > 0:
+        ways.append([np.median(masses) / m for m in view.masses])
     found = []
     for direction in dict.fromkeys(name for field in fields for name in field.directions):
-        for basis in _bases(fields, direction):
-            columns = moments_of(view, [f.pushes(direction, basis) for f in fields])
-            tried = []
-            for count in basis.counts:
-                score = view.score_forces(columns[:, :count])
-                evidence = 0.5 * (score.statistic - score.rank * np.log(max(n, 2)))
-                share = (score.statistic - score.rank) / (size - n) if size > n else np.nan
-                channel = Channel(
-                    direction, basis.variable, count, score.rank, score.statistic,
-                    float(score.p_value), float(share), float(evidence),
-                )  # fmt: skip
-                tried.append((channel, (basis, count, score)))
-            found.append(max(tried, key=lambda entry: entry[0].evidence))
+        tried = [_channels(view, fields, direction, weights) for weights in ways]
+        found += max(tried, key=lambda own: max(entry[0].evidence for entry in own))
     found = [entry for entry in found if entry[0].rank]
     found.sort(key=lambda entry: -entry[0].evidence)
     profile = _profile(*found[0][1]) if found else ()
     return Trace(tuple(channel for channel, _ in found), *map(tuple, profile))
+
+
+def _channels(view, fields, direction, weights):
+    """Channels of one direction, each with what its profile is made of."""
+    size, n = float(view.left @ view.left), view.n_left
+    out = []
+    for basis in _bases(fields, direction):
+        pushes = [f.pushes(direction, basis) for f in fields]
+        pushes = [p if w is None else p * w[..., None, None]
+                  for p, w in zip(pushes, weights, strict=True)]  # fmt: skip
+        columns, tried = moments_of(view, pushes), []
+        for count in basis.counts:
+            score = view.score_forces(columns[:, :count])
+            evidence = 0.5 * (score.statistic - score.rank * np.log(max(n, 2)))
+            share = (score.statistic - score.rank) / (size - n) if size > n else np.nan
+            channel = Channel(
+                direction, basis.variable, count, score.rank, score.statistic,
+                float(score.p_value), float(share), float(evidence),
+            )  # fmt: skip
+            tried.append((channel, (basis, count, score)))
+        out.append(max(tried, key=lambda entry: entry[0].evidence))
+    return out
 
 
 def smooth_variables(view, count=2):

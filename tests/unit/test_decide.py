@@ -80,6 +80,11 @@ def test_noise_goes_before_causes():
     assert decided(row(1), row(2, "noise", "noise", gain=60.0)).verdict == "effect adopted"
 
 
+def test_noise_explains_only_what_it_makes_likelier():
+    said = decided(row(1, gain=-3.0), row(2, "noise", "noise", gain=-2.0))
+    assert (said.verdict, said.reason) == ("seen, not adopted", "no_better_than_before")
+
+
 def test_left_out_scenes_can_refuse_and_never_confirm_alone():
     refused = row(1, held_out=HeldOut(-3.0, 1.0, 45.0))
     assert decided(refused).reason == "held_out_refuses"
@@ -130,3 +135,12 @@ def test_a_failed_fit_has_no_evidence():
     hypothesis = Hypothesis.from_laws(data, ["-g * m_i * e_y"])
     failed = replace(fit(hypothesis, data), status="unconverged")
     assert log_evidence(failed, hypothesis) == -np.inf
+
+
+def test_numbers_that_the_data_do_not_tell_apart_cost_what_their_sum_does():
+    data = thrown(0.05)
+    laws = ["-c1 * v_i"], ["-c1 * v_i", "-c2 * v_i"]
+    one, two = (Hypothesis.from_laws(data, ["-g * m_i * e_y", *law]) for law in laws)
+    heights = [log_evidence(fit(h, data), h) for h in (one, two)]
+    assert np.isinf(np.diag(fit(two, data).covariance)).sum() == 2
+    assert heights[1] == pytest.approx(heights[0], abs=1.5), "no number is free of charge"
