@@ -202,6 +202,21 @@ class _Progress:
 # --- commands -------------------------------------------------------------------------------------
 
 
+def _check(args):
+    if args.out is None:
+        args.overwrite = True  # only ever a check of ours is replaced
+    out = _target(args, "check", f"{_data_name(args.data)}-check")
+    dataset = read_dataset(args)
+    from bsp_gp.report.drawing import png_bytes
+    from bsp_gp.report.recording import data_figure, data_text
+
+    text = data_text(dataset)
+    files = {"check.txt": f"{text}\n", "picture.png": png_bytes(data_figure(dataset))}
+    _write_folder(args, "check", out, files)
+    print(text)
+    print(f"Picture: {out / 'picture.png'}")
+
+
 def _close(args):
     args.target = out = _target(args, "report", f"{_data_name(args.data)}-report")
     with _Progress(args.quiet) as progress:
@@ -537,6 +552,7 @@ def _finish(args, out):
 
 
 _COMMANDS = {
+    "check": _check,
     "close": _close,
     "fit": _fit,
     "infer": _infer,

@@ -121,6 +121,7 @@ def build_parser():
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_check(commands)
     _add_close(commands)
     _add_fit(commands)
     _add_infer(commands)
@@ -135,6 +136,17 @@ def build_parser():
 
 def _add(commands, name, help_, epilog=None):
     return commands.add_parser(name, help=help_, description=f"{help_}.", epilog=epilog)
+
+
+def _add_check(commands):
+    parser = _add(
+        commands, "check", "say what is understood of a data set, with a picture, and run nothing",
+        "If a column is taken for the wrong thing, name the right one:\n"
+        "  --columns scene=Versuch t=Zeit x='Weg (cm)'",
+    )  # fmt: skip
+    _data(parser)
+    parser.add_argument("--out", metavar="DIR", help="folder of the picture (default: NAME-check)")
+    _common(parser)
 
 
 def _add_close(commands):

@@ -254,5 +254,6 @@ def test_track_command(tmp_path, capsys, monkeypatch):
     assert main(words) == 0
     assert "ball: 12 of 12 frames" in capsys.readouterr().out
     assert load_dataset(tmp_path / "ball-track" / "data").scenes[0].names == ("ball",)
+    assert load_dataset(tmp_path / "ball-track").scenes[0].names == ("ball",)
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
