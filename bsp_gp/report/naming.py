@@ -20,10 +20,14 @@ _DIRECTIONS = {
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 
-def describe(formula, value=None):
-    """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
+def describe(formula, value=None, other="the other body"):
+    """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2".
+
+    `other` is the name of the body that acts.
+    """
     direction, conditions, powers = _parts(formula)
-    return _phrase(direction, conditions[-1] if conditions else None, powers, value)
+    phrase = _phrase(direction, conditions[-1] if conditions else None, powers, value)
+    return phrase.replace("the other body", other)
 
 
 def _parts(formula):
@@ -67,6 +71,8 @@ def _add_powers(part, sign, powers):
 
 def _phrase(direction, condition, powers, value):
     text = to_text(direction) if direction is not None else ""
+    if "p_j - p_i" in text:  # the same line, the other way
+        text, value = text.replace("p_j - p_i", "p_i - p_j"), None if value is None else -value
     where = ""
     if condition is not None:
         where = " while on the mat" if "is_on" in to_text(condition) else " at contact"

@@ -89,7 +89,7 @@ def _unsupported(report):
 
 
 def _round(done, report):
-    name = "" if done.effect is None else _name(done.effect)
+    name = "" if done.effect is None else _name(done.effect, report.dataset.get("partner"))
     tied = _tied(done) if done.reason == "kinds_tie" else ()
     p_value = done.missing.p_value
     bound = done.hidden_bound
@@ -116,11 +116,11 @@ def _noise(finding):
     return NOISE[finding["code"]] + (f" ({', '.join(where)})" if where else "")
 
 
-def _name(effect):
-    """What was found, in plain words."""
+def _name(effect, partner):
+    """What was found, in plain words; `partner` is the body that acts, if it is one."""
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
-        return describe(effect.formula, value)
+        return describe(effect.formula, value, partner or "the other body")
     if effect.kind == "declared_term_change":
         return effect.name
     return CAUSES.get(effect.code, effect.name)

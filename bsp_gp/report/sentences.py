@@ -11,6 +11,7 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_ratio,
+    in_own_unit,
     is_number,
     pretty_unit,
     rounded,
@@ -242,7 +243,8 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        return with_unit(format_number(getattr(errors, metric)), unit)
+        own = (report.dataset.get("units") or {}).get("length")
+        return in_own_unit(getattr(errors, metric), unit, own)
 
     out = {
         "label": label[:1].upper() + label[1:],
