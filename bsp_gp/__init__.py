@@ -32,6 +32,7 @@ _HOMES = {
     "latents_of": "bsp_gp.inference.latents",
     "load_dataset": "bsp_gp.data.tables",
     "load_grammar": "bsp_gp.language.grammar",
+    "load_report": "bsp_gp.loop.stored",
     "parse_formula": "bsp_gp.language.parse",
     "save_dataset": "bsp_gp.data.tables",
     "search_exhaustive": "bsp_gp.search.exhaustive",

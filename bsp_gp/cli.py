@@ -18,6 +18,7 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
+from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, SettingsError
 from bsp_gp.workers import worker_pool
 
@@ -41,7 +42,8 @@ def main(argv=None):
     Returns
     -------
     int
-        0 done, 2 bad input or usage, 130 interrupted (Ctrl-C, or the signal SIGTERM).
+        0 done, 1 another answer than before (`rerun`), 2 bad input or usage, 130 interrupted
+        (Ctrl-C, or the signal SIGTERM).
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
@@ -58,7 +60,7 @@ def main(argv=None):
         is_quiet = getattr(args, "quiet", False)
         with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):
             with contextlib.ExitStack() as args.held:
-                _COMMANDS[args.command](args)
+                status = _COMMANDS[args.command](args)
             sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
@@ -91,7 +93,7 @@ def main(argv=None):
             "look for values far off all others in the data, or choose another unit"
         )
         return 2
-    return 0
+    return status or 0
 
 
 def _is_of_a_matrix(error):
@@ -224,7 +226,7 @@ def _close(args):
         from bsp_gp.report.folder import write_report
 
         progress("writing the report")
-        run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
+        run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out), "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
         if report.complete:
             args.kept.clear()
@@ -430,7 +432,7 @@ def _grammar(args):
             kinds.pop("pair", None)
     print(f"grammar {grammar.name}, fingerprint {grammar.fingerprint}")
     if args.action == "show":
-        _show(grammar)
+        _show_grammar(grammar)
     else:
         print("levels  " + "  ".join(f"{f'{k} ({s})':>24}" for k, s in kinds.items()))
         for level in range(1, args.levels + 1):
@@ -440,7 +442,7 @@ def _grammar(args):
         print(f"not sayable on {args.data} for want of: {', '.join(missing) or 'nothing'}")
 
 
-def _show(grammar):
+def _show_grammar(grammar):
     for kind, symbol in grammar.start.items():
         print(f"start symbol of {kind} laws: {symbol}")
     width = max(map(len, (*grammar.types, *grammar.inputs)))
@@ -523,7 +525,7 @@ def _demo(args):
     from bsp_gp.demo import run_demo
 
     with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
-        run_info = {"argv": ["bsp-gp", *args.argv]}
+        run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
             out,
             overwrite=args.overwrite,
@@ -537,11 +539,45 @@ def _demo(args):
     _finish(args, out)
 
 
+def _show(args):
+    from pathlib import Path
+
+    from bsp_gp.loop.stored import load_report
+    from bsp_gp.report.summary import summary_text
+
+    print(summary_text(load_report(args.report), _width()))
+    folder = Path(args.report)
+    page = (folder if folder.is_dir() else folder.parent).resolve() / "report.html"
+    print(f"Report: {page}")
+    if not args.no_open and sys.stdout.isatty():
+        import webbrowser
+
+        webbrowser.open(page.as_uri())
+
+
+def _rerun(args):
+    difference, notes = run_again(args.report, args.quiet)
+    for note in notes:
+        print(f"Note: {note}")
+    if difference:
+        print(f"Not the same: {difference}")
+        return 1
+    print("The same, bit for bit.")
+    return 0
+
+
+def _width():
+    """Characters of a line: those of a terminal, up to a hundred, and a hundred elsewhere."""
+    import shutil
+
+    return min(shutil.get_terminal_size((100, 24)).columns, 100) if sys.stdout.isatty() else 100
+
+
 def _summary(args, report):
     if not args.json:
         from bsp_gp.report.summary import summary_text
 
-        print(summary_text(report))
+        print(summary_text(report, _width()))
 
 
 def _finish(args, out):
@@ -561,6 +597,8 @@ _COMMANDS = {
     "compare": _compare,
     "grammar": _grammar,
     "track": _track,
+    "show": _show,
+    "rerun": _rerun,
     "demo": _demo,
 }
 

@@ -116,8 +116,8 @@ def build_parser():
     parser = _Parser(
         prog="bsp-gp",
         description="Measured motion in; a force law in symbols, with units and error bars, out.",
-        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted "
-        "(Ctrl-C or SIGTERM).",
+        epilog="Exit status: 0 done (whatever the verdict), 1 not the same (rerun), 2 bad input or "
+        "usage, 130 interrupted (Ctrl-C or SIGTERM).",
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -130,6 +130,7 @@ def build_parser():
     _add_compare(commands)
     _add_grammar(commands)
     _add_track(commands)
+    _add_reports(commands)
     _add_demo(commands)
     return parser
 
@@ -421,6 +422,17 @@ def _add_track(commands):
     parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
     parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
     _common(parser)
+
+
+def _add_reports(commands):
+    show = _add(commands, "show", "print the result of an older report, and open its page")
+    again = _add(
+        commands, "rerun", "run what made a report once more, and say whether it is the same bits"
+    )
+    for parser in (show, again):
+        parser.add_argument("report", metavar="REPORT", help="folder of the report")
+        parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    show.add_argument("--no-open", action="store_true", help="leave the browser alone")
 
 
 def _add_demo(commands):

@@ -34,6 +34,7 @@ ROOMS = (
     "cli_inputs",
     "cli_make",
     "cli_latents",
+    "cli_reports",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it; none: what the

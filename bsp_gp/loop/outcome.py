@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.accounts import Ratio
 
 __all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
@@ -260,7 +261,17 @@ class LoopReport:
             "verdict", "probability", "equivalents", "stop_reason", "complete", "left_out",
             "n_fits", "versions", "wall_s",
         )  # fmt: skip
-        law = {"text": self.law_text, "latex": self.law_latex, "constants": self.constants}
+        law = {
+            "text": self.law_text, "latex": self.law_latex, "constants": self.constants,
+            "terms": [
+                {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
+                for t in self.law.terms
+            ],
+            "values": {
+                name: dict(value) if hasattr(value, "items") else value
+                for name, value in self.law.constants.items()
+            },
+        }  # fmt: skip
         return plain(
             {
                 "schema": SCHEMA,

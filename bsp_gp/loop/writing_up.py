@@ -14,7 +14,7 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
-from bsp_gp.units import ACCELERATION, FORCE
+from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
     "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "told", "versions",
@@ -181,10 +181,25 @@ def about_data(dataset, split, notes):
         "symbols": dict(dataset.units.symbols),
         "up": dataset.up,
         "partner": _partner(dataset),
+        "properties": _properties(dataset),
         "provenance": dict(dataset.provenance),
         "fingerprint": dataset_digest(dataset),
         "notes": [*dataset.notes, *notes],
     }
+
+
+def _properties(dataset):
+    """Units of the properties that laws may name, as exponents, and which are vectors."""
+    out = {}
+    for name in dict.fromkeys((*dataset.property_names, "mass")):
+        values = [e.properties[name] for s in dataset.scenes for e in s.entities
+                  if name in e.properties]  # fmt: skip
+        unit = dataset.property_units.get(name)
+        out[name] = {
+            "unit": [str(power) for power in (unit or DIMENSIONLESS).exponents],
+            "is_vector": any(np.ndim(value) for value in values),
+        }
+    return out
 
 
 def _partner(dataset):

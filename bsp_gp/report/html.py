@@ -42,6 +42,7 @@ from bsp_gp.report.sentences import (
     outcome_sentence,
     overturned_by,
     ratio_caution,
+    worse_bodies,
 )
 from bsp_gp.report.traces import trace_section
 from bsp_gp.report.typeset import to_svg
@@ -99,7 +100,7 @@ def render_html(report, run_info=None, figures=None):
         sentence=sentence,
         detail=detail,
         head=headline(report),
-        caution=ratio_caution(report),
+        caution=" ".join(filter(None, (ratio_caution(report), worse_bodies(report)))),
         caveats=caveats(report),
         caveat_words=[text.partition(" (")[0].partition(":")[0] for text in caveats(report)],
         notes=report.notes,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bsp_gp.report.codes import FINDINGS
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
@@ -32,8 +34,11 @@ __all__ = [
     "ratio_caution",
     "verdict_parts",
     "verdict_sentence",
+    "worse_bodies",
 ]
 
+WORSE = 1.2
+"""Ratio of errors from which a body is told to be predicted worse."""
 _METRICS = (
     ("rollout_rmse", "held-out position error"),
     ("one_step_nrmse", "held-out one-step error"),
@@ -281,6 +286,31 @@ def ratio_caution(report):
     if not (is_number(ratio.low) and is_number(ratio.high)):
         return "The ratio has no interval: how certain the gain is was not found out."
     return ""
+
+
+def worse_bodies(report):
+    """Bodies whose held-out tracks the adopted law predicts worse than the declared one did."""
+    if not adopted_rounds(report):
+        return ""
+    squares = {}
+    for overlay in report.overlays:
+        for k, model in enumerate((overlay.declared, overlay.adopted)):
+            left = np.asarray(model, float) - np.asarray(overlay.observed, float)
+            left = np.square(left[overlay.n_initial :]).sum(axis=-1)
+            squares.setdefault(overlay.entity, ([], []))[k].append(left)
+    told = []
+    for body, both in squares.items():
+        before, after = (np.concatenate(parts) for parts in both)
+        both_known = np.isfinite(before) & np.isfinite(after)
+        if not both_known.any():
+            continue
+        before, after = (float(np.sqrt(e[both_known].mean())) for e in (before, after))
+        if after > WORSE * before:
+            size = with_unit(format_number(after), report.total["before"].unit)
+            told.append(f"{body} ({format_number(before)} → {size})")
+    if not told or len(squares) == 1:
+        return ""
+    return f"Worse under the adopted law, position error: {_joined(told[:6])}."
 
 
 def caveats(report):

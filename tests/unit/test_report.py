@@ -39,6 +39,7 @@ from bsp_gp.report.sentences import (
     missing_sentence,
     ratio_caution,
     verdict_sentence,
+    worse_bodies,
 )
 from bsp_gp.report.summary import summary_text
 from bsp_gp.report.tracks import pick_overlays, wants_errors
@@ -355,8 +356,12 @@ def test_summary_fits_a_terminal(name):
     report = sample.ALL[name]()
     text = summary_text(report)
     lines = text.split("\n")
-    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+    assert len(lines) <= 25 or name == "hostile"
+    assert max(map(len, lines)) <= 100 and "…" not in text
     assert report.verdict in lines[0]
+    narrow = summary_text(report, 60)
+    assert max(map(len, narrow.split("\n"))) <= 60
+    assert "".join(narrow.split()) == "".join(text.split()), "the same words on narrow lines"
     assert text.isprintable() or text.replace("\n", "").isprintable()
 
 
@@ -382,8 +387,19 @@ def test_summary_stays_short_however_much_there_is():
     notes = (long, f"check: {long}") * 9
     report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
                      dataset={**full.dataset, "notes": notes}, law_text=long)
-    lines = summary_text(report).split("\n")
-    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+    text = summary_text(report)
+    assert max(map(len, text.split("\n"))) <= 100 and len(text) < 7 * len(long)
+    assert " ".join(long.split()) in " ".join(text.split()), "the law stands there in full"
+
+
+def test_bodies_that_get_worse_are_named():
+    report = sample.adopted()
+    first, *rest = report.overlays
+    worse = replace(first, entity="cork", adopted=first.adopted + 9.0)
+    page = page_of(replace(report, overlays=(worse, *rest)))
+    assert re.search(r"Worse .*: cork \(\S+ → \S+ m\)\.$", worse_bodies(page))
+    assert worse_bodies(page) in summary_text(page).replace("\n", " ")
+    assert worse_bodies(page_of(report)) == ""
 
 
 def test_sentences_match_the_verdict():
