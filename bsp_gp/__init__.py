@@ -17,6 +17,7 @@ _HOMES = {
     "Entity": "bsp_gp.data.scene",
     "ForceLaw": "bsp_gp.physics.force",
     "LawFit": "bsp_gp.fitting.law_fit",
+    "LawRegressor": "bsp_gp.loop.estimator",
     "Likelihood": "bsp_gp.inference.likelihood",
     "LoopReport": "bsp_gp.loop.outcome",
     "Posterior": "bsp_gp.inference.posterior",

@@ -19,7 +19,7 @@ from bsp_gp.cli_inputs import (
 )
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.cli_reports import run_again, run_record
-from bsp_gp.errors import BspError, SettingsError
+from bsp_gp.errors import BspError, SettingsError, on_command_line
 from bsp_gp.workers import worker_pool
 
 __all__ = ["main"]
@@ -59,7 +59,7 @@ def main(argv=None):
         args.argv, args.written = argv, written
         is_quiet = getattr(args, "quiet", False)
         with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):
-            with contextlib.ExitStack() as args.held:
+            with on_command_line(), contextlib.ExitStack() as args.held:
                 status = _COMMANDS[args.command](args)
             sys.stdout.flush()
     except SystemExit as stop:  # --help and --version

@@ -17,6 +17,7 @@ ROOMS = (
     "grammars",
     "errors",
     "units",
+    "randomness",
     "workers",
     "output",
     "data",

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
 from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.errors import in_python
 from bsp_gp.units import Unit
 
 __all__ = [
@@ -312,7 +313,7 @@ def told(found):
     )
     names = dict.fromkeys(h.name for h in guesses if not h.body)
     options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
-    return (
+    return in_python(
         f"columns read by their words: {listed}; if one is not that, say which is: --columns "
         f"{options}"
     )

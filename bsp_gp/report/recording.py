@@ -8,12 +8,11 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
-from bsp_gp.report.drawing import axis_label, new_figure, plain, scaled, tidy, time_scaled
+from bsp_gp.report.drawing import new_figure, tidy
 from bsp_gp.report.numbers import format_number, with_unit
-from bsp_gp.report.scenes import COLOURS
 from bsp_gp.units import Unit
 
-__all__ = ["data_figure", "data_text", "plot_data"]
+__all__ = ["data_figure", "data_text"]
 
 MAX_PANELS = 6
 _MAX_NAMES = 8
@@ -136,55 +135,9 @@ def data_figure(dataset):
     def draw(figure):
         grid = figure.subplots(n_rows, min(3, len(scenes)), squeeze=False)
         for axes, scene in zip(grid.flat, scenes, strict=False):
-            plot_data(dataset, axes, scene=scene.name)
+            dataset.plot(axes, scene=scene.name)
+            tidy(axes)
         for axes in grid.flat[len(scenes) :]:
             axes.set_visible(False)
 
     return new_figure(draw, 2.6 * n_rows)
-
-
-def plot_data(dataset, axes=None, *, scene=None):
-    """Draw the tracks of one scene: the path, or the place over time where one axis moves.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; by default new ones.
-    scene : str, optional
-        Name of the scene; by default the first.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
-    if axes is None:
-        import matplotlib.pyplot as plt
-
-        axes = plt.figure(layout="constrained").subplots()
-    scene = dataset.scenes[0] if scene is None else dataset.scene(scene)
-    unit = _unit(dataset, _LENGTH)
-    spans = [np.ptp(p[np.isfinite(p)]) if np.isfinite(p).any() else 0.0
-             for p in np.moveaxis(scene.positions[:, scene.dynamic], 2, 0)]  # fmt: skip
-    moving = [k for k, span in enumerate(spans) if span > 0] or [0]
-    is_path = len(moving) > 1
-    factor, length = scaled(unit, scene.positions[..., moving[:2]])
-    for k, name in enumerate(scene.names):
-        places = scene.positions[:, k] * factor
-        x = places[:, moving[0]] if is_path else scene.times
-        if not is_path:
-            rate, second = time_scaled(_unit(dataset, _TIME), scene.times)
-            x = x * rate
-        y = places[:, moving[1] if is_path else moving[0]]
-        axes.plot(x, y, ".-", ms=2.5, lw=0.8, color=COLOURS[k % len(COLOURS)], label=plain(name))
-    if is_path:
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel(axis_label("xyz"[moving[0]], length))
-    else:
-        axes.set_xlabel(axis_label("t", second))
-    axes.set_ylabel(axis_label("xyz"[moving[1] if is_path else moving[0]], length))
-    axes.set_title(plain(f"scene {scene.name}"))
-    if 1 < len(scene.names) <= _MAX_NAMES:
-        axes.legend(frameon=False)
-    tidy(axes)
-    return axes

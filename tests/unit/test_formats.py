@@ -182,7 +182,7 @@ def test_two_positions_are_two_bodies_where_the_user_says_so(tmp_path):
 def test_x1_and_x2_alone_may_be_two_things(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t,x1,x2\n0,0,5\n1,1.5,6\n2,4.25,7\n", "utf-8")
-    with pytest.raises(DataError, match="x1, x2.*--columns x=.*BODY_x="):
+    with pytest.raises(DataError, match="x1, x2.*columns={.x.: .*BODY_x"):
         load_dataset(path)
     assert load_dataset(path, columns={"x": "x1", "y": "x2"}).scenes[0].names == ("object",)
 
@@ -198,7 +198,7 @@ def test_formats_of_other_programs_say_how_to_get_a_table(tmp_path, ending):
 def test_a_wrong_name_of_a_column_names_those_there_are(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Zeit (s);Ort x (m);Ort y (m);Nr\n0;0;5;1\n", "utf-8")
-    with pytest.raises(DataError, match="'Versuch'.*Ort x .m., .*Nr; write --columns scene="):
+    with pytest.raises(DataError, match="'Versuch'.*Ort x .m., .*Nr; write columns={.scene."):
         load_dataset(path, columns={"scene": "Versuch"})
 
 

@@ -500,7 +500,7 @@ def test_an_older_report_is_replaced_only_on_demand(tmp_path, small):
     target = tmp_path / "r"
     target.mkdir()
     write_report(small, target)
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_report(small, target)
     write_report(replace(small, seed=8), target, overwrite=True)
     assert json.loads((target / "report.json").read_text("utf-8"))["seed"] == 8
