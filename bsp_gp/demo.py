@@ -244,8 +244,7 @@ def _implied(dataset, report, progress):
     if len(found) == len(matched) == len(_KNOWN_FORMS) and np.isfinite(lights).all():
         off = max(abs(light / LIGHT - 1) for light in lights)
         section["headline"] = (
-            "together they are those of general relativity, with the speed of light within "
-            f"{off:.1%}"
+            f"together they are those of general relativity (speed of light within {off:.1%})"
         )
     sections = [section]
     progress("integrating the perihelion")

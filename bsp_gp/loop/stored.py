@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bsp_gp.errors import DataError, LawError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors
+from bsp_gp.language.formula import Call
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.accounts import Ratio
@@ -124,9 +125,11 @@ def _formula(text, dataset):
     types = input_types(units, vectors=vectors, n_dims=dataset["n_dims"], up=dataset["up"])
     try:
         system = UnitSystem.from_declared(dataset["units"])
-        return parse_formula(text, types, units=system) if text else None
+        formula = parse_formula(text, types, units=system) if text else None
     except LawError:
         return None
+    is_sum = isinstance(formula, Call) and formula.operator in ("add", "sub")
+    return None if is_sum else formula  # of several forces found as one there is no one formula
 
 
 def _power(text):

@@ -138,9 +138,7 @@ def _headline(report):
     as_errors = wants_errors([overlay])
     draw = draw_errors if as_errors else draw_tracks
     figure = new_figure(lambda f: draw(f, [overlay], length, time, has_adopted), 2.7, _NARROW)
-    what = "Distance between what was observed and each prediction" if as_errors else "Observed "\
-           "(dots) and predicted from the filled dots on"  # fmt: skip
-    return f"{what}: the held-out track with the largest error before.", figure
+    return "The held-out track with the largest error before.", figure
 
 
 def _tracks(report):

@@ -11,9 +11,13 @@ from bsp_gp.report.typeset import to_svg
 
 __all__ = ["bound_sentence", "else_sentence", "legend", "plain_sentence", "told_constants"]
 
-_MAX_CONSTANTS = 3
+_MAX_CONSTANTS = 2
+LEAST = 0.01
+"""Probability that is worth telling: shares of a large class say nothing."""
+LONGEST = 60
+"""Letters of a law that the first screen quotes."""
 _SYMBOLS = {
-    r"m_i": "mass of the body", r"m_j": "mass of {other}", r"\mathbf{v}_i": "its velocity",
+    r"m_i": "its mass", r"m_j": "mass of {other}", r"\mathbf{v}_i": "its velocity",
     r"\hat{\mathbf{v}}_i": "direction of motion", r"\mathbf{v}_{ij}": "relative velocity",
     r"{r}_{ij}": "distance", r"{r}_{ji}": "distance",
     r"\hat{\mathbf{r}}_{ij}": "direction to {other}",
@@ -28,10 +32,13 @@ _SYMBOLS = {
 def plain_sentence(report):
     """The outcome in a sentence, with what sections of their own have to say in a clause."""
     sentence, detail = verdict_parts(report)
+    adopted = adopted_rounds(report)
     clauses = [extra["headline"] for extra in report.extras if extra.get("headline")]
-    if clauses and adopted_rounds(report):
-        sentence = f"{sentence[:-1]}; {', and '.join(clauses)}."
-    return sentence, detail
+    if clauses and adopted:
+        return f"{sentence[:-1]}; {', and '.join(clauses)}.", detail
+    parts = [part for r in adopted for part in r.effect.parts]
+    told = f"They are: {'; '.join(parts)}." if parts else ""
+    return sentence, " ".join(filter(None, (told, detail)))
 
 
 def legend(report):
@@ -61,12 +68,14 @@ def else_sentence(report):
         return ""
     effect = rounds[-1].effect
     out = []
-    if is_number(effect.probability):
+    if is_number(effect.probability) and effect.probability >= LEAST:
         out.append(f"Probability of this form: {format_number(100 * effect.probability, 2)} %.")
-    if effect.equivalents:
-        n_more = len(effect.equivalents) - 1
-        more = f" (and {n_more} more)" if n_more else ""
+    n = len(effect.equivalents)
+    if n and len(effect.equivalents[0]) <= LONGEST:
+        more = f" (and {n - 1} more)" if n > 1 else ""
         out.append(f"It could also be: {effect.equivalents[0]}{more}.")
+    elif n:
+        out.append(f"These data do not tell it from {n} other form{'s' * (n > 1)}, listed below.")
     elif out:
         out.append("Nothing else that was tried does as well.")
     return " ".join(out)
@@ -74,4 +83,7 @@ def else_sentence(report):
 
 def bound_sentence(report):
     """How much may still be hidden beside the final law."""
-    return hidden_sentence(report.rounds[-1]) if report.rounds else ""
+    told = hidden_sentence(report.rounds[-1]) if report.rounds else ""
+    return told.replace("A constant force of up to", "Up to").replace(
+        "is not excluded (95 %)", "of constant force may still hide"
+    )

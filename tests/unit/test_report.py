@@ -14,7 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
+from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.criteria import (
@@ -25,6 +27,7 @@ from bsp_gp.loop.criteria import (
     STOP_REASONS,
     VERDICTS,
 )
+from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
@@ -196,7 +199,8 @@ def test_the_first_screen_says_it_all(pages):
     for fact in (
         "The declared model lacks drag, quadratic in speed.", "6.11 m", "1.10 m", "0.18 [0.15",
         "0.297 m", "its velocity", "upwards", "Probability of this form: 86 %",
-        "It could also be: c1 * v_i * norm(v_i)^1.1 (and 1 more)", "is not excluded",
+        "It could also be: c1 * v_i * norm(v_i)^1.1 (and 1 more)",
+        "0.012 N (0.31 % of the declared force) of constant force may still hide",
     ):  # fmt: skip
         assert fact in first
     page = pages["adopted"]
@@ -212,6 +216,24 @@ def test_a_section_with_something_to_say_says_it_first():
     extra = {**report.extras[0], "headline": "it is that of the air"}
     page = Outline(render_html(replace(report, extras=(extra,)), RUN))
     assert "quadratic in speed; it is that of the air." in " ".join(page.first)
+
+
+def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_probability():
+    types = input_types(PROPERTY_UNITS)
+    texts = ("-c1 * v_i", "c2 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)")
+    terms = tuple(Term(parse_formula(text, types)) for text in texts)
+    report = sample.adopted()
+    constants = tuple(ConstantEstimate(n, v, v - 1, v + 1) for n, v in (("c1", 1.0), ("c2", 2.0)))
+    effect = replace(
+        report.rounds[0].effect, law=" + ".join(texts), constants=constants, probability=1e-8,
+        equivalents=("c1 * v_i " * 20, "c1"),
+    )  # fmt: skip
+    rounds = (replace(report.rounds[0], effect=effect),)
+    made = replace(report, rounds=rounds, law=ForceLaw(terms, {"c1": 1.0, "c2": 2.0}))
+    first = " ".join(Outline(render_html(made, RUN)).first)
+    assert "The declared model lacks two more forces." in first
+    assert "They are: drag, linear in speed; pull to the other body, as distance⁻³." in first
+    assert "do not tell it from 2 other forms" in first and "Probability" not in first
 
 
 def test_lengths_are_told_in_the_unit_of_the_data():
