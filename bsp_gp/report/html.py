@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 import shlex
 from html import escape
 
@@ -132,7 +133,7 @@ def _drawing(figure):
     """The picture of the first screen, whose lines the page can hide."""
     if figure is None:
         return None
-    svg = figure.svg[figure.svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", figure.svg[figure.svg.index("<svg") :], flags=re.S)
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(figure.caption)}" ', 1)
     return {"svg": svg, "caption": figure.caption}
 

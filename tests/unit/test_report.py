@@ -220,16 +220,16 @@ def test_a_section_with_something_to_say_says_it_first():
 
 def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_probability():
     types = input_types(PROPERTY_UNITS)
-    texts = ("-c1 * v_i", "c2 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)")
+    texts = ("c1 * v_i", "c2 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)")
     terms = tuple(Term(parse_formula(text, types)) for text in texts)
     report = sample.adopted()
-    constants = tuple(ConstantEstimate(n, v, v - 1, v + 1) for n, v in (("c1", 1.0), ("c2", 2.0)))
+    constants = tuple(ConstantEstimate(n, v, v - 1, v + 1) for n, v in (("c1", -1.0), ("c2", 2.0)))
     effect = replace(
         report.rounds[0].effect, law=" + ".join(texts), constants=constants, probability=1e-8,
         equivalents=("c1 * v_i " * 20, "c1"),
     )  # fmt: skip
     rounds = (replace(report.rounds[0], effect=effect),)
-    made = replace(report, rounds=rounds, law=ForceLaw(terms, {"c1": 1.0, "c2": 2.0}))
+    made = replace(report, rounds=rounds, law=ForceLaw(terms, {"c1": -1.0, "c2": 2.0}))
     first = " ".join(Outline(render_html(made, RUN)).first)
     assert "The declared model lacks two more forces." in first
     assert "They are: drag, linear in speed; pull to the other body, as distance⁻³." in first
