@@ -566,6 +566,12 @@ def _rerun(args):
     return 0
 
 
+def _completion(args):
+    from bsp_gp.cli_completion import completion_script
+
+    print(completion_script(build_parser(), args.shell), end="")
+
+
 def _width():
     """Characters of a line: those of a terminal, up to a hundred, and a hundred elsewhere."""
     import shutil
@@ -599,6 +605,7 @@ _COMMANDS = {
     "track": _track,
     "show": _show,
     "rerun": _rerun,
+    "completion": _completion,
     "demo": _demo,
 }
 

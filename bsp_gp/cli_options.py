@@ -132,6 +132,11 @@ def build_parser():
     _add_track(commands)
     _add_reports(commands)
     _add_demo(commands)
+    complete = _add(
+        commands, "completion", "print what a shell needs to complete commands and options",
+        'bash: eval "$(bsp-gp completion bash)" in ~/.bashrc; zsh the same in ~/.zshrc',
+    )  # fmt: skip
+    complete.add_argument("shell", choices=("bash", "zsh"))
     return parser
 
 

@@ -36,6 +36,7 @@ ROOMS = (
     "cli_make",
     "cli_latents",
     "cli_reports",
+    "cli_completion",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it; none: what the

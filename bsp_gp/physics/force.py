@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -279,6 +280,7 @@ class ForceLaw:
         """The law as text; with `digits`, constants are written as numbers."""
         values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
+        parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         return " + ".join(parts).replace("+ -", "- ") if parts else "0"
 
     def latex(self, digits=True, units=None):
@@ -287,6 +289,7 @@ class ForceLaw:
         parts = []
         for term in self.terms:
             body = to_latex(term.formula, values if digits else {}, units or {})
+            body = re.sub(r"^--(?=\d)", "", body)
             parts.append(rf"\sum_{{j\ne i}} {body}" if term.kind == "pair" else body)
         return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
 

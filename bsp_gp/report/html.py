@@ -133,7 +133,8 @@ def _drawing(figure):
     """The picture of the first screen, whose lines the page can hide."""
     if figure is None:
         return None
-    svg = re.sub(r"<metadata>.*?</metadata>", "", figure.svg[figure.svg.index("<svg") :], flags=re.S)
+    svg = figure.svg[figure.svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(figure.caption)}" ', 1)
     return {"svg": svg, "caption": figure.caption}
 

@@ -96,7 +96,15 @@ def _properties(dataset):
 def _up(dataset):
     if dataset.up:
         return f"Up: {dataset.up}"
-    return "Up: not given; laws with up or down need it: --up y"
+    moving = [name for name in "xyz"[: dataset.n_dims] if _moves(dataset, "xyz".index(name))]
+    axis = moving[0] if len(moving) == 1 else "y"
+    return f"Up: not given; laws with up or down need it: --up {axis}, or --up=-{axis}"
+
+
+def _moves(dataset, axis):
+    return any(np.ptp(s.positions[:, k, axis][np.isfinite(s.positions[:, k, axis])]) > 0
+               for s in dataset.scenes for k in s.dynamic
+               if np.isfinite(s.positions[:, k, axis]).any())  # fmt: skip
 
 
 def _motion(dataset):

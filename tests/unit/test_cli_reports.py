@@ -2,6 +2,9 @@
 
 import json
 import re
+import shlex
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -81,6 +84,21 @@ def test_what_was_made_from_python_cannot_be_run_again(folder, tmp_path, capsys)
     (tmp_path / "run.json").write_text("{}")
     assert main(["rerun", str(tmp_path)]) == 2
     assert "from Python" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+@pytest.mark.parametrize(
+    ("typed", "found"),
+    [(["bsp-gp", "clo"], ["close"]), (["bsp-gp", "close", "x", "--declar"], ["--declare"]),
+     (["bsp-gp", "show", "--no"], ["--no-open"]), (["bsp-gp", "close", "x", "--per-e"], [])],
+)  # fmt: skip
+def test_a_shell_completes_commands_and_options(typed, found, capsys):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    words = " ".join(map(shlex.quote, typed))
+    ask = f'COMP_WORDS=({words}); COMP_CWORD={len(typed) - 1}; _bsp_gp; echo "${{COMPREPLY[@]}}"'
+    run = subprocess.run(["bash", "-c", script + ask], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == found and not run.stderr
 
 
 def test_first_difference_names_the_place():
