@@ -23,7 +23,7 @@ from bsp_gp.units import Unit, UnitSystem
 __all__ = ["load_report"]
 
 _TUPLES = ("hypotheses", "held_out", "varies_with", "noise_findings", "equivalents", "entities",
-           "at", "values", "errors")  # fmt: skip
+           "exponents", "at", "values", "errors")  # fmt: skip
 
 
 def load_report(path):

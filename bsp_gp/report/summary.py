@@ -15,6 +15,7 @@ from bsp_gp.report.sentences import (
     headline,
     hidden_sentence,
     noise_sentence,
+    powers_sentence,
     ratio_caution,
     worse_bodies,
 )
@@ -55,7 +56,8 @@ def summary_text(report, width=WIDTH):
     for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
         paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
     paragraphs += [("Law: F = " + report.law_text, "     "), *_constants(report)]
-    paragraphs += [*_rounds(report), *_traced(report), *_ties(report), *_noise(report)]
+    paragraphs += [*_rounds(report), *_traced(report)]
+    paragraphs += [*_powers(report), *_ties(report), *_noise(report)]
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
@@ -113,6 +115,12 @@ def _noise(report):
     """What is odd about the noise, and how much may be hidden, beside the last model."""
     last = report.rounds[-1]
     return [(noise_sentence(last), "  "), (hidden_sentence(last), "  ")]
+
+
+def _powers(report):
+    """Of the last two laws that were adopted."""
+    kept = [r for r in report.rounds if r.adopted and not r.removed]
+    return [(powers_sentence(r), "  ") for r in kept[-2:]]
 
 
 def _ties(report):
