@@ -5,7 +5,7 @@ import pytest
 
 from bsp_gp.cli import main
 from bsp_gp.data.tables import load_dataset
-from bsp_gp.errors import DataError
+from bsp_gp.errors import DataError, on_command_line
 from tests.logger_tables import LOOKED_AT, SET_ASIDE
 
 SAMPLES = LOOKED_AT | SET_ASIDE
@@ -23,7 +23,7 @@ def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
     path = tmp_path / sample.name
     path.write_bytes(sample.content)
     if sample.refused:
-        with pytest.raises(DataError) as error:
+        with on_command_line(), pytest.raises(DataError) as error:
             load_dataset(path, **sample.options)
         for word in sample.refused:
             assert word.lower() in str(error.value).lower()
