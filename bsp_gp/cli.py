@@ -18,7 +18,8 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
-from bsp_gp.errors import BspError, SettingsError
+from bsp_gp.cli_reports import run_again, run_record
+from bsp_gp.errors import BspError, SettingsError, on_command_line
 from bsp_gp.workers import worker_pool
 
 __all__ = ["main"]
@@ -41,7 +42,8 @@ def main(argv=None):
     Returns
     -------
     int
-        0 done, 2 bad input or usage, 130 interrupted (Ctrl-C, or the signal SIGTERM).
+        0 done, 1 another answer than before (`rerun`), 2 bad input or usage, 130 interrupted
+        (Ctrl-C, or the signal SIGTERM).
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if "numpy" not in sys.modules:  # one thread: faster at these sizes, and always the same digits
@@ -57,8 +59,8 @@ def main(argv=None):
         args.argv, args.written = argv, written
         is_quiet = getattr(args, "quiet", False)
         with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):
-            with contextlib.ExitStack() as args.held:
-                _COMMANDS[args.command](args)
+            with on_command_line(), contextlib.ExitStack() as args.held:
+                status = _COMMANDS[args.command](args)
             sys.stdout.flush()
     except SystemExit as stop:  # --help and --version
         return stop.code or 0
@@ -91,7 +93,7 @@ def main(argv=None):
             "look for values far off all others in the data, or choose another unit"
         )
         return 2
-    return 0
+    return status or 0
 
 
 def _is_of_a_matrix(error):
@@ -202,6 +204,21 @@ class _Progress:
 # --- commands -------------------------------------------------------------------------------------
 
 
+def _check(args):
+    if args.out is None:
+        args.overwrite = True  # only ever a check of ours is replaced
+    out = _target(args, "check", f"{_data_name(args.data)}-check")
+    dataset = read_dataset(args)
+    from bsp_gp.report.drawing import png_bytes
+    from bsp_gp.report.recording import data_figure, data_text
+
+    text = data_text(dataset)
+    files = {"check.txt": f"{text}\n", "picture.png": png_bytes(data_figure(dataset))}
+    _write_folder(args, "check", out, files)
+    print(text)
+    print(f"Picture: {out / 'picture.png'}")
+
+
 def _close(args):
     args.target = out = _target(args, "report", f"{_data_name(args.data)}-report")
     with _Progress(args.quiet) as progress:
@@ -209,7 +226,7 @@ def _close(args):
         from bsp_gp.report.folder import write_report
 
         progress("writing the report")
-        run_info = {"argv": ["bsp-gp", *args.argv], "settings": settings}
+        run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out), "settings": settings}
         args.written.append(write_report(report, out, overwrite=args.overwrite, run_info=run_info))
         if report.complete:
             args.kept.clear()
@@ -415,7 +432,7 @@ def _grammar(args):
             kinds.pop("pair", None)
     print(f"grammar {grammar.name}, fingerprint {grammar.fingerprint}")
     if args.action == "show":
-        _show(grammar)
+        _show_grammar(grammar)
     else:
         print("levels  " + "  ".join(f"{f'{k} ({s})':>24}" for k, s in kinds.items()))
         for level in range(1, args.levels + 1):
@@ -425,7 +442,7 @@ def _grammar(args):
         print(f"not sayable on {args.data} for want of: {', '.join(missing) or 'nothing'}")
 
 
-def _show(grammar):
+def _show_grammar(grammar):
     for kind, symbol in grammar.start.items():
         print(f"start symbol of {kind} laws: {symbol}")
     width = max(map(len, (*grammar.types, *grammar.inputs)))
@@ -508,7 +525,7 @@ def _demo(args):
     from bsp_gp.demo import run_demo
 
     with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
-        run_info = {"argv": ["bsp-gp", *args.argv]}
+        run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
             out,
             overwrite=args.overwrite,
@@ -522,11 +539,51 @@ def _demo(args):
     _finish(args, out)
 
 
+def _show(args):
+    from pathlib import Path
+
+    from bsp_gp.loop.stored import load_report
+    from bsp_gp.report.summary import summary_text
+
+    print(summary_text(load_report(args.report), _width()))
+    folder = Path(args.report)
+    page = (folder if folder.is_dir() else folder.parent).resolve() / "report.html"
+    print(f"Report: {page}")
+    if not args.no_open and sys.stdout.isatty():
+        import webbrowser
+
+        webbrowser.open(page.as_uri())
+
+
+def _rerun(args):
+    difference, notes = run_again(args.report, args.quiet)
+    for note in notes:
+        print(f"Note: {note}")
+    if difference:
+        print(f"Not the same: {difference}")
+        return 1
+    print("The same, bit for bit.")
+    return 0
+
+
+def _completion(args):
+    from bsp_gp.cli_completion import completion_script
+
+    print(completion_script(build_parser(), args.shell), end="")
+
+
+def _width():
+    """Characters of a line: those of a terminal, up to a hundred, and a hundred elsewhere."""
+    import shutil
+
+    return min(shutil.get_terminal_size((100, 24)).columns, 100) if sys.stdout.isatty() else 100
+
+
 def _summary(args, report):
     if not args.json:
         from bsp_gp.report.summary import summary_text
 
-        print(summary_text(report))
+        print(summary_text(report, _width()))
 
 
 def _finish(args, out):
@@ -537,6 +594,7 @@ def _finish(args, out):
 
 
 _COMMANDS = {
+    "check": _check,
     "close": _close,
     "fit": _fit,
     "infer": _infer,
@@ -545,6 +603,9 @@ _COMMANDS = {
     "compare": _compare,
     "grammar": _grammar,
     "track": _track,
+    "show": _show,
+    "rerun": _rerun,
+    "completion": _completion,
     "demo": _demo,
 }
 

@@ -101,6 +101,17 @@ def make_data(args, settings, group, progress):
         f"Truth: {group.beside(_TRUTH)}",
         f"Declared model: {group.beside(_MODEL) if settings.declared else 'none'}",
         f"Picture: {group.beside(_PICTURE)}",
+        *_contacts_note(settings),
+    ]
+
+
+def _contacts_note(settings):
+    """That bodies hit each other, which no declared model of ours says."""
+    if not settings.contacts.has_contacts:
+        return []
+    return [
+        "Note: bodies that touch hit each other, and the declared model has no contacts; --set "
+        "has_contacts=no lets them pass"
     ]
 
 

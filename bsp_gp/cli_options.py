@@ -116,11 +116,12 @@ def build_parser():
     parser = _Parser(
         prog="bsp-gp",
         description="Measured motion in; a force law in symbols, with units and error bars, out.",
-        epilog="Exit status: 0 done (whatever the verdict), 2 bad input or usage, 130 interrupted "
-        "(Ctrl-C or SIGTERM).",
+        epilog="Exit status: 0 done (whatever the verdict), 1 not the same (rerun), 2 bad input or "
+        "usage, 130 interrupted (Ctrl-C or SIGTERM).",
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_check(commands)
     _add_close(commands)
     _add_fit(commands)
     _add_infer(commands)
@@ -129,12 +130,29 @@ def build_parser():
     _add_compare(commands)
     _add_grammar(commands)
     _add_track(commands)
+    _add_reports(commands)
     _add_demo(commands)
+    complete = _add(
+        commands, "completion", "print what a shell needs to complete commands and options",
+        'bash: eval "$(bsp-gp completion bash)" in ~/.bashrc; zsh the same in ~/.zshrc',
+    )  # fmt: skip
+    complete.add_argument("shell", choices=("bash", "zsh"))
     return parser
 
 
 def _add(commands, name, help_, epilog=None):
     return commands.add_parser(name, help=help_, description=f"{help_}.", epilog=epilog)
+
+
+def _add_check(commands):
+    parser = _add(
+        commands, "check", "say what is understood of a data set, with a picture, and run nothing",
+        "If a column is taken for the wrong thing, name the right one:\n"
+        "  --columns scene=Versuch t=Zeit x='Weg (cm)'",
+    )  # fmt: skip
+    _data(parser)
+    parser.add_argument("--out", metavar="DIR", help="folder of the picture (default: NAME-check)")
+    _common(parser)
 
 
 def _add_close(commands):
@@ -409,6 +427,17 @@ def _add_track(commands):
     parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
     parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
     _common(parser)
+
+
+def _add_reports(commands):
+    show = _add(commands, "show", "print the result of an older report, and open its page")
+    again = _add(
+        commands, "rerun", "run what made a report once more, and say whether it is the same bits"
+    )
+    for parser in (show, again):
+        parser.add_argument("report", metavar="REPORT", help="folder of the report")
+        parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    show.add_argument("--no-open", action="store_true", help="leave the browser alone")
 
 
 def _add_demo(commands):

@@ -206,7 +206,7 @@ def _implied(dataset, report, progress):
     r, v, entities = _two_bodies(dataset)
     gm = 6.67430e-11 * entities[0].mass
     rows = [["term", "coefficient, SI", "expected", "implied speed of light, m/s", "off by"]]
-    matched = 0
+    matched, lights = set(), []
     for term in found:
         single = ForceLaw((term,), {n: report.law.constants[n] for n in term.formula.constants})
         hit = _match(_acceleration_of(single, entities), r, v)
@@ -214,9 +214,10 @@ def _implied(dataset, report, progress):
             rows.append(["not a term of general relativity", "", "", "", ""])
             continue
         (name, _, speed), coefficient = hit
-        matched += 1
+        matched.add(name)
         with np.errstate(invalid="ignore"):
             light = float(speed(coefficient, gm))
+        lights.append(light)
         expected = {0: 4 * gm**2, 1: -gm, 2: 4 * gm}[
             [f[0] for f in _KNOWN_FORMS].index(name)
         ] / LIGHT**2
@@ -237,9 +238,15 @@ def _implied(dataset, report, progress):
         if matched
         else "None of the terms found is one of general relativity's, so no speed of light follows."
     )
-    sections = [
-        {"title": "The speed of light that the law implies", "paragraphs": [text], "table": rows}
-    ]
+    section = {
+        "title": "The speed of light that the law implies", "paragraphs": [text], "table": rows
+    }  # fmt: skip
+    if len(found) == len(matched) == len(_KNOWN_FORMS) and np.isfinite(lights).all():
+        off = max(abs(light / LIGHT - 1) for light in lights)
+        section["headline"] = (
+            f"together they are those of general relativity (speed of light within {off:.1%})"
+        )
+    sections = [section]
     progress("integrating the perihelion")
     sections.append(_perihelion(report, r, v, entities))
     return sections
@@ -269,6 +276,8 @@ def _perihelion(report, r, v, entities):
     advance = np.degrees(turns[1] - turns[0]) * 3600 * orbits
     return {
         "title": "The advance of Mercury's perihelion",
+        "headline": f"the perihelion turns by {advance:.2f} arcseconds a century (known: "
+        f"{KNOWN_ADVANCE:.2f})",
         "paragraphs": [
             f"Sun and Mercury alone, integrated over {ORBITS} orbits under the declared and under "
             f"the adopted law: the adopted terms turn the orbit forward by {advance:.2f} "

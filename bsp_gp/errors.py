@@ -1,7 +1,12 @@
 """The exceptions of bsp_gp: one small tree, so that callers can catch what they mean.
 
 Every message says what was found, where, what is allowed and, where one is known, the remedy.
+Options are written as on the command line; whoever works in Python is told of arguments.
 """
+
+import contextlib
+import re
+from contextvars import ContextVar
 
 __all__ = [
     "BspError",
@@ -15,11 +20,58 @@ __all__ = [
     "ResourceError",
     "SettingsError",
     "UnitError",
+    "in_python",
+    "on_command_line",
 ]
+
+_IS_SHELL = ContextVar("on the command line", default=False)
+_OPTION = re.compile(
+    r"""(?<![\w-])--([a-z][a-z-]*)"""
+    r"""((?:[ ][\w.]+=(?:"[^"]*"|'[^']*'|[^\s;,)"']+))+|[ ][\w-]+(?=$|[;,. )]))?"""
+)
+_PAIR = re.compile(r"""([\w.]+)=("[^"]*"|'[^']*'|[^\s;,)"']+)""")
+_ARGUMENTS = {"start": "starts", "set": "constants", "overwrite": "overwrite=True",
+              "out": "folder", "law": "law"}  # fmt: skip
+_WITH_WORD = ("up", "kind", "latent", "max-levels")
+
+
+@contextlib.contextmanager
+def on_command_line():
+    """Meanwhile messages name options of the command line."""
+    token = _IS_SHELL.set(True)
+    try:
+        yield
+    finally:
+        _IS_SHELL.reset(token)
+
+
+def in_python(text):
+    """A message as whoever reads it can follow: in Python options are arguments.
+
+    Examples
+    --------
+    >>> in_python("say which it is: --columns scene=Versuch x='Weg'; or --time-limit")
+    'say which it is: columns={"scene": "Versuch", "x": "Weg"}; or time_limit'
+    """
+    return text if _IS_SHELL.get() else _OPTION.sub(_argument, text)
+
+
+def _argument(match):
+    name = _ARGUMENTS.get(match[1], match[1].replace("-", "_"))
+    rest = match[2] or ""
+    pairs = _PAIR.findall(rest)
+    if pairs:
+        told = ", ".join(f'"{key}": "{value.strip(chr(34) + chr(39))}"' for key, value in pairs)
+        return f"{name}={{{told}}}"
+    word = rest.strip() if rest.strip().isdecimal() else f'"{rest.strip()}"'
+    return f"{name}={word}" if rest and match[1] in _WITH_WORD else name + rest
 
 
 class BspError(Exception):
     """Base of every error that a user of bsp_gp can cause and mend."""
+
+    def __init__(self, *args):
+        super().__init__(*(in_python(a) if isinstance(a, str) else a for a in args))
 
 
 class DataError(BspError):

@@ -17,6 +17,7 @@ ROOMS = (
     "grammars",
     "errors",
     "units",
+    "randomness",
     "workers",
     "output",
     "data",
@@ -34,6 +35,8 @@ ROOMS = (
     "cli_inputs",
     "cli_make",
     "cli_latents",
+    "cli_reports",
+    "cli_completion",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it; none: what the

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.headings import NUMBER_COLUMNS, TEXT_COLUMNS, is_acceleration, is_error
 from bsp_gp.data.roster import ABSURD, require_columns
 from bsp_gp.data.scene import Entity, Scene
-from bsp_gp.data.sniffing import NUMBER_COLUMNS, TEXT_COLUMNS
 from bsp_gp.errors import DataError
 from bsp_gp.units import Unit
 
-__all__ = ["Rows", "build_rows", "build_scenes"]
+__all__ = ["Rows", "axes_of", "build_rows", "build_scenes"]
 
 MAX_CELLS = 100_000_000
 _GAP = "leave the whole row out to mark a gap in the track"
@@ -71,7 +71,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
     scene_name : str
         Name of the scene where the table has no such column.
     """
-    axes, line_notes = _axes(table)
+    axes, line_notes = axes_of(table)
     table, gap_notes = _without_gaps(table)
     known = [axis for axis in axes if axis in table.frame.columns]
     still = np.zeros(len(table.frame))
@@ -102,7 +102,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
     )
 
 
-def _axes(table):
+def axes_of(table):
     """Axes of the positions, and a note where one of x and y is not in the table.
 
     A table of x alone, or of y alone, is motion along a line; but a column that is not used and
@@ -111,7 +111,8 @@ def _axes(table):
     columns = [str(column) for column in table.frame.columns]
     axes = [axis for axis in "xyz" if axis in columns]
     if axes not in (["x"], ["y"]):
-        require_columns(table, ["x", "y"])
+        _refuse_accelerations(table, axes)
+        require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
         return axes, ()
     other = "y" if axes == ["x"] else "x"
     doubtful = [
@@ -119,15 +120,28 @@ def _axes(table):
         for column in columns
         if column not in NUMBER_COLUMNS + TEXT_COLUMNS
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
+        and not is_error(column)
     ]
     if doubtful:
         raise DataError(
             f"the header has no column {other!r}; present are {', '.join(columns)}",
             file=table.file, column=other,
-            remedy=f'add it, or name it in [columns]: {other} = "its name in the file"; if all '
-            f"motion is along {axes[0]}, leave out {', '.join(doubtful)}",
+            remedy=f'add it, or name it in [columns]: {other} = "its name in the file" (--columns '
+            f"{other}=ITS_NAME); if all motion is along {axes[0]}, leave out {', '.join(doubtful)}",
         )  # fmt: skip
     return ["x", "y"], (f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",)
+
+
+def _refuse_accelerations(table, axes):
+    """DataError where a table has accelerations, as of a telephone, in the place of positions."""
+    found = [column for column in table.present if is_acceleration(column)]
+    if found and not axes:
+        raise DataError(
+            f"the table has accelerations ({', '.join(found[:3])}) and no positions; tracks of "
+            "positions are needed", file=table.file,
+            remedy="record the motion from outside (film, motion sensor); or, if one of the "
+            "columns is a position, name it: --columns x=ITS_NAME",
+        )  # fmt: skip
 
 
 def _without_gaps(table):

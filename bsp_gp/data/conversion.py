@@ -11,9 +11,21 @@ from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
 
 __all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
+_WORDS = {
+    "m": "meter metern mètre mètres metri metro metros metre metres meters",
+    "cm": "zentimeter centimètre centimètres centimetri centímetros",
+    "mm": "millimeter millimètre millimètres millimetri milímetros",
+    "km": "kilometer kilomètre kilomètres",
+    "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
+    "ms": "millisekunde millisekunden msec millisecondes milisegundos",
+    "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
+    "year": "jahr jahre années ans anni años yrs", "au": "ae",
+}  # fmt: skip
+_WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+"""Units as people write them out, in the languages whose headings are known."""
 KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
-_NUMBERED = re.compile(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s+(.+)")
+_NUMBERED = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(.+)")
 _LENGTH = Unit.of(m=1)
 _TIME = Unit.of(s=1)
 COLUMN_KINDS = {"t": "time"} | {
@@ -42,6 +54,7 @@ def _scale(text):
     number = _NUMBERED.fullmatch(text)
     factor, rest = (float(number.group(1)), number.group(2)) if number else (1.0, text)
     try:
+        rest = _WORD_UNITS.get(rest.strip().lower(), rest)
         scale, unit = parse_unit(_PIXEL.sub("m", rest))
     except (AssertionError, tokenize.TokenError) as error:  # pint, on "m/" and on "m("
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg") from error

@@ -50,15 +50,18 @@ class Roster:
 
 def require_columns(table, needed, where="the header"):
     """Complain about the first column that is missing."""
-    for column in needed:
-        if column not in table.frame.columns:
-            raise DataError(
-                f"{where} has no column {column!r}; present are "
-                f"{', '.join(map(str, table.frame.columns))}",
-                file=table.file,
-                column=column,
-                remedy=f'add it, or name it in [columns]: {column} = "its name in the file"',
-            )
+    missing = [column for column in needed if column not in table.frame.columns]
+    if missing:
+        present = table.present or tuple(map(str, table.frame.columns))
+        options = " ".join(f'{column}="..."' for column in missing)
+        if "x" in missing:
+            options += ' (of bodies side by side, BODY_x="..." OTHER_x="...")'
+        raise DataError(
+            f"{where} has no column {missing[0]!r}; present are {', '.join(present)}",
+            file=table.file,
+            column=missing[0],
+            remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
+        )
 
 
 def read_roster(table, conversion, *, coded=()):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from html import escape
 from types import MappingProxyType
 
 import numpy as np
@@ -266,7 +267,7 @@ class Evaluation:
     endpoint_row: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Scenes with their split, units, noise and provenance.
 
@@ -354,6 +355,29 @@ class Dataset:
                 self.noise_memory,
             ),
         )
+
+    def __repr__(self):
+        bodies = list(dict.fromkeys(name for scene in self.scenes for name in scene.names))
+        listed = ", ".join(bodies[:6]) + (" ..." if len(bodies) > 6 else "")
+        units = ", ".join(f"{kind} in {unit}" for kind, unit in self.units.declared.items())
+        n_rows = sum(len(scene.times) for scene in self.scenes)
+        return "\n".join([
+            f"Dataset {self.name!r}: {len(self.scenes)} scene(s), {n_rows} rows, {self.n_dims}-D",
+            f"  bodies: {listed}", f"  properties: {', '.join(self.property_names) or 'none'}",
+            f"  units: {units or 'none declared'}; up: {self.up or 'not declared'}",
+            f"  notes: {len(self.notes)}",
+        ])  # fmt: skip
+
+    def _repr_html_(self):
+        return f"<pre>{escape(repr(self))}</pre>"
+
+    def plot(self, axes=None, *, scene=None):
+        """Draw the tracks of one scene, by default the first; returns the axes."""
+        from bsp_gp.data.drawn import plot_tracks
+
+        length, time = (self.units.text(Unit.of(**{base: 1})) for base in ("m", "s"))
+        shown = self.scenes[0] if scene is None else self.scene(scene)
+        return plot_tracks(shown, axes, length=length, time=time)
 
     @property
     def n_dims(self):

@@ -8,6 +8,7 @@ or a note in `Dataset.notes`; nothing is dropped silently.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import os
 from collections.abc import Mapping
@@ -16,18 +17,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.assembly import build_rows, build_scenes
+from bsp_gp.data.assembly import axes_of, build_rows, build_scenes
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
-from bsp_gp.data.formats import Table, read_table
+from bsp_gp.data.formats import Table, long_table, read_table
+from bsp_gp.data.headings import headings
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
-from bsp_gp.data.sniffing import TEXT_COLUMNS, normalise_columns, number_columns
 from bsp_gp.data.trk import read_trk
-from bsp_gp.errors import DataError
+from bsp_gp.data.wide import groups_of
+from bsp_gp.errors import DataError, MissingDependencyError
+from bsp_gp.output.mark import read_mark
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
 
@@ -63,6 +66,7 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     """
     path = Path(path)
     if path.is_dir():
+        path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
         if not trajectories.is_file():
             present = ", ".join(sorted(p.name for p in path.iterdir())[:10]) or "nothing"
@@ -88,12 +92,38 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     declaration = declaration.override(
         units=units, columns=columns, fps=fps, dt=dt, train=train, test=test
     )
-    table = read_table(trajectories, rename=declaration.columns)
+    if trajectories.suffix.lower() in (".parquet", ".pq"):
+        table = _read_parquet(trajectories, declaration.columns)
+    else:
+        table = read_table(trajectories, rename=declaration.columns)
     roster = None
     if entities is not None and os.path.lexists(entities):
         roster = read_table(entities, rename=declaration.columns, as_text=True)
     name = path.resolve().name if path.is_dir() else path.stem
     return _assemble(table, roster, declaration, name)
+
+
+def _data_of_recording(folder):
+    """The data set in a folder that `track` made of a film; other folders as they are."""
+    try:
+        mark = read_mark(folder)
+    except OSError:
+        return folder
+    return folder / "data" if mark is not None and mark.kind == "recording" else folder
+
+
+def _read_parquet(path, rename):
+    try:
+        frame = pd.read_parquet(path)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{path}: reading Parquet needs pyarrow: pip install pyarrow, or save it as CSV"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"this is no Parquet file that can be read: {error}", file=path) from error
+    table = _frame_table(frame, rename, "frames")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return dataclasses.replace(table, file=str(path), digest=digest)
 
 
 def _from_tracker(path, *, units, fps, dt, train, test):
@@ -164,16 +194,12 @@ def _checked_frame(frame, what):
 def _frame_table(frame, rename, what):
     if frame.empty:
         raise DataError("the table has no rows", file=what)
-    names, units, renamed = normalise_columns(frame.columns, rename)
-    duplicated = sorted({n for n in names if names.count(n) > 1})
-    if duplicated:
-        raise DataError(f"two columns are named {duplicated[0]!r}", file=what)
-    frame = frame.set_axis(list(names), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
-    notes = ()
-    if what == "frames":
-        unused = [n for n in names if n not in number_columns(names) + TEXT_COLUMNS]
-        notes = tuple(f"{what}: column {n!r} is not used" for n in unused)
-    return Table(frame=frame, units=units, renamed=renamed, file=what, notes=notes)
+    found = headings(frame.columns, rename, is_track=what == "frames")
+    plain = frame.set_axis(range(frame.shape[1]), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
+    return long_table(
+        plain, found, [h.unit for h in found], groups_of(found, file=what), file=what,
+        as_text=what != "frames",
+    )  # fmt: skip
 
 
 def _roster_of(entities):
@@ -192,6 +218,7 @@ def _assemble(table, roster, declaration, default_name):
         table, declaration.units, start=declaration.angle_from, sense=declaration.angle_turns
     )
     tables = [t for t in (table, roster) if isinstance(t, Table)]
+    axes_of(table)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
     known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
     for each in tables:
@@ -228,6 +255,9 @@ def _assemble(table, roster, declaration, default_name):
             "measured and are not differences of positions"
         )
     provenance = dict(declaration.provenance)
+    renamed = {ours: theirs for ours, theirs in table.theirs.items() if ours != theirs}
+    if renamed:
+        provenance["columns"] = ", ".join(f"{k} = {v!r}" for k, v in renamed.items())
     for each in tables:
         if each.digest:
             provenance[f"sha256 of {Path(each.file).name}"] = each.digest
@@ -238,7 +268,7 @@ def _assemble(table, roster, declaration, default_name):
         test=test,
         units=conversion.system,
         property_units={**latent_units, **(roster.units if roster else {})},
-        up=_up(declaration, scenes[0].n_dims),
+        up=_up(declaration, scenes[0].n_dims) or table.up,
         noise=_noise(declaration, conversion, scenes[0].n_dims),
         noise_memory=_noise_memory(declaration, conversion),
         velocity=declaration.velocity,
@@ -265,13 +295,14 @@ def _require_renames(declaration, tables):
     found = frozenset().union(*(table.renamed for table in tables))
     for ours, theirs in declaration.columns.items():
         if ours not in found:
-            present = [str(column) for table in tables for column in table.frame.columns]
+            present = [column for table in tables for column in table.present]
             raise DataError(
                 f"[columns] {ours} = {theirs!r}: there is no column of that name; "
                 f"present are {', '.join(present)}",
                 file=declaration.file or tables[0].file,
                 column=ours,
-                remedy="the only other key of [columns] is velocity (measured or ignore)",
+                remedy=f"write --columns {ours}=ONE_OF_THESE; the only other key is velocity "
+                "(measured or ignore)",
             )
 
 

@@ -81,7 +81,7 @@ class FitTolerances:
     prior_width: float = 10.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """What a fit found.
 
@@ -163,6 +163,17 @@ class Fit:
     paper_steps: bool = False
     seconds: float = 0.0
     message: str = ""
+
+    def __repr__(self):
+        names = [f"{n}{f' of {e}' if e else ''} = {v:.4g}" for (n, e), v in
+                 zip(self.parameters, self.values, strict=True)]  # fmt: skip
+        more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+        return (
+            f"Fit: {self.status}, {self.n_agree} of {self.n_starts} starts\n"
+            f"  F_i = {self.law.text(digits=False)}\n  {', '.join(names[:8])}{more}\n"
+            f"  reduced chi-square {self.chi2_red:.3g} of {self.n_rows} numbers, log-evidence "
+            f"{self.log_evidence:.6g}"
+        )
 
     @property
     def is_failed(self):

@@ -266,7 +266,7 @@ def read_law(dataset, texts: Sequence[str]):
     Parameters
     ----------
     dataset : Dataset
-    texts : sequence of str
+    texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``. Named constants are fitted.
 
     Returns
@@ -276,7 +276,7 @@ def read_law(dataset, texts: Sequence[str]):
     """
     types = dataset_types(dataset)
     terms = []
-    for text in texts:
+    for text in (texts,) if isinstance(texts, str) else texts:
         formula = parse_formula(text, types, units=dataset.units)
         unit = formula.type.unit
         if unit is not None and unit != FORCE:

@@ -6,14 +6,15 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from numbers import Integral
+from html import escape
 
 import numpy as np
 
+from bsp_gp.data.drawn import plot_constants
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.split import choose_split
-from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.errors import DataError, SettingsError, in_python
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_errors
@@ -32,6 +33,7 @@ from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
+from bsp_gp.randomness import generator
 from bsp_gp.units import Unit
 
 __all__ = [
@@ -40,6 +42,8 @@ __all__ = [
 ]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
+MAX_LINES = 10
+"""Of what a fit says of itself unasked."""
 MISFIT = 1.5
 """Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
 UNTOLD = 0.9
@@ -48,7 +52,7 @@ LEAST_SHARE = 0.2
 """Part of the time limit that the errors on held-out scenes have at least."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LawFit:
     """A law with its constants fitted to the training scenes of a data set.
 
@@ -132,6 +136,17 @@ class LawFit:
         """The fit as a table for a terminal; variables stand with their 90 % intervals."""
         return fit_text(self)
 
+    def __repr__(self):
+        lines = self.text().splitlines()
+        return "\n".join(lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], "..."])
+
+    def _repr_html_(self):
+        return f"<pre>{escape(repr(self))}</pre>"
+
+    def plot(self, axes=None):
+        """Draw the constants with their intervals; returns the axes."""
+        return plot_constants(self.constants, axes)
+
     def correlations(self):
         """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value)."""
         return strong_correlations(self.constants, self.correlation)
@@ -143,7 +158,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     Parameters
     ----------
     dataset : Dataset
-    laws : ForceLaw or sequence of str
+    laws : ForceLaw, str or sequence of str
         The forces; named constants are fitted, whatever values a ForceLaw has for them.
     rng : numpy.random.Generator, int or None
         For a split that is not declared; None is 0.
@@ -177,7 +192,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
     dataset = with_usable_masses(dataset)
-    split = choose_split(dataset, _generator(rng))
+    split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
     train, far_off = training_part(dataset, split.train, said)
     check_properties(stack(train.scenes, dataset.up), law)
@@ -196,7 +211,7 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
         constants=constants, correlation=_correlation(found.covariance), errors=errors,
         noise=noise_told, status=found.status,
-        message=how_it_ended(found, constants, time_limit), chisqr=found.chisqr,
+        message=in_python(how_it_ended(found, constants, time_limit)), chisqr=found.chisqr,
         chi2_red=found.chi2_red, bic=_bic(found), log_evidence=found.log_evidence,
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.note,
@@ -274,12 +289,6 @@ def _check_settings(starts, bounds, time_limit):
 
 def _is_number(value):
     return hasattr(value, "__float__") and not isinstance(value, str | bytes | bool)
-
-
-def _generator(rng):
-    if rng is None or isinstance(rng, Integral):
-        return np.random.default_rng(0 if rng is None else int(rng))
-    return rng
 
 
 def unset(law):

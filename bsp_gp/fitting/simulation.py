@@ -13,6 +13,8 @@ from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import INTEGRATORS, rollout
 from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.masses import check_properties, with_usable_masses
+from bsp_gp.randomness import generator
 
 __all__ = ["simulate_law"]
 
@@ -32,11 +34,11 @@ def simulate_law(
     Parameters
     ----------
     dataset : Dataset
-    law : ForceLaw or sequence of str
+    law : ForceLaw, str or sequence of str
     constants : mapping of str to float, optional
         Values of the constants that typed laws name, SI.
-    rng : numpy.random.Generator, optional
-        Needed with noise.
+    rng : numpy.random.Generator, int or None
+        Of the noise.
     noise : float or sequence of float
         Standard deviation of the noise added to positions, one or one per axis, metres.
     integrator : str, optional
@@ -58,8 +60,7 @@ def simulate_law(
     """
     law = _valued(dataset, law, dict(constants or {}))
     noise = checked_noise(noise, dataset.n_dims)
-    if any(noise) and rng is None:
-        raise SettingsError("noise needs a random number generator: pass rng")
+    rng = generator(rng)
     if substeps is not None and not 1 <= substeps <= 1000:
         raise SettingsError(f"substeps must be between 1 and 1000, got {substeps!r}")
     integrator = integrator or ("euler" if _touches(law) else "rk4")
@@ -67,7 +68,9 @@ def simulate_law(
         raise SettingsError(
             f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}"
         )
-    paths = _paths(dataset, law, integrator, substeps)
+    usable = with_usable_masses(dataset)
+    check_properties(stack(usable.scenes, usable.up), law)
+    paths = _paths(usable, law, integrator, substeps)
     scenes = []
     for scene, path in zip(dataset.scenes, paths, strict=True):
         seen = np.isfinite(scene.positions[:, scene.dynamic])

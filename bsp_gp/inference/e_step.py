@@ -26,6 +26,7 @@ from bsp_gp.inference.laplace import point_posterior, softened_note, start_place
 from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.tracks import Softened, is_point, reweighted
+from bsp_gp.randomness import generator
 
 __all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
@@ -65,7 +66,7 @@ class EStep:
             raise SettingsError(f"E-step must be one of {', '.join(METHODS)}, got {self.method!r}")
 
 
-def infer(law, scenes, latents, likelihood, *, rng, settings=None, previous=None):
+def infer(law, scenes, latents, likelihood, *, rng=None, settings=None, previous=None):
     """Posterior of the latents of some scenes under a law with its constants.
 
     Parameters
@@ -74,7 +75,7 @@ def infer(law, scenes, latents, likelihood, *, rng, settings=None, previous=None
     scenes : sequence of Scene
     latents : Latents
     likelihood : Likelihood
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, int or None
     settings : EStep, optional
     previous : Posterior, optional
         Of the last E-step: its walkers are the start.
@@ -91,7 +92,7 @@ def infer(law, scenes, latents, likelihood, *, rng, settings=None, previous=None
         raise SettingsError("no latent concerns these scenes")
     blocks = latents.blocks([scene.name for scene in scenes])
     by_name = {scene.name: scene for scene in scenes}
-    streams = rng.spawn(len(blocks) + 1)
+    streams = generator(rng).spawn(len(blocks) + 1)
     parts = []
     for (names, index), stream in zip(blocks, streams[1:], strict=True):
         if not len(index):

@@ -19,6 +19,7 @@ from bsp_gp.inference.beam import Beam, Contender
 from bsp_gp.inference.e_step import EStep, infer, prior_posterior, refine
 from bsp_gp.inference.m_step import Exhaustive, averaged_regression
 from bsp_gp.physics.force import ForceLaw
+from bsp_gp.randomness import generator
 
 __all__ = ["CLASS_NATS", "EmIteration", "EmResult", "EmSettings", "fit_em"]
 
@@ -173,7 +174,7 @@ def fit_em(
     grammar,
     likelihood,
     *,
-    rng,
+    rng=None,
     settings=None,
     m_step=None,
     base=None,
@@ -191,7 +192,7 @@ def fit_em(
         Masked to the data.
     likelihood : Likelihood
         Of the beam; the M-step uses its one-step form.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, int or None
     settings : EmSettings, optional
     m_step : object with ``candidates``, optional
         See `bsp_gp.inference.m_step`; exhaustive by default.
@@ -220,7 +221,7 @@ def fit_em(
             m_step or Exhaustive(), base or ForceLaw(), kinds or tuple(grammar.start),
             e_likelihood or likelihood, progress or (lambda text: None),
         )  # fmt: skip
-        return run.result(rng, started)
+        return run.result(generator(rng), started)
 
 
 class _Em:

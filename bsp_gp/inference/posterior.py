@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from html import escape
 
 import numpy as np
 
@@ -14,7 +15,11 @@ INTERVAL = 0.9
 """Probability of the intervals in tables."""
 
 
-@dataclass(frozen=True, eq=False)
+MAX_ROWS = 7
+"""Names whose values are told unasked."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Posterior:
     """Draws of the latents (and constants, where they were sampled too) given the data.
 
@@ -79,6 +84,18 @@ class Posterior:
             object.__setattr__(self, "truth", np.full(len(self.names), np.nan))
         if not self.priors:
             object.__setattr__(self, "priors", (None,) * len(self.names))
+
+    def __repr__(self):
+        rows = [f"  {name} = {mean:.4g} +- {sd:.2g}" for name, mean, sd in
+                zip(self.names, self.mean, self.sd, strict=True)]  # fmt: skip
+        if len(rows) > MAX_ROWS:
+            rows = [*rows[:MAX_ROWS], f"  and {len(rows) - MAX_ROWS} more"]
+        how = "converged" if self.converged else "not converged"
+        head = f"Posterior by {self.method}: {len(self.draws)} draws, {how}"
+        return "\n".join([head, *rows, f"  notes: {len(self.notes)}"])
+
+    def _repr_html_(self):
+        return f"<pre>{escape(repr(self))}</pre>"
 
     @property
     def mean(self):

@@ -7,8 +7,6 @@ import time
 from copy import copy
 from dataclasses import asdict, replace
 
-import numpy as np
-
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
@@ -41,6 +39,7 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
+from bsp_gp.randomness import generator
 
 __all__ = ["close_loop"]
 
@@ -50,7 +49,7 @@ SEARCHES = ("exhaustive", "auto")
 
 
 def close_loop(
-    dataset, declared=(), *, rng, grammar="physics", criteria=None, alpha=None, max_rounds=5,
+    dataset, declared=(), *, rng=None, grammar="physics", criteria=None, alpha=None, max_rounds=5,
     max_levels=8, search="exhaustive", starts=None, bounds=None, time_limit=None, n_bootstrap=40,
     exclude=("t",), seed=None, workers=None, progress=None, on_round=None,
     earlier=None,
@@ -60,9 +59,9 @@ def close_loop(
     Parameters
     ----------
     dataset : Dataset
-    declared : ForceLaw or sequence of str
+    declared : ForceLaw, str or sequence of str
         The model that is believed: typed laws. Empty: no force at all.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, int or None
         Splits, simulated noise, resampling.
     grammar : str, path or Grammar
         What may be missing.
@@ -104,10 +103,10 @@ def close_loop(
     """
     began = time.monotonic()
     criteria = _criteria(criteria, alpha)
-    _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
+    _check(dataset, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    split_rng, round_rng, account_rng, swapped_rng, asked_rng = rng.spawn(5)
+    split_rng, round_rng, account_rng, swapped_rng, asked_rng = generator(rng).spawn(5)
     says("reading the data set")
     ready = _Ready(dataset, declared, split_rng)
     grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
@@ -309,7 +308,7 @@ def _criteria(criteria, alpha):
     return criteria if alpha is None else replace(criteria, alpha=alpha)
 
 
-def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
+def _check(dataset, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
     """Refuse settings that cannot be."""
     for latent in dataset.latents:
         if latent.values or latent.name == "radius":
@@ -317,8 +316,6 @@ def _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, 
                 f"latent {latent.name} must be a continuous property that is no size, since it is "
                 "fitted together with the law; give its values, or use infer"
             )
-    if not isinstance(rng, np.random.Generator):
-        raise SettingsError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
     if not 0 < criteria.alpha < 1:
         raise SettingsError(f"alpha must be between 0 and 1, got {criteria.alpha!r}")
     if search not in SEARCHES:

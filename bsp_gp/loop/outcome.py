@@ -8,8 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from html import escape
 
+import numpy as np
+
+from bsp_gp.data.drawn import plot_models
+from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.accounts import Ratio
 
 __all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
@@ -174,7 +180,12 @@ class Overlay:
     n_initial: int
 
 
-@dataclass(frozen=True, eq=False)
+def _declared_error(overlay):
+    left = np.asarray(overlay.declared, float) - np.asarray(overlay.observed, float)
+    return float(np.nan_to_num(np.nansum(np.square(left))))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class LoopReport:
     """Everything that a run of the loop found out.
 
@@ -250,6 +261,42 @@ class LoopReport:
     hypothesis: object = field(default=None, repr=False)
     extras: tuple = field(default=(), repr=False)
 
+    def __repr__(self):
+        before, after, floor = (self.total[name] for name in ("before", "after", "floor"))
+        errors = [e.rollout_rmse for e in (before, after, floor) if e is not None]
+        told = " -> ".join(f"{e:.4g}" for e in errors[:2])
+        return "\n".join([
+            f"LoopReport of {self.dataset.get('name')!r}: {self.verdict}",
+            f"  law: F_i = {self.law_text}",
+            f"  held-out position error: {told} {before.unit}; floor {errors[-1]:.4g}",
+            f"  probability {self.probability:.2g}, {len(self.equivalents)} not told apart",
+            f"  {len(self.rounds)} round(s), {self.n_fits} fits; stopped: {self.stop_reason}",
+        ])  # fmt: skip
+
+    def _repr_html_(self):
+        """For a notebook, which typesets the law."""
+        return f"<div>$${escape(self.law_latex)}$$</div><pre>{escape(repr(self))}</pre>"
+
+    def plot(self, axes=None, *, number=None):
+        """Draw a held-out track as observed and as both models foresee it; returns the axes.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; by default new ones.
+        number : int, optional
+            Of `overlays`; by default the one on which the declared model errs most.
+        """
+        if not self.overlays:
+            raise SettingsError("this report holds no tracks; those that were read back have none")
+        shown = max(self.overlays, key=_declared_error) if number is None else self.overlays[number]
+        models = {"declared model": shown.declared, "adopted law": shown.adopted}
+        unit = self.total["before"].unit
+        axes = plot_models(np.asarray(shown.times), np.asarray(shown.observed), models, axes,
+                           length=unit)  # fmt: skip
+        axes.set_title(f"{shown.scene}: {shown.entity}".replace("$", r"\$"))
+        return axes
+
     @property
     def alpha(self):
         return self.criteria["alpha"]
@@ -267,7 +314,17 @@ class LoopReport:
             "verdict", "probability", "equivalents", "stop_reason", "complete", "left_out",
             "n_fits", "versions", "wall_s",
         )  # fmt: skip
-        law = {"text": self.law_text, "latex": self.law_latex, "constants": self.constants}
+        law = {
+            "text": self.law_text, "latex": self.law_latex, "constants": self.constants,
+            "terms": [
+                {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
+                for t in self.law.terms
+            ],
+            "values": {
+                name: dict(value) if hasattr(value, "items") else value
+                for name, value in self.law.constants.items()
+            },
+        }  # fmt: skip
         return plain(
             {
                 "schema": SCHEMA,

@@ -15,12 +15,14 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
-from bsp_gp.units import ACCELERATION, FORCE
+from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
     "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "told", "versions",
 ]  # fmt: skip
 
+HEAVIEST = 10
+"""How many times all others a body weighs that is named as the one that acts."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -203,10 +205,38 @@ def about_data(dataset, split, notes):
         "units": dict(dataset.units.declared),
         "symbols": dict(dataset.units.symbols),
         "up": dataset.up,
+        "partner": _partner(dataset),
+        "properties": _properties(dataset),
         "provenance": dict(dataset.provenance),
         "fingerprint": dataset_digest(dataset),
         "notes": [*dataset.notes, *notes],
     }
+
+
+def _properties(dataset):
+    """Units of the properties that laws may name, as exponents, and which are vectors."""
+    out = {}
+    for name in dict.fromkeys((*dataset.property_names, "mass")):
+        values = [e.properties[name] for s in dataset.scenes for e in s.entities
+                  if name in e.properties]  # fmt: skip
+        unit = dataset.property_units.get(name)
+        out[name] = {
+            "unit": [str(power) for power in (unit or DIMENSIONLESS).exponents],
+            "is_vector": any(np.ndim(value) for value in values),
+        }
+    return out
+
+
+def _partner(dataset):
+    """The body that acts on what moves: the only other one, or by far the heaviest; else ""."""
+    entities = {e.name: e for scene in dataset.scenes for e in scene.entities}
+    if len(entities) == 2 and sum(not e.is_static for e in entities.values()) == 1:
+        return next(e.name for e in entities.values() if e.is_static)
+    masses = {name: float(e.properties.get("mass", math.nan)) for name, e in entities.items()}
+    if len(masses) < 2 or not all(map(math.isfinite, masses.values())):
+        return ""
+    name = max(masses, key=masses.get)
+    return name if masses[name] > HEAVIEST * (sum(masses.values()) - masses[name]) else ""
 
 
 def dataset_digest(dataset):

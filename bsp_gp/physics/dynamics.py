@@ -8,12 +8,21 @@ their measured track.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from bsp_gp.errors import SettingsError
+from bsp_gp.errors import EvaluationError, SettingsError
+from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.evaluation import PreparedLaw
+from bsp_gp.physics.masses import with_unit_masses
 
-__all__ = ["INTEGRATORS", "Tracks", "rollout", "step_euler", "step_leapfrog", "step_rk4"]
+__all__ = [
+    "INTEGRATORS", "Tracks", "rollout", "simulated_scene", "step_euler", "step_leapfrog",
+    "step_rk4",
+]  # fmt: skip
+_HEAD = 6
+"""First rows to which a start is fitted that is not given."""
 
 
 def step_euler(acceleration, p, v, t, h):
@@ -170,3 +179,55 @@ def _advance(step, law, tracks, p, v, t, h, k, m):
         return full
 
     return step(acceleration, p, v, t, h[:, None, None])
+
+
+def simulated_scene(law, scene, states=None, times=None, *, up=None, substeps=16):
+    """The motion of a scene under a law from any start; see `ForceLaw.simulate`."""
+    names = [scene.names[k] for k in scene.dynamic]
+    unknown = sorted(set(states or {}) - set(names))
+    if unknown:
+        raise SettingsError(
+            f"states name {unknown[0]!r}, which does not move; those that do are {', '.join(names)}"
+        )
+    starts = [
+        (states or {}).get(name) or _first_state(scene, k)
+        for name, k in zip(names, scene.dynamic, strict=True)
+    ]
+    starts = np.array(starts, dtype=float)
+    if starts.shape != (len(names), 2, scene.n_dims) or not np.isfinite(starts).all():
+        raise SettingsError(
+            f"states must hold a position and a velocity of {scene.n_dims} numbers for each body"
+        )
+    scene = _at_times(scene, starts[:, 0], times)
+    (batch,) = stack((with_unit_masses(scene),), up)
+    track = rollout(law, batch, starts[None, :, 0], starts[None, :, 1], substeps=substeps)[:, 0]
+    if not np.isfinite(track).all():
+        raise EvaluationError("under this law the motion leaves the range of numbers")
+    positions = np.array(scene.positions)
+    positions[:, scene.dynamic] = track
+    return replace(scene, positions=positions, velocities=None, sigma=None)
+
+
+def _first_state(scene, k):
+    """Place and velocity of a body at the first row, by a parabola through the first rows."""
+    seen = np.isfinite(scene.positions[:, k]).all(axis=1)
+    t, x = scene.times[seen][:_HEAD] - scene.times[0], scene.positions[seen, k][:_HEAD]
+    if len(t) < 3:
+        raise SettingsError(f"body {scene.names[k]!r} has too few rows for a start; give states")
+    rows = np.stack([t**0, t, t**2], axis=1)
+    place, speed, _ = np.linalg.lstsq(rows, x, rcond=None)[0]
+    return place, speed
+
+
+def _at_times(scene, places, times):
+    """The scene at other times: what forces do not move goes on as it was seen."""
+    times = scene.times if times is None else np.asarray(times, dtype=float)
+    positions = np.empty((len(times), len(scene.entities), scene.n_dims))
+    for k in range(len(scene.entities)):
+        seen = np.isfinite(scene.positions[:, k]).all(axis=1)
+        for axis in range(scene.n_dims):
+            track = scene.positions[seen, k, axis]
+            positions[:, k, axis] = np.interp(times, scene.times[seen], track)
+    # Only places that are overwritten are made up; bodies may not stand in one point meanwhile.
+    positions[:, scene.dynamic] = places + np.zeros((len(times), 1, 1))
+    return replace(scene, times=times, positions=positions, velocities=None, sigma=None)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from html import escape
 from types import MappingProxyType
 
 import numpy as np
@@ -20,6 +22,7 @@ from bsp_gp.language.formula import (
 )
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs
+from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
@@ -122,7 +125,7 @@ class Unseen:
         return {**own, **self.strength}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ForceLaw:
     """A sum of terms with the values of their constants.
 
@@ -237,10 +240,47 @@ class ForceLaw:
             for n in term.formula.constants
         )
 
+    def __repr__(self):
+        shared = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+        own = [k for k in self.constants if k not in shared]
+        lines = [f"ForceLaw: F_i = {self.text(digits=False)}"]
+        lines += [f"  {', '.join(f'{k} = {v:.4g}' for k, v in shared.items())}"] if shared else []
+        lines += [f"  one for every body or scene: {', '.join(own)}"] if own else []
+        return "\n".join(lines)
+
+    def _repr_html_(self):
+        """The law for a notebook, which typesets it."""
+        return f"<div>$${escape(self.latex(digits=False))}$$</div><pre>{escape(repr(self))}</pre>"
+
+    def simulate(self, scene, states=None, times=None, *, up=None, substeps=16):
+        """Motion under the law from any start.
+
+        Parameters
+        ----------
+        scene : Scene
+            Its bodies; those that do not move keep their places.
+        states : mapping of str to (position, velocity), optional
+            Of the moving bodies, metres and metres/second; by default those at the first rows.
+        times : sequence of float, optional
+            Seconds; by default those of the scene.
+        up : str, optional
+            Axis that points up, where the law needs it.
+        substeps : int
+            Steps from one time to the next.
+
+        Returns
+        -------
+        Scene
+        """
+        return simulated_scene(self, scene, states, times, up=up, substeps=substeps)
+
+    predict = simulate
+
     def text(self, digits=True, units=None):
         """The law as text; with `digits`, constants are written as numbers."""
         values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
+        parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         return " + ".join(parts).replace("+ -", "- ") if parts else "0"
 
     def latex(self, digits=True, units=None):
@@ -249,6 +289,7 @@ class ForceLaw:
         parts = []
         for term in self.terms:
             body = to_latex(term.formula, values if digits else {}, units or {})
+            body = re.sub(r"^--(?=\d)", "", body)
             parts.append(rf"\sum_{{j\ne i}} {body}" if term.kind == "pair" else body)
         return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
 

@@ -11,7 +11,7 @@ from bsp_gp.errors import DataError, LawError
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
 
-__all__ = ["NO_MASS", "check_properties", "with_usable_masses"]
+__all__ = ["NO_MASS", "check_properties", "with_unit_masses", "with_usable_masses"]
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set."""
@@ -42,11 +42,15 @@ def with_usable_masses(dataset):
         )
     if any(np.isfinite(e.mass) for e in dynamic):
         return dataset
-    scenes = [
-        replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
-        for scene in dataset.scenes
-    ]
-    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, NO_MASS))
+    scenes = tuple(with_unit_masses(scene) for scene in dataset.scenes)
+    return replace(dataset, scenes=scenes, notes=(*dataset.notes, NO_MASS))
+
+
+def with_unit_masses(scene):
+    """The scene with a mass of one where none of its dynamic entities has any."""
+    if any(np.isfinite(e.mass) for e in scene.entities if not e.is_static):
+        return scene
+    return replace(scene, entities=tuple(_unit_mass(e) for e in scene.entities))
 
 
 def _unit_mass(entity):

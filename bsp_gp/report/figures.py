@@ -27,11 +27,19 @@ from bsp_gp.report.hidden_map import draw_hidden_map
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import adopted_rounds
 from bsp_gp.report.traces import trace_figure
-from bsp_gp.report.tracks import draw_errors, draw_tracks, pick_overlays, wants_errors
+from bsp_gp.report.tracks import (
+    draw_errors,
+    draw_tracks,
+    pick_headline,
+    pick_overlays,
+    wants_errors,
+)
 
 __all__ = ["ReportFigure", "build_figures"]
 
 MAX_POINTS = 4000
+_NARROW = 4.8
+"""Inches: letters stay readable on a telephone."""
 _MIN_HELD_OUT = 200
 _N_BINS = 24
 _MIN_PER_BIN = 8
@@ -74,12 +82,13 @@ def build_figures(report):
     Returns
     -------
     dict of str to ReportFigure
-        Names among tracks, track_errors, constants, rounds, residuals and trace_1, trace_2, …
-        for the rounds whose residual was traced, hidden_1, … for those that tell of an unseen
-        body, in this order.
+        Names among headline, tracks, track_errors, constants, rounds, residuals and trace_1,
+        trace_2, … for the rounds whose residual was traced, hidden_1, … for those that tell of an
+        unseen body, in this order.
     """
     report = page_of(report)
     makers = {
+        "headline": _headline,
         "tracks": _tracks,
         "track_errors": _track_errors,
         "constants": constants_figure,
@@ -118,6 +127,18 @@ def _tracks_caption(report, picked):
     if n_all > len(picked):
         return f"{len(picked)} of {n_all} held-out tracks, one scene after the other"
     return "Held-out tracks"
+
+
+def _headline(report):
+    overlay = pick_headline(report.overlays)
+    if overlay is None:
+        return None
+    length, _, time = _units(report)
+    has_adopted = bool(adopted_rounds(report))
+    as_errors = wants_errors([overlay])
+    draw = draw_errors if as_errors else draw_tracks
+    figure = new_figure(lambda f: draw(f, [overlay], length, time, has_adopted), 2.7, _NARROW)
+    return "The held-out track with the largest error before.", figure
 
 
 def _tracks(report):

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import base64
+import re
 import shlex
+from html import escape
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsp_gp.report.codes import KINDS, TONES
 from bsp_gp.report.figures import build_figures
+from bsp_gp.report.first import (
+    bound_sentence,
+    else_sentence,
+    legend,
+    plain_sentence,
+    told_constants,
+)
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -35,7 +44,7 @@ from bsp_gp.report.sentences import (
     overturned_by,
     powers_sentence,
     ratio_caution,
-    verdict_parts,
+    worse_bodies,
 )
 from bsp_gp.report.traces import trace_section
 from bsp_gp.report.typeset import to_svg
@@ -69,7 +78,7 @@ def render_html(report, run_info=None, figures=None):
     """
     figures = build_figures(report) if figures is None else figures
     report = page_of(report)
-    sentence, detail = verdict_parts(report)
+    sentence, detail = plain_sentence(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
         loader=PackageLoader("bsp_gp.report", "templates"),
@@ -93,9 +102,17 @@ def render_html(report, run_info=None, figures=None):
         sentence=sentence,
         detail=detail,
         head=headline(report),
-        caution=ratio_caution(report),
+        caution=" ".join(filter(None, (ratio_caution(report), worse_bodies(report)))),
         caveats=caveats(report),
+        caveat_words=[text.partition(" (")[0].partition(":")[0] for text in caveats(report)],
         notes=report.notes,
+        notes_title=_notes_title(report),
+        legend=legend(report),
+        told_constants=told_constants(report),
+        otherwise=else_sentence(report),
+        bound=bound_sentence(report),
+        drawing=_drawing(figures.get("headline")),
+        contents=_contents(report, figures),
         law_text=report.law_text,
         law_latex=report.law_latex,
         law_title=_law_title(report),
@@ -113,9 +130,36 @@ def render_html(report, run_info=None, figures=None):
     )
 
 
+def _drawing(figure):
+    """The picture of the first screen, whose lines the page can hide."""
+    if figure is None:
+        return None
+    svg = figure.svg[figure.svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(figure.caption)}" ', 1)
+    return {"svg": svg, "caption": figure.caption}
+
+
+def _notes_title(report):
+    n = len(caveats(report)) + len(report.notes)
+    return f"Notes ({n})"
+
+
+def _contents(report, figures):
+    """Link and title of every section."""
+    out = [("law", _law_title(report)), ("error", "Error on held-out data")]
+    out += [("notes", _notes_title(report))] if caveats(report) or report.notes else []
+    out += [("tracks", "Held-out tracks")] if "tracks" in figures else []
+    out += [(f"round-{r.number}", f"Round {r.number}") for r in report.rounds]
+    out += [("residuals", "What is left")] if "residuals" in figures else []
+    out += [("scenes", "Scene by scene")] if any(r.held_out for r in report.rounds) else []
+    out += [(f"extra-{k}", e.get("title", "")) for k, e in enumerate(report.extras, 1)]
+    return [*out, ("stop", "Why it stopped"), ("again", "To make it again")]
+
+
 def _law_title(report):
     if adopted_rounds(report):
-        return "The law"
+        return "The law and its constants"
     return "The declared law, as fitted"
 
 

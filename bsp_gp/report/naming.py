@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
+from bsp_gp.report.numbers import pretty_unit
 
 __all__ = ["describe"]
 
@@ -20,10 +23,15 @@ _DIRECTIONS = {
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 
-def describe(formula, value=None):
-    """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
+def describe(formula, value=None, other="the other body"):
+    """Name a term in plain words: "drag, linear in speed", "pull to the other body, as distance⁻²".
+
+    `other` is the name of the body that acts.
+    """
     direction, conditions, powers = _parts(formula)
-    return _phrase(direction, conditions[-1] if conditions else None, powers, value)
+    phrase = _phrase(direction, conditions[-1] if conditions else None, powers, value)
+    phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
+    return pretty_unit(phrase).replace("the other body", other)
 
 
 def _parts(formula):
@@ -67,6 +75,8 @@ def _add_powers(part, sign, powers):
 
 def _phrase(direction, condition, powers, value):
     text = to_text(direction) if direction is not None else ""
+    if "p_j - p_i" in text:  # the same line, the other way
+        text, value = text.replace("p_j - p_i", "p_i - p_j"), None if value is None else -value
     where = ""
     if condition is not None:
         where = " while on the mat" if "is_on" in to_text(condition) else " at contact"
@@ -112,6 +122,4 @@ def _scaling(powers):
 
 
 def _input_names(text):
-    import re
-
     return re.findall(r"[A-Za-z_]\w*", text)

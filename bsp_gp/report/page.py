@@ -15,6 +15,7 @@ __all__ = ["page_of"]
 _TOLD = 20
 """Hypotheses of a round that a page lists."""
 _MOST_FINDINGS = 3
+_COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
 
 def page_of(report):
@@ -89,7 +90,9 @@ def _unsupported(report):
 
 
 def _round(done, report):
-    name = "" if done.effect is None else _name(done.effect)
+    other = report.dataset.get("partner") or "the other body"
+    parts = () if done.effect is None else _parts(done.effect, report.law, other)
+    name = "" if done.effect is None else _name(done.effect, parts, other)
     tied = _tied(done) if done.reason == "kinds_tie" else ()
     p_value = done.missing.p_value
     bound = done.hidden_bound
@@ -98,7 +101,7 @@ def _round(done, report):
         is_missing=is_number(p_value) and p_value <= report.alpha,
         noise=tuple(_noise(finding) for finding in done.noise_findings[:_MOST_FINDINGS]),
         bound=None if bound is None else SimpleNamespace(**bound),
-        effect=None if done.effect is None else _effect(done.effect, name, tied),
+        effect=None if done.effect is None else _effect(done.effect, name, parts, tied),
         hypotheses=_hypotheses(done), n_hypotheses=len(done.hypotheses),
         adopted=done.adopted or done.reason == "superseded",
         removed=REASONS["superseded"] if done.reason == "superseded" else "",
@@ -116,19 +119,31 @@ def _noise(finding):
     return NOISE[finding["code"]] + (f" ({', '.join(where)})" if where else "")
 
 
-def _name(effect):
-    """What was found, in plain words."""
+def _parts(effect, law, other):
+    """Each of several forces that were found as one, in plain words."""
+    added = {c.name: c.value for c in effect.constants}
+    terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
+    if effect.formula is not None or not effect.law or len(terms) < 2:
+        return ()
+    values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
+    return tuple(describe(t.formula, v, other) for t, v in zip(terms, values, strict=True))
+
+
+def _name(effect, parts, other):
+    """What was found, in plain words; `other` is the body that acts."""
+    if parts:
+        return f"{_COUNTS.get(len(parts), len(parts))} more forces"
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
-        return describe(effect.formula, value)
+        return describe(effect.formula, value, other)
     if effect.kind == "declared_term_change":
         return effect.name
     return CAUSES.get(effect.code, effect.name)
 
 
-def _effect(effect, name, tied):
+def _effect(effect, name, parts, tied):
     return SimpleNamespace(
-        name=name, kind=effect.kind, law=effect.law or effect.name, latex=effect.latex,
+        name=name, parts=parts, kind=effect.kind, law=effect.law or effect.name, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,
         exponents=effect.exponents, varies_with=effect.varies_with,

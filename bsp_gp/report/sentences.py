@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bsp_gp.report.codes import FINDINGS, VARIABLES
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
@@ -11,6 +13,7 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_ratio,
+    in_own_unit,
     is_number,
     pretty_unit,
     rounded,
@@ -32,8 +35,11 @@ __all__ = [
     "ratio_caution",
     "verdict_parts",
     "verdict_sentence",
+    "worse_bodies",
 ]
 
+WORSE = 1.2
+"""Ratio of errors from which a body is told to be predicted worse."""
 _METRICS = (
     ("rollout_rmse", "held-out position error"),
     ("one_step_nrmse", "held-out one-step error"),
@@ -262,7 +268,8 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        return with_unit(format_number(getattr(errors, metric)), unit)
+        own = (report.dataset.get("units") or {}).get("length")
+        return in_own_unit(getattr(errors, metric), unit, own)
 
     out = {
         "label": label[:1].upper() + label[1:],
@@ -299,6 +306,31 @@ def ratio_caution(report):
     if not (is_number(ratio.low) and is_number(ratio.high)):
         return "The ratio has no interval: how certain the gain is was not found out."
     return ""
+
+
+def worse_bodies(report):
+    """Bodies whose held-out tracks the adopted law predicts worse than the declared one did."""
+    if not adopted_rounds(report):
+        return ""
+    squares = {}
+    for overlay in report.overlays:
+        for k, model in enumerate((overlay.declared, overlay.adopted)):
+            left = np.asarray(model, float) - np.asarray(overlay.observed, float)
+            left = np.square(left[overlay.n_initial :]).sum(axis=-1)
+            squares.setdefault(overlay.entity, ([], []))[k].append(left)
+    told = []
+    for body, both in squares.items():
+        before, after = (np.concatenate(parts) for parts in both)
+        both_known = np.isfinite(before) & np.isfinite(after)
+        if not both_known.any():
+            continue
+        before, after = (float(np.sqrt(e[both_known].mean())) for e in (before, after))
+        if after > WORSE * before:
+            size = with_unit(format_number(after), report.total["before"].unit)
+            told.append(f"{body} ({format_number(before)} → {size})")
+    if not told or len(squares) == 1:
+        return ""
+    return f"Worse under the adopted law, position error: {_joined(told[:6])}."
 
 
 def caveats(report):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from bsp_gp.data.scene import CHECK
+from bsp_gp.report.first import plain_sentence
 from bsp_gp.report.numbers import format_constant, format_number, format_p, format_value, with_unit
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
@@ -16,25 +17,26 @@ from bsp_gp.report.sentences import (
     noise_sentence,
     powers_sentence,
     ratio_caution,
-    verdict_sentence,
+    worse_bodies,
 )
 from bsp_gp.report.traces import trace_sentence
 
-__all__ = ["format_number", "format_value", "summary_text"]
+__all__ = ["format_number", "format_value", "summary_text", "wrapped"]
 
 WIDTH = 100
-MAX_LINES = 25
 _MAX_CONSTANTS = 5
 _MAX_ROUNDS = 4
 _MAX_CHECKS = 3
 
 
-def summary_text(report):
-    """Summarise a report in at most 25 lines of at most 100 characters.
+def summary_text(report, width=WIDTH):
+    """Summarise a report in some twenty lines of whole sentences.
 
     Parameters
     ----------
     report : LoopReport
+    width : int
+        Characters of a line, at most; sentences are wrapped and never cut.
 
     Returns
     -------
@@ -43,33 +45,31 @@ def summary_text(report):
         newline at the end.
     """
     report = page_of(report)
-    lines = _wrapped(f"{report.dataset.get('name', 'data')}: {report.verdict}", 1)
-    lines += _wrapped(verdict_sentence(report), 4)
-    lines += _wrapped(headline(report)["text"], 2)
-    lines += _wrapped(ratio_caution(report), 1)
     notes = [*caveats(report), *report.notes]
+    paragraphs = [
+        (f"{report.dataset.get('name', 'data')}: {report.verdict}", ""),
+        (" ".join(filter(None, plain_sentence(report))), ""),
+        (headline(report)["text"], ""),
+        (ratio_caution(report), ""),
+        (worse_bodies(report), ""),
+    ]
     for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
-        lines += _wrapped(note.replace(CHECK, "Check: ", 1), 3, indent="       ")
-    lines += _wrapped("Law: F = " + report.law_text, 3, indent="     ")
-    lines += _constants(report)
-    lines += _rounds(report)
-    lines += _traced(report)
-    lines += _powers(report)
-    lines += _ties(report)
-    lines += _noise(report)
+        paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
+    paragraphs += [("Law: F = " + report.law_text, "     "), *_constants(report)]
+    paragraphs += [*_rounds(report), *_traced(report)]
+    paragraphs += [*_powers(report), *_ties(report), *_noise(report)]
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
-        lines += _wrapped(f"Note: {notes[0]}{more}", 2, indent="      ")
-    lines += _wrapped(f"Stopped: {report.stop_reason}", 1)
-    return "\n".join(lines[:MAX_LINES])
+        paragraphs.append((f"Note: {notes[0]}{more}", "      "))
+    paragraphs.append((f"Stopped: {report.stop_reason}", ""))
+    return "\n".join(line for text, indent in paragraphs for line in wrapped(text, width, indent))
 
 
-def _wrapped(text, max_lines, indent=""):
+def wrapped(text, width=WIDTH, indent=""):
+    """Lines of a sentence, all of it; what follows the first is indented."""
     text = "".join(c if c.isprintable() else " " for c in str(text))
-    return textwrap.wrap(
-        text, WIDTH, subsequent_indent=indent, max_lines=max_lines, placeholder=" …"
-    )
+    return textwrap.wrap(text, max(width, 20), subsequent_indent=indent, drop_whitespace=True)
 
 
 def _constants(report):
@@ -80,11 +80,8 @@ def _constants(report):
         return []
     if len(rows) > _MAX_CONSTANTS:
         n_left = len(rows) - _MAX_CONSTANTS + 1
-        rows = [*rows[: _MAX_CONSTANTS - 1], f"… and {n_left} more in the report"]
-    out = ["Constants (90 % intervals):"]
-    for row in rows:
-        out += _wrapped("  " + row, 1)
-    return out
+        rows = [*rows[: _MAX_CONSTANTS - 1], f"and {n_left} more in the report"]
+    return [("Constants (90 % intervals):", ""), *((f"  {row}", "    ") for row in rows)]
 
 
 def _rounds(report):
@@ -102,7 +99,7 @@ def _rounds(report):
                     f", rollout error {format_number(r.before.rollout_rmse)} → "
                     f"{with_unit(format_number(r.after.rollout_rmse), r.after.unit)}"
                 )
-        out += _wrapped(f"Round {r.number}: {text}", 1)
+        out.append((f"Round {r.number}: {text}", "  "))
     return out
 
 
@@ -110,20 +107,20 @@ def _traced(report):
     """Where the residual of the first traced round is: that of the declared model."""
     for r in report.rounds:
         if r.trace is not None:
-            return _wrapped(f"Traced in round {r.number}: {trace_sentence(r.trace)}", 3, "  ")
+            return [(f"Traced in round {r.number}: {trace_sentence(r.trace)}", "  ")]
     return []
 
 
 def _noise(report):
     """What is odd about the noise, and how much may be hidden, beside the last model."""
     last = report.rounds[-1]
-    return _wrapped(noise_sentence(last), 2, "  ") + _wrapped(hidden_sentence(last), 2, "  ")
+    return [(noise_sentence(last), "  "), (hidden_sentence(last), "  ")]
 
 
 def _powers(report):
     """Of the last two laws that were adopted."""
     kept = [r for r in report.rounds if r.adopted and not r.removed]
-    return [line for r in kept[-2:] for line in _wrapped(powers_sentence(r), 2, "  ")]
+    return [(powers_sentence(r), "  ") for r in kept[-2:]]
 
 
 def _ties(report):
@@ -137,5 +134,5 @@ def _ties(report):
             )
             if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
-            return _wrapped(text, 2, indent="  ")
+            return [(text, "  ")]
     return []

@@ -20,9 +20,11 @@ from bsp_gp.report.drawing import (
     time_scaled,
 )
 
-__all__ = ["draw_errors", "draw_tracks", "pick_overlays", "wants_errors"]
+__all__ = ["GIDS", "draw_errors", "draw_tracks", "pick_headline", "pick_overlays", "wants_errors"]
 
 MAX_PANELS = 9
+GIDS = ("before", "after")
+"""Of the lines of the models in a drawing, by which a page hides them."""
 _FLAT = 0.05  # an axis with less of the motion than this is not drawn
 _ALIKE = 0.03  # models closer than this part of the picture look the same
 _MAX_DOTS = 150
@@ -47,6 +49,12 @@ def pick_overlays(overlays, max_panels=MAX_PANELS):
         picked += [s[turn] for s in scenes.values() if turn < len(s)]
     chosen = {id(o) for o in picked[:max_panels]}
     return [o for o in overlays if id(o) in chosen]
+
+
+def pick_headline(overlays):
+    """The track on which the declared model errs most; None without one."""
+    known = [o for o in overlays if _observed(o).any() and math.isfinite(_median(_errors(o)[0]))]
+    return max(known, key=lambda o: _median(_errors(o)[0]), default=None)
 
 
 def _observed(overlay):
@@ -138,9 +146,11 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
         panel.plot(x[::step], y[::step], "o", ms=2.8, mew=0.6, mec="#555555", mfc="white", zorder=1)
         panel.plot(x[start], y[start], "o", ms=3.0, mew=0, color="#222222", zorder=2)
         curves = []
-        for (_, color, style), values in zip(models, (declared, adopted), strict=False):
+        for (_, color, style), values, gid in zip(
+            models, (declared, adopted), GIDS, strict=False
+        ):
             curves.append(coordinates(values))
-            panel.plot(*curves[-1], color=color, ls=style, lw=1.3, zorder=3)
+            panel.plot(*curves[-1], color=color, ls=style, lw=1.3, zorder=3, gid=gid)
         _set_limits(panel, (x, y), curves, len(axes) == 2)
         names = ["xyz"[k] for k in axes]
         panel.set_title(_title(overlay), loc="left")
@@ -191,9 +201,11 @@ def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):
         is_log = has_adopted and max(medians) > _LOG_FACTOR * min(medians) > 0
         if is_log:
             panel.set_yscale("log")
-        for error, color, style in zip(errors, (BEFORE, AFTER), ((0, (4, 2)), "-"), strict=False):
+        for error, color, style, gid in zip(
+            errors, (BEFORE, AFTER), ((0, (4, 2)), "-"), GIDS, strict=False
+        ):
             shown = np.where(error > 0, error, np.nan) if is_log else error
-            panel.plot(times * t_factor, shown * factor, color=color, ls=style, lw=1.2)
+            panel.plot(times * t_factor, shown * factor, color=color, ls=style, lw=1.2, gid=gid)
         if 0 < overlay.n_initial <= len(times):
             panel.axvspan(
                 times[0] * t_factor,

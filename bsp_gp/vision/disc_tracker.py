@@ -74,7 +74,9 @@ class DiscTracker:
         if not any(self.counts.values()):
             raise DataError(
                 f"most frames show no disc of the kind {' or '.join(self.counts)}",
-                file=video.path, remedy="give the colour as #rrggbb, and the radius in px",
+                file=video.path,
+                remedy="give the colour as #rrggbb and the radius in px (disc:#0072b2:12); a disc "
+                "of less than about 8 px is followed with template:X,Y,W,H@FRAME",
             )  # fmt: skip
 
     def _learn(self, colours, radius, counts):

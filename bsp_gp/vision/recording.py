@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.data.folder import fill_dataset
 from bsp_gp.data.scene import Dataset, Entity, Scene
-from bsp_gp.errors import SettingsError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.output.place import claim
 from bsp_gp.units import UnitSystem
 from bsp_gp.vision.annotate import write_annotated
@@ -173,7 +173,16 @@ def to_dataset(video, track, calibration, regions=(), smooth=False):
         world = np.concatenate([world, fixed], axis=1)
         sigma = np.concatenate([sigma, np.zeros_like(fixed)], axis=1)
     sigma = np.where(np.isfinite(sigma), sigma, np.nan)
-    scene = Scene(video.path.stem, track.times, world, tuple(entities), sigma=sigma)
+    seen = np.isfinite(world[:, : len(track.names)]).all(axis=2).any(axis=1)  # else no row at all
+    if seen.sum() < 3:
+        raise DataError(
+            f"{', '.join(track.names)} was found in {int(seen.sum())} of {len(seen)} frames",
+            file=video.path, remedy="mark it anew with --object, for instance as a pattern: "
+            "NAME=template:X,Y,W,H@FRAME",
+        )  # fmt: skip
+    scene = Scene(
+        video.path.stem, track.times[seen], world[seen], tuple(entities), sigma=sigma[seen]
+    )
     units = {"time": "s", "length": calibration.unit}
     return Dataset(
         video.path.stem, (scene,), units=UnitSystem.from_declared(units), up="y",

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from bsp_gp.cli import main
-from bsp_gp.data import formats
+from bsp_gp.data import sources
 
 T, E, D, M = "trajectories.csv", "entities.csv", "dataset.toml", "model.toml"
 ROWS = [f"{s},{k / 10:g},ball,{k * v:g},{5 - k * k * 0.0490500:.6f}"
@@ -31,7 +31,7 @@ def lines(*numbers):
 
 # id: (what the files are instead, what the message must say)
 DATA = {
-    "missing column": ({T: edit(",y", ",height")}, ["no column 'y'", "height"]),
+    "missing column": ({T: edit(",y", ",gap")}, ["no column 'y'", "gap"]),
     "text in a number": ({T: edit("ball,0.1,", "ball,ten,")}, ["line 3", "column x", "'ten'"]),
     "text in a time": ({T: edit("a,0.1", "a,soon")}, ["line 3", "column t", "'soon'"]),
     "empty cell": ({T: edit("ball,0.1,", "ball,,")}, ["line 3", "column x"]),
@@ -61,7 +61,10 @@ DATA = {
     "no header": ({T: GOOD.partition("\n")[2]}, [T, "line 1"]),
     "ragged": ({T: edit("ball,0.1,", "ball,")}, [T, "line 3", "cells"]),
     "open quote": ({T: edit("a,0.1,ball", 'a,0.1,"ball')}, [T, "line 3"]),
-    "wrong encoding": ({T: edit("ball", "Bälle").encode("cp1252")}, [T, "line 2", "UTF-8"]),
+    "two encodings": (
+        {T: edit("ball", "Bälle").encode("cp1252") + "a,9,Bälle,0,0\n".encode()},
+        [T, "line 2", "UTF-8"],
+    ),
     "UTF-16": ({T: GOOD.encode("utf-16")}, [T, "UTF-16"]),
     "a picture": ({T: b"\x89PNG\r\n\x1a\n\x00\x00\x01"}, [T, "UTF-8"]),
     "unreadable TOML": ({D: "[units\n"}, [D, "line 1", "TOML"]),
@@ -275,7 +278,7 @@ def test_unknown_mass(command, place, capsys):
 
 @pytest.mark.parametrize(("limit", "value"), [("MAX_ROWS", 5), ("MAX_BYTES", 50)])
 def test_too_much_data(limit, value, place, capsys, monkeypatch):
-    monkeypatch.setattr(formats, limit, value)
+    monkeypatch.setattr(sources, limit, value)
     complaint(["close", "data", "--declare", LAW, "--out", "out"], place, capsys)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bsp_gp.data import assembly, formats
+from bsp_gp.data import assembly, sources
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError
@@ -49,7 +49,10 @@ DEFECTS = {
     "short row": ({T: edit("ball,1,0", "ball,1")}, [T, "line 3", "4 cells", "header has 5"]),
     "long row": ({T: edit("ball,0,0", "ball,0,0,0")}, [T, "line 2", "6 cells", "header has 5"]),
     "open quote": ({T: edit("a,1,ball", 'a,1,"ball')}, [T, "line 3"]),
-    "windows encoding": ({T: edit("ball", "Kügel").encode("cp1252")}, [T, "line 2", "iconv"]),
+    "two encodings": (
+        {T: GOOD.encode() + "a,3,Kügel,".encode() + "Kügel\n".encode("cp1252")},
+        [T, "line 5", "iconv"],
+    ),
     "cut in a letter": ({T: GOOD.encode() + b"a,3,b\xc3"}, [T, "line 5", "UTF-8"]),
     "utf-16": ({T: GOOD.encode("utf-16")}, [T, "UTF-16", "UTF-8"]),
     "binary": ({T: b"\x89PNG\r\n\x1a\n\x00\x00"}, [T, "UTF-8"]),
@@ -164,7 +167,7 @@ def test_missing_path(tmp_path):
 )
 def test_absurd_size(tmp_path, monkeypatch, limit, value, expected):
     (tmp_path / T).write_text(GOOD, encoding="utf-8")
-    monkeypatch.setattr(formats, limit, value)
+    monkeypatch.setattr(sources, limit, value)
     with pytest.raises(DataError, match=expected):
         load_dataset(tmp_path)
 

@@ -372,7 +372,7 @@ def test_demo_is_handed_over(tmp_path, monkeypatch, capsys):
             return "the report", out
 
     monkeypatch.setitem(sys.modules, "bsp_gp.demo", Demo)
-    monkeypatch.setattr("bsp_gp.report.summary.summary_text", str)
+    monkeypatch.setattr("bsp_gp.report.summary.summary_text", lambda report, width: report)
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--seed", "3"]) == 0
     out = tmp_path / "demo-report"

@@ -39,6 +39,7 @@ def test_data_truth_model_and_picture(capsys, tmp_path):
         "orbits", "orbits-model.toml", "orbits-scenes.png", "orbits-truth",
     ]  # fmt: skip
     assert text.splitlines()[0] == f"Data set: {out}"
+    assert "the declared model has no contacts; --set has_contacts=no" in text
     dataset = load_dataset(out)
     assert len(dataset.scenes) == 6 and len(dataset.scenes[0].times) == 9
     truth = json.loads((tmp_path / "orbits-truth" / "truth.json").read_text())
@@ -48,6 +49,12 @@ def test_data_truth_model_and_picture(capsys, tmp_path):
     status, _, err = (main(["fit", str(out), "--model", f"{out}-model.toml"]),
                            *capsys.readouterr())  # fmt: skip
     assert status == 0, err
+
+
+def test_bodies_that_pass_each_other_need_no_note(capsys, tmp_path):
+    words = ("nbody", "--frames", 9, "--set", "has_contacts=no", "--out", tmp_path / "orbits")
+    status, text, _ = run(capsys, *words)
+    assert status == 0 and "contacts" not in text
 
 
 def test_same_seed_same_bits_in_two_processes(tmp_path):

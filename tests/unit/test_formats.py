@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.formats import read_table
-from bsp_gp.data.sniffing import normalise_columns
+from bsp_gp.data.headings import headings
 from bsp_gp.data.tables import load_dataset
+from bsp_gp.errors import DataError
 
 X = [0.0, 1.5, 4.25]
 DIALECTS = {
@@ -66,12 +67,13 @@ def test_units_in_the_header(tmp_path, text):
     ],
 )
 def test_names_in_headers(header, names):
-    assert normalise_columns(header)[0] == names
+    assert tuple(h.name for h in headings(header)) == names
 
 
 def test_a_renamed_column_keeps_the_unit_of_its_header():
-    names, units, renamed = normalise_columns(["t", "Ort / cm"], {"x": "Ort"})
-    assert names == ("t", "x") and units == {"x": "cm"} and renamed == {"x"}
+    t, x = headings(["t", "Ort / cm"], {"x": "Ort"})
+    assert (t.name, x.name, x.unit) == ("t", "x", "cm")
+    assert x.is_renamed and not t.is_renamed
 
 
 def test_declared_units_win_over_the_header(tmp_path):
@@ -146,3 +148,70 @@ def test_numbers_are_read_exactly(tmp_path):
     lines = [f"{k},{value!r},0" for k, value in enumerate(values.tolist())]
     path.write_text("t,x,y\n" + "\n".join(lines) + "\n", encoding="utf-8")
     np.testing.assert_array_equal(read_table(path).frame["x"].to_numpy(), values)
+
+
+@pytest.mark.parametrize("cells", ["2024-03-01 12:00:0{}", "1.3.2024 12:00:0{}", "12:00:0{}"])
+def test_times_as_dates_are_seconds(tmp_path, cells):
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{cells.format(2 * k)},{x},0\n" for k, x in enumerate(X))
+    path.write_text("Time,x,y\n" + rows, encoding="utf-8")
+    dataset = load_dataset(path, units={"length": "cm"})
+    steps = np.diff(dataset.scenes[0].times)
+    assert steps == pytest.approx([2.0, 2.0])
+    assert dataset.units.declared["time"] == "s"
+    assert any("seconds since" in note for note in dataset.notes)
+
+
+@pytest.mark.parametrize("cell", ["3/4/2024", "noon", "2024-13-01"])
+def test_dates_that_may_be_mistaken_are_refused(tmp_path, cell):
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,x,y\n{cell},0,0\n1,1,1\n2,2,2\n", encoding="utf-8")
+    with pytest.raises(DataError, match="2024-01-31T12:00:00"):
+        load_dataset(path)
+
+
+def test_two_positions_are_two_bodies_where_the_user_says_so(tmp_path):
+    path = tmp_path / "carts.csv"
+    path.write_text("Time (s),Pos 1 (m),Pos 2 (m)\n0,0,5\n1,1.5,6\n2,4.25,7\n", "utf-8")
+    dataset = load_dataset(path, columns={"red_x": "Pos 1", "blue_x": "Pos 2 (m)"})
+    scene = dataset.scenes[0]
+    assert scene.names == ("red", "blue")
+    assert scene.positions[:, :, 0].T.tolist() == [X, [5.0, 6.0, 7.0]]
+
+
+def test_x1_and_x2_alone_may_be_two_things(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,x1,x2\n0,0,5\n1,1.5,6\n2,4.25,7\n", "utf-8")
+    with pytest.raises(DataError, match="x1, x2.*columns={.x.: .*BODY_x"):
+        load_dataset(path)
+    assert load_dataset(path, columns={"x": "x1", "y": "x2"}).scenes[0].names == ("object",)
+
+
+@pytest.mark.parametrize("ending", [".cmbl", ".cap", ".xls", ".ods"])
+def test_formats_of_other_programs_say_how_to_get_a_table(tmp_path, ending):
+    path = tmp_path / f"run{ending}"
+    path.write_bytes(b"<Document>")
+    with pytest.raises(DataError, match="CSV|Export"):
+        load_dataset(path)
+
+
+def test_a_wrong_name_of_a_column_names_those_there_are(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Zeit (s);Ort x (m);Ort y (m);Nr\n0;0;5;1\n", "utf-8")
+    with pytest.raises(DataError, match="'Versuch'.*Ort x .m., .*Nr; write columns={.scene."):
+        load_dataset(path, columns={"scene": "Versuch"})
+
+
+def test_a_broken_workbook_is_refused(tmp_path):
+    path = tmp_path / "run.xlsx"
+    path.write_bytes(b"PK no workbook")
+    with pytest.raises(DataError, match="no workbook"):
+        load_dataset(path)
+
+
+def test_gyroscopes_and_fields_are_no_bodies(tmp_path):
+    path = tmp_path / "phone.csv"
+    names = [f"Gyroscope {a} (rad/s)" for a in "xyz"] + [f"Magnetic field {a} (µT)" for a in "xyz"]
+    path.write_text("Time (s)," + ",".join(names) + "\n" + "0,1,2,3,4,5,6\n" * 3, "utf-8")
+    with pytest.raises(DataError, match="no column 'x'"):
+        load_dataset(path)

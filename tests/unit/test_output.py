@@ -111,7 +111,7 @@ def test_a_result_of_another_kind_does_not_give_way(tmp_path):
     write(tmp_path / "r", a_txt="old")
     with pytest.raises(OutputError, match="holds a table and not a report"):
         write(tmp_path / "r", "report", a_txt="new")
-    with pytest.raises(OutputError, match="pass --overwrite"):
+    with pytest.raises(OutputError, match="pass overwrite=True"):
         write(tmp_path / "r", overwrite=False, a_txt="new")
     assert tree(tmp_path / "r") == {"a.txt": "old"}
 
@@ -152,7 +152,7 @@ def test_places_that_cannot_hold_a_result(tmp_path, monkeypatch):
     (tmp_path / "one").symlink_to("two")
     (tmp_path / "two").symlink_to("one")
     for target in ("one", "one/below", "one/far/below"):
-        with pytest.raises(OutputError, match=r"choose another --out"):
+        with pytest.raises(OutputError, match=r"choose another folder"):
             write(target)
     with pytest.raises(OutputError, match="File name too long"):
         write("x" * 300)

@@ -14,7 +14,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
+from bsp_gp.fitting.estimates import ConstantEstimate
+from bsp_gp.language.inputs import input_types
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.criteria import (
     CAUSES,
     LEFT_OUT,
@@ -23,6 +27,7 @@ from bsp_gp.loop.criteria import (
     STOP_REASONS,
     VERDICTS,
 )
+from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
@@ -37,6 +42,7 @@ from bsp_gp.report.sentences import (
     missing_sentence,
     ratio_caution,
     verdict_sentence,
+    worse_bodies,
 )
 from bsp_gp.report.summary import summary_text
 from bsp_gp.report.tracks import pick_overlays, wants_errors
@@ -77,6 +83,8 @@ class Outline(HTMLParser):
     def __init__(self, page):
         super().__init__()
         self.open, self.faults, self.fetched, self.tags, self.words = [], [], [], set(), []
+        self.ids, self.links, self.folded, self.first, self.shown = set(), set(), 0, [], []
+        self.unscoped, self.open_details = 0, []
         self.feed(page)
         self.close()
         self.faults += self.open
@@ -84,7 +92,14 @@ class Outline(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
-        self.fetched += [v for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
+        found = [v for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
+        self.links |= {v[1:] for v in found if v.startswith("#")}
+        self.fetched += [v for v in found if not v.startswith("#")]
+        self.ids |= {v for k, v in attrs if k == "id"}
+        self.folded += tag == "details" and "open" not in dict(attrs)
+        self.unscoped += tag == "th" and "scope" not in dict(attrs)
+        if tag == "details":
+            self.open_details.append("open" in dict(attrs))
         self.faults += [k for k, _ in attrs if k.startswith("on")]
         if tag not in VOID:
             self.open.append(tag)
@@ -95,10 +110,16 @@ class Outline(HTMLParser):
     def handle_endtag(self, tag):
         if not self.open or self.open.pop() != tag:
             self.faults.append(f"</{tag}>")
+        if tag == "details":
+            self.open_details.pop()
 
     def handle_data(self, data):
         if not self.open or self.open[-1] != "style":
             self.words.append(data)
+            if "header" in self.open:
+                self.first += data.split()
+            if all(self.open_details) or "summary" in self.open:
+                self.shown += data.split()
 
 
 @pytest.mark.parametrize(
@@ -159,7 +180,76 @@ def test_page_is_well_nested_and_fetches_nothing(pages, name):
     assert not outline.faults
     assert not outline.tags & {"script", "iframe", "object", "link", "form", "base"}
     assert all(v.startswith("data:image/svg+xml;base64,") for v in outline.fetched)
-    assert not re.search(r"url\(|@import", pages[name])
+    assert not re.search(r"url\((?!#)|@import", pages[name])
+
+
+@pytest.mark.parametrize("name", [n for n in sample.ALL if n != "hostile"])
+def test_the_first_screen_is_short_and_the_rest_is_folded(pages, name):
+    outline = Outline(pages[name])
+    assert len(outline.first) <= 120
+    assert len(outline.shown) <= 2500
+    assert outline.folded >= 2
+    assert outline.links and outline.links <= outline.ids, "the contents lead somewhere"
+    assert outline.unscoped == 0
+    assert len(pages[name].encode()) < 1.5e6
+
+
+def test_the_first_screen_says_it_all(pages):
+    first = " ".join(Outline(pages["adopted"]).first)
+    for fact in (
+        "The declared model lacks drag, quadratic in speed.", "6.11 m", "1.10 m", "0.18 [0.15",
+        "0.297 m", "its velocity", "upwards", "Probability of this form: 86 %",
+        "It could also be: c1 * v_i * norm(v_i)^1.1 (and 1 more)",
+        "0.012 N (0.31 % of the declared force) of constant force may still hide",
+    ):  # fmt: skip
+        assert fact in first
+    page = pages["adopted"]
+    drawing = page[page.index('<figure class="picture">') : page.index("</figure>")]
+    assert 'id="before"' in drawing and 'id="after"' in drawing
+    for name in ("before", "after"):  # the boxes hide the lines, without a script
+        assert f'id="show-{name}" checked' in drawing
+        assert f'.picture:has(#show-{name}:not(:checked)) [id="{name}"]' in page
+
+
+def test_a_section_with_something_to_say_says_it_first():
+    report = sample.adopted()
+    extra = {**report.extras[0], "headline": "it is that of the air"}
+    page = Outline(render_html(replace(report, extras=(extra,)), RUN))
+    assert "quadratic in speed; it is that of the air." in " ".join(page.first)
+
+
+def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_probability():
+    types = input_types(PROPERTY_UNITS)
+    texts = ("c1 * v_i", "c2 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)")
+    terms = tuple(Term(parse_formula(text, types)) for text in texts)
+    report = sample.adopted()
+    constants = tuple(ConstantEstimate(n, v, v - 1, v + 1) for n, v in (("c1", -1.0), ("c2", 2.0)))
+    effect = replace(
+        report.rounds[0].effect, law=" + ".join(texts), constants=constants, probability=1e-8,
+        equivalents=("c1 * v_i " * 20, "c1"),
+    )  # fmt: skip
+    rounds = (replace(report.rounds[0], effect=effect),)
+    made = replace(report, rounds=rounds, law=ForceLaw(terms, {"c1": -1.0, "c2": 2.0}))
+    first = " ".join(Outline(render_html(made, RUN)).first)
+    assert "The declared model lacks two more forces." in first
+    assert "They are: drag, linear in speed; pull to the other body, as distance⁻³." in first
+    assert "do not tell it from 2 other forms" in first and "Probability" not in first
+
+
+def test_lengths_are_told_in_the_unit_of_the_data():
+    report = sample.adopted()
+    page = page_of(replace(report, dataset={**report.dataset, "units": {"length": "cm"}}))
+    assert headline(page)["before"] == "610 cm (6.11 m)"
+
+
+def test_the_body_that_acts_has_its_name():
+    formula = parse_formula("c1 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)", input_types({}))
+    report = sample.adopted()
+    effect = replace(report.rounds[0].effect, formula=formula, kind="pair")
+    rounds = (replace(report.rounds[0], effect=effect),)
+    named = replace(report, rounds=rounds, dataset={**report.dataset, "partner": "Sun"})
+    assert "pull to Sun" in verdict_sentence(page_of(named))
+    assert "pull to the other body" in verdict_sentence(page_of(replace(report, rounds=rounds)))
 
 
 @pytest.mark.parametrize("name", [n for n in sample.ALL if n != "hostile"])
@@ -184,9 +274,9 @@ def test_page_of_an_adopted_effect_has_the_facts(pages):
         "Nothing is left above the noise",
     ):  # fmt: skip
         assert fact in text
-    assert pages["adopted"].count('class="math"') == 3
+    assert pages["adopted"].count('class="math"') == 6
     assert pages["adopted"].count("<img") == 5
-    assert "Read this first" not in text and "<b>Notes</b>" in pages["adopted"]
+    assert "Read this first" not in text and "Notes (2)" in text
 
 
 def test_page_of_every_other_verdict(pages):
@@ -219,8 +309,9 @@ def test_text_of_users_is_escaped_everywhere(tmp_path, pages):
 def test_figures_belong_to_what_the_report_has(caplog):
     caplog.set_level(logging.WARNING)
     names = {name: list(build_figures(make())) for name, make in sample.ALL.items()}
-    assert names["adopted"] == ["tracks", "constants", "rounds", "residuals", "trace_1"]
-    assert names["orbit"] == ["tracks", "track_errors", "constants", "rounds", "residuals"]
+    assert names["adopted"] == ["headline", "tracks", "constants", "rounds", "residuals", "trace_1"]
+    assert names["orbit"] == ["headline", "tracks", "track_errors", "constants", "rounds",
+                              "residuals"]
     assert names["cannot_tell"] == []
     assert names["all_nan"] == []
     assert not caplog.records
@@ -287,8 +378,12 @@ def test_summary_fits_a_terminal(name):
     report = sample.ALL[name]()
     text = summary_text(report)
     lines = text.split("\n")
-    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+    assert len(lines) <= 25 or name == "hostile"
+    assert max(map(len, lines)) <= 100 and "…" not in text
     assert report.verdict in lines[0]
+    narrow = summary_text(report, 60)
+    assert max(map(len, narrow.split("\n"))) <= 60
+    assert "".join(narrow.split()) == "".join(text.split()), "the same words on narrow lines"
     assert text.isprintable() or text.replace("\n", "").isprintable()
 
 
@@ -314,8 +409,19 @@ def test_summary_stays_short_however_much_there_is():
     notes = (long, f"check: {long}") * 9
     report = replace(full, rounds=full.rounds * 20, constants=full.constants[:1] * 50,
                      dataset={**full.dataset, "notes": notes}, law_text=long)
-    lines = summary_text(report).split("\n")
-    assert len(lines) <= 25 and max(map(len, lines)) <= 100
+    text = summary_text(report)
+    assert max(map(len, text.split("\n"))) <= 100 and len(text) < 7 * len(long)
+    assert " ".join(long.split()) in " ".join(text.split()), "the law stands there in full"
+
+
+def test_bodies_that_get_worse_are_named():
+    report = sample.adopted()
+    first, *rest = report.overlays
+    worse = replace(first, entity="cork", adopted=first.adopted + 9.0)
+    page = page_of(replace(report, overlays=(worse, *rest)))
+    assert re.search(r"Worse .*: cork \(\S+ → \S+ m\)\.$", worse_bodies(page))
+    assert worse_bodies(page) in summary_text(page).replace("\n", " ")
+    assert worse_bodies(page_of(report)) == ""
 
 
 def test_sentences_match_the_verdict():
@@ -372,8 +478,8 @@ def test_report_json_keeps_its_contract(name):
 
 def test_folder_has_every_file(written):
     names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file()}
-    figures = {f"figures/{n}.{e}" for n in ("tracks", "constants", "rounds", "residuals", "trace_1")
-               for e in ("svg", "png")}
+    drawn = ("headline", "tracks", "constants", "rounds", "residuals", "trace_1")
+    figures = {f"figures/{n}.{e}" for n in drawn for e in ("svg", "png")}
     assert names == figures | {"report.html", "report.json", "law.txt", "law.tex", "residuals.csv",
                                "run.json", ".bsp_gp"}
     assert [p.name for p in written.parent.iterdir()] == ["drag"]
@@ -416,7 +522,7 @@ def test_an_older_report_is_replaced_only_on_demand(tmp_path, small):
     target = tmp_path / "r"
     target.mkdir()
     write_report(small, target)
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_report(small, target)
     write_report(replace(small, seed=8), target, overwrite=True)
     assert json.loads((target / "report.json").read_text("utf-8"))["seed"] == 8

@@ -149,8 +149,8 @@ def test_motion_along_a_line(folder, axis, column, still):
 
 
 def test_the_other_axis_under_an_unknown_name_is_asked_for(folder):
-    with pytest.raises(DataError, match="no column 'y'.*along x, leave out height"):
-        load_dataset(folder("t,x,height\n0,0,1\n1,1,3\n2,4,5\n"))
+    with pytest.raises(DataError, match="no column 'y'.*along x, leave out gap"):
+        load_dataset(folder("t,x,gap\n0,0,1\n1,1,3\n2,4,5\n"))
 
 
 def test_entities_differ_between_scenes(folder):

@@ -236,6 +236,16 @@ def test_frames_outside_of_the_video_are_an_error(tmp_path):
         track_video(video, [parse_object("ball", "disc:red")], 5, 40)
 
 
+def test_a_frame_in_which_nothing_is_seen_is_a_gap(tmp_path):
+    x = 30 + 4.0 * np.arange(12)
+    images = [frame((90, 140), [("red", (v, 40))] if k != 5 else []) for k, v in enumerate(x)]
+    path = write_video(tmp_path / "ball.mkv", images, fps=25.0)
+    out, _ = write_recording(path, [parse_object("ball", "disc:red")], tmp_path / "out")
+    scene = load_dataset(out).scenes[0]
+    assert len(scene.times) == 11 and np.isfinite(scene.positions).all()
+    assert np.diff(scene.times).max() == pytest.approx(0.08)
+
+
 def test_track_command(tmp_path, capsys, monkeypatch):
     from bsp_gp.cli import main
 
@@ -254,5 +264,6 @@ def test_track_command(tmp_path, capsys, monkeypatch):
     assert main(words) == 0
     assert "ball: 12 of 12 frames" in capsys.readouterr().out
     assert load_dataset(tmp_path / "ball-track" / "data").scenes[0].names == ("ball",)
+    assert load_dataset(tmp_path / "ball-track").scenes[0].names == ("ball",)
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err

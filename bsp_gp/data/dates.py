@@ -1,0 +1,65 @@
+"""Times that are written as dates or as times of the day, in seconds."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+
+__all__ = ["seconds_of"]
+
+_FORMATS = (
+    (re.compile(r"\d{4}-\d\d(-\d\d.*)?"), "ISO8601"),
+    (re.compile(r"\d{4}/\d\d/\d\d"), "%Y/%m/%d"),
+    (re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d"), "%Y/%m/%d %H:%M:%S"),
+    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}"), "%d.%m.%Y"),
+    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d"), "%d.%m.%Y %H:%M"),
+    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d"), "%d.%m.%Y %H:%M:%S"),
+    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d[.,]\d+"), "%d.%m.%Y %H:%M:%S.%f"),
+)
+"""Ways of writing a date in which day and month cannot be mistaken for each other."""
+_CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
+
+
+def seconds_of(cells):
+    """Times in seconds, and since when; None if they are no dates.
+
+    Parameters
+    ----------
+    cells : Series of str, or of dates
+        Blank ones are missing.
+
+    Returns
+    -------
+    seconds : ndarray
+        Since `start`; nan where there is none.
+    start : str
+        The first of the dates, or "midnight".
+    """
+    is_known = cells.notna().to_numpy()
+    known = cells[is_known]
+    if not len(known):
+        return None
+    if not pd.api.types.is_datetime64_any_dtype(known):
+        known = known.astype(str).str.strip()
+        clock = known.str.fullmatch(_CLOCK.pattern)
+        if clock.all():
+            parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
+            return _spread(is_known, parts.to_numpy() @ [3600.0, 60.0, 1.0]), "midnight"
+        form = next((f for regex, f in _FORMATS if known.str.fullmatch(regex.pattern).all()), None)
+        if form is None:
+            return None
+        try:
+            known = pd.to_datetime(known.str.replace(",", "."), format=form, utc=True)
+        except (ValueError, OverflowError):
+            return None
+    start = known.min()
+    seconds = (known - start) / pd.Timedelta(seconds=1)
+    return _spread(is_known, seconds.to_numpy(dtype=float)), f"{start:%Y-%m-%d %H:%M:%S}"
+
+
+def _spread(is_known, values):
+    out = np.full(len(is_known), np.nan)
+    out[is_known] = values
+    return out

@@ -1,0 +1,319 @@
+"""What the headings of a table mean: our names of its columns, their units, whose they are.
+
+A heading is our own word (``x``), a plain one (``Time``, ``x-position``), or one from which the
+meaning is guessed (``Höhe``, ``Versuch``); guesses are told. It may carry a unit, the run it
+belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``, ``x2``).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
+from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.errors import in_python
+from bsp_gp.units import Unit
+
+__all__ = [
+    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
+    "is_error", "is_run", "number_columns", "told",
+]  # fmt: skip
+
+NUMBER_COLUMNS = (
+    "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz",
+)  # fmt: skip
+TEXT_COLUMNS = ("scene", "entity")
+ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}
+LITERAL, WORD, GUESS, UNKNOWN = range(4)
+"""How sure the meaning of a heading is."""
+_WITH_UNIT = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]")
+_AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+in\s+|_)[(\[]?([^()\[\]_]+)[)\]]?")
+"""``t / s``, ``t in s``, ``t, s``, ``t_s`` and ``v / (m/s)``: what follows may be a unit."""
+_RUN = r"(?:run|data ?set|lauf|versuch|messung|trial|essai|prova|ensayo|latest|latest run)"
+_RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+", re.IGNORECASE)
+_RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
+_RUN_AFTER = re.compile(rf"(.*\S)\s+({_RUN_NAME.pattern})", re.IGNORECASE)
+_BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
+_BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
+
+
+def _set(text):
+    return frozenset(text.split())
+
+
+_TIME_WORDS = _set("time elapsed zeit temps tiempo tempo")
+_PLACE_WORDS = _set(
+    "position pos coordinate coord coordinates koordinate ort lage weg location posición"
+    " posizione displacement"
+)
+_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
+_ACCELERATION_WORDS = _set(
+    "acceleration accelerometer beschleunigung accélération aceleración accelerazione acc accel"
+)
+_ERROR_WORDS = _set(
+    "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
+    " genauigkeit likelihood confidence incertitude"
+)
+_OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
+_COUNT_WORDS = _set("nr no number num nummer index idx # id numéro número numero of the")
+_GUESSES = {
+    "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
+              " epoch time and und et"),
+    "frame": _set("frame frames bild coords image video"),
+    "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
+                  " wurf throw drop shot recording aufnahme repetition scene szene"),
+    "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
+                   " cart wagen"),
+    "y": _set("height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
+    "x": _PLACE_WORDS | _set("distance strecke abstand entfernung auslenkung distanz distanza"
+                             " distancia déplacement desplazamiento spostamento elongation"
+                             " extension s"),
+}  # fmt: skip
+"""Words that may mean a column of ours where no plainer heading does; counting words may stand
+beside those of scenes, bodies and frames."""
+_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+_UNIT_OF = PROPERTY_UNITS | {
+    name: {"t": _TIME, "v": _LENGTH / _TIME}.get(name[0], _LENGTH)
+    for name in NUMBER_COLUMNS if name != "frame"
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Heading:
+    """One column.
+
+    Attributes
+    ----------
+    name : str
+        Ours, or that of the file where it means nothing to us.
+    unit : str
+        Of the header; may be empty.
+    theirs : str
+        As in the file.
+    stem : str
+        Of that, what stands before the unit.
+    sure : int
+        `LITERAL`, `WORD`, `GUESS` or `UNKNOWN`.
+    run, body : str
+        Whose the column is; may be empty.
+    is_renamed : bool
+        The caller named it.
+    """
+
+    name: str
+    unit: str = ""
+    theirs: str = ""
+    stem: str = ""
+    sure: int = UNKNOWN
+    run: str = ""
+    body: str = ""
+    is_renamed: bool = False
+
+    @property
+    def owner(self):
+        return self.run, self.body
+
+
+def number_columns(names):
+    """Columns that hold numbers in a table with these columns, a tuple of str."""
+    return NUMBER_COLUMNS + (POLAR_COLUMNS if is_polar(names) else ())
+
+
+def is_run(text):
+    """Whether `text` is the name of a run, such as ``Run #1``."""
+    return _RUN_NAME.fullmatch(text.strip()) is not None
+
+
+def is_acceleration(text):
+    """Whether a heading speaks of an acceleration."""
+    return bool(_words(text) & _ACCELERATION_WORDS)
+
+
+def is_error(text):
+    """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
+    no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
+    return bool(_words(text) & no_place)
+
+
+def _words(text):
+    return set(re.split(r"[\s_\-()\[\]/]+", text.lower()))
+
+
+def has_place(found):
+    """Whether headings say where something is."""
+    names = {h.name for h in found}
+    return bool(names & {"x", "y"}) or is_polar(names)
+
+
+def headings(cells, rename=None, *, is_track=True):
+    """Read a header.
+
+    Parameters
+    ----------
+    cells : sequence of str
+    rename : mapping of str to str, optional
+        Our name -> the file's name, which may or may not occur. ``NAME_x`` is the x of body NAME.
+    is_track : bool
+        Whether it is a table of positions, in which words may be guessed.
+
+    Returns
+    -------
+    tuple of Heading
+    """
+    back = {theirs.strip(): ours for ours, theirs in (rename or {}).items()}
+    cells = [str(cell).strip().strip('"').strip() for cell in cells]
+    found = [_read(cell, back, is_track) for cell in cells]
+    if is_track:
+        found = _with_bodies(found)
+        found = [_guessed(h, {f.name for f in found}) for h in found]
+    return tuple(_settled(found))
+
+
+def _read(cell, back, is_track):
+    """A heading by its own words, without guesses."""
+    run, rest = _run_of(cell) if is_track and cell not in back else ("", cell)
+    stem, unit = _split_unit(rest, back, is_track)
+    if cell in back and cell == f"{stem}_{unit}":
+        stem, unit = cell, ""  # the caller took it for a name
+    for text in (cell, rest, stem):
+        if text in back:
+            return Heading(back[text], unit, cell, stem, LITERAL, run, is_renamed=True)
+    ours, sure = _our_name(stem)
+    return Heading(ours, unit, cell, cell if run else stem, sure, run)
+
+
+def _run_of(cell):
+    """Run and the rest of ``Run 1: Time (s)`` or ``Time (s) Run #1``."""
+    match = _RUN_BEFORE.fullmatch(cell)
+    if match:
+        return match[1], match[2]
+    match = _RUN_AFTER.fullmatch(cell)
+    return (match[2], match[1]) if match else ("", cell)
+
+
+def _split_unit(cell, back, is_track):
+    """Name and unit of one cell of a header; without a unit (cell, "").
+
+    After a mark that other names have too (``/``, ``in``, ``_``), only what fits the column counts.
+    """
+    match = _WITH_UNIT.fullmatch(cell)
+    if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
+        return match[1], match[2]
+    match = _AFTER_MARK.fullmatch(cell)
+    if match:
+        stem = match[1]
+        name = back.get(cell, back.get(stem, _our_name(stem)[0]))
+        if is_track and name not in _UNIT_OF:
+            name = _guess(stem)
+        if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
+            return stem, match[2].strip()
+    return cell, ""
+
+
+def _our_name(name):
+    """Our name of a column that people call ``Time``, ``Zeit t``, ``x-position`` or ``v_x``."""
+    lower = name.lower()
+    if lower in NUMBER_COLUMNS + TEXT_COLUMNS:
+        return lower, LITERAL
+    words = re.split(r"[\s_-]+", lower)
+    symbols = [word for word in words if word in ("t", "x", "y", "z")]
+    about = {word for word in words if word not in symbols}
+    if about and about <= _TIME_WORDS and symbols in ([], ["t"]):
+        return "t", WORD
+    if about and len(symbols) == 1 and symbols != ["t"]:
+        if about <= _PLACE_WORDS:
+            return symbols[0], WORD
+        if about <= _SPEED_WORDS:
+            return f"v{symbols[0]}", WORD
+    return (ALIASES[lower], WORD) if lower in ALIASES else (name, UNKNOWN)
+
+
+def _guess(name):
+    """What a heading may mean by its words; None for nothing."""
+    words = _words(name) - {""}
+    for ours, known in _GUESSES.items():
+        counted = words - _COUNT_WORDS if ours in ("scene", "entity", "frame") else words
+        if counted and counted <= known:
+            return ours
+    return None
+
+
+def _guessed(heading, names):
+    """A heading nothing plainer stands for, by its words; a distance beside an angle stays one."""
+    if heading.sure != UNKNOWN or (heading.name.lower() == "distance" and "angle" in names):
+        return heading
+    ours = _guess(heading.name)
+    return heading if ours is None else replace(heading, name=ours, sure=GUESS)
+
+
+def _with_bodies(found):
+    """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
+    if any(h.name in ("x", "y") and h.sure < GUESS for h in found):
+        return found
+    out = [_of_body(h) for h in found]
+    axes = {}
+    for h in out:
+        if h.body and h.name in "xyz":
+            axes.setdefault(h.owner, set()).add(h.name)
+    kinds = {frozenset(has) for has in axes.values()}
+    is_numbered = all(body.isdecimal() for _, body in axes)
+    # x1, x2 alone may be two bodies on a line, or the two coordinates of one.
+    if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
+        return [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
+    return out
+
+
+def _of_body(heading):
+    if heading.sure != UNKNOWN and not heading.is_renamed:
+        return heading
+    text, unit = heading.name, heading.unit
+    if not unit and (cut := re.fullmatch(r"(.+)_([^_]+)", text)) and unit_of(cut[2]) == _LENGTH:
+        text, unit = cut[1], cut[2]
+    before, after = _BODY_BEFORE.fullmatch(text), _BODY_AFTER.fullmatch(text)
+    axis, body = (before[2], before[1]) if before else ("", "")
+    if after and not before:
+        axis, body = after[1], after[2] or after[3]
+    is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
+    if not body or not is_length or is_error(body) or (is_unit(body) and not body.isdecimal()):
+        return heading
+    return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)
+
+
+def _settled(found):
+    """Of several columns of one owner that may be the same, the plainest is it.
+
+    Two words from which the same is guessed say nothing; a word may come again, as in tables of
+    several runs side by side.
+    """
+    words = {}
+    for h in found:
+        if h.sure != UNKNOWN:
+            sures = words.setdefault((h.owner, h.name), {})
+            sures.setdefault(h.sure, []).append(h.theirs.lower())
+    for h in found:
+        sures = words.get((h.owner, h.name), {})
+        alike = sures.get(h.sure, [])
+        is_it = h.sure == min(sures, default=UNKNOWN) != UNKNOWN
+        if is_it and h.sure == WORD:
+            is_it = h.theirs.lower() == alike[0]
+        elif is_it and h.sure == GUESS:
+            is_it = len(set(alike)) == 1
+        yield h if is_it else replace(h, name=h.stem, sure=UNKNOWN, run="", body="")
+
+
+def told(found):
+    """A note of what was guessed, empty without; and which option names another."""
+    guesses = list({(h.name, h.body): h for h in reversed(found) if h.sure == GUESS}.values())[::-1]
+    if not guesses:
+        return ""
+    listed = ", ".join(
+        f"{h.theirs!r} as {h.name}" + (f" of {h.body}" if h.body else "") for h in guesses[:12]
+    )
+    names = dict.fromkeys(h.name for h in guesses if not h.body)
+    options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
+    return in_python(
+        f"columns read by their words: {listed}; if one is not that, say which is: --columns "
+        f"{options}"
+    )

@@ -1,0 +1,210 @@
+"""Where the text of a table comes from: a text file in its encoding, or a sheet of a workbook."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import hashlib
+import io
+import itertools
+import re
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from bsp_gp.errors import DataError, MissingDependencyError
+
+__all__ = ["Source", "open_source"]
+
+MAX_BYTES = 4 * 2**30
+MAX_ROWS = 20_000_000
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f\x7f]")
+_UTF_8 = re.compile(rb"[\xc2\xc3][\x80-\xbf]|\xe2[\x80-\xbf]{2}")
+"""Letters and signs of the West in UTF-8."""
+_OWN_FORMATS = {
+    ".cmbl": "a file of Logger Pro; there, choose File > Export As > CSV",
+    ".gambl": "a file of Graphical Analysis; there, choose Export > CSV",
+    ".cap": "a file of Capstone; there, choose File > Export Data",
+    ".spklab": "a file of SPARKvue; there, choose Export Data",
+    ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
+    ".xls": "a workbook of an old Excel; save it as .xlsx or as CSV UTF-8",
+    ".ods": "a workbook of LibreOffice; save it as .xlsx or as CSV",
+}
+"""What other programs keep for themselves, and how to get a table out of them."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A table as text.
+
+    Attributes
+    ----------
+    path : Path
+    digest : str
+        SHA-256 of the file.
+    counts : dict of bytes to int
+        How often delimiters occur.
+    encoding : str
+    text : str or None
+        The whole text, where the file is not text itself.
+    notes : tuple of str
+    """
+
+    path: Path
+    digest: str
+    counts: dict
+    encoding: str = "utf-8-sig"
+    text: str | None = None
+    notes: tuple[str, ...] = ()
+
+    def open(self, newline=None):
+        """A stream of the text."""
+        if self.text is not None:
+            return io.StringIO(self.text, newline=newline)
+        return self.path.open(encoding=self.encoding, newline=newline)
+
+    @property
+    def for_pandas(self):
+        return self.path if self.text is None else io.StringIO(self.text)
+
+
+def open_source(path):
+    """The source of a table.
+
+    Raises
+    ------
+    DataError
+        If there is no file, it is too large, or it is no text.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError("there is no such file", file=path, remedy="check the path")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise DataError(
+            f"the file has {size / 2**30:.1f} GB; at most {MAX_BYTES / 2**30:g} GB are read",
+            file=path, remedy="split it into several data sets",
+        )  # fmt: skip
+    if path.suffix.lower() in _OWN_FORMATS:
+        raise DataError(
+            "this format is not read", file=path,
+            remedy=f"it is {_OWN_FORMATS[path.suffix.lower()]}, and give that file",
+        )  # fmt: skip
+    return _workbook(path) if path.suffix.lower() in (".xlsx", ".xlsm") else _text_file(path)
+
+
+def _text_file(path):
+    """SHA-256, encoding and counts of delimiters, after the checks that need every byte."""
+    digest = hashlib.sha256()
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    counts = dict.fromkeys((b",", b";", b"\t", b"\n", b'"'), 0)
+    is_blank = True
+    bad_line = None
+    with path.open("rb") as stream:
+        for number in itertools.count():
+            if not (chunk := stream.read(1 << 22)):
+                break
+            if chunk[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in chunk:
+                _fail_encoding(path, None, "UTF-16")
+            digest.update(chunk)
+            try:
+                if bad_line is None:
+                    decoder.decode(chunk)
+            except UnicodeDecodeError as error:
+                bad_line = counts[b"\n"] + error.object[: error.start].count(b"\n") + 1
+            body = chunk.removeprefix(codecs.BOM_UTF8) if number == 0 else chunk
+            is_blank = is_blank and not body.strip()
+            for mark in counts:
+                counts[mark] += chunk.count(mark)
+    try:
+        decoder.decode(b"", final=bad_line is None)
+    except UnicodeDecodeError:
+        _fail_encoding(path, counts[b"\n"] + 1)
+    if is_blank:
+        raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
+    _require_rows(path, counts[b"\n"])
+    if bad_line is None:
+        return Source(path, digest.hexdigest(), counts)
+    if not _is_windows(path):
+        _fail_encoding(path, bad_line)
+    note = f"{path.name} is not UTF-8: read as Windows-1252, as Excel writes it"
+    return Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,))
+
+
+def _is_windows(path):
+    """Whether all bytes are letters and signs of Windows-1252, and none looks like UTF-8."""
+    with path.open("rb") as stream:
+        while chunk := stream.read(1 << 22):
+            try:
+                chunk.decode("cp1252")
+            except UnicodeDecodeError:
+                return False
+            if _CONTROL.search(chunk) or _UTF_8.search(chunk):
+                return False
+    return True
+
+
+def _require_rows(path, n_rows):
+    if n_rows > MAX_ROWS:
+        raise DataError(
+            f"the file has {n_rows:,} rows; at most {MAX_ROWS:,} are read",
+            file=path, remedy="thin it out or split it into several data sets",
+        )  # fmt: skip
+
+
+def _fail_encoding(path, line, name="WINDOWS-1252"):
+    raise DataError(
+        "the text is not UTF-8", file=path, row=line,
+        remedy=f"save it as 'CSV UTF-8', or convert it: iconv -f {name} -t UTF-8 in > out",
+    )  # fmt: skip
+
+
+def _workbook(path):
+    """The first sheet of a workbook that has rows, as text with tabs."""
+    try:
+        import openpyxl
+        from openpyxl.utils.exceptions import InvalidFileException
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{path}: reading .xlsx needs openpyxl: pip install openpyxl, or save it as CSV UTF-8"
+        ) from error
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+        raise DataError(
+            f"this is no workbook that can be read ({error})", file=path,
+            remedy="save it as .xlsx anew, or as CSV UTF-8",
+        ) from error  # fmt: skip
+    try:
+        sheets = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
+    finally:
+        book.close()
+    filled = [title for title, rows in sheets.items() if rows]
+    if not filled:
+        raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
+    out = io.StringIO()
+    csv.writer(out, delimiter="\t", lineterminator="\n").writerows(sheets[filled[0]])
+    text = out.getvalue()
+    counts = {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
+    unread = ", ".join(map(repr, filled[1:5]))
+    notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {unread}",) if unread else ()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Source(path, digest, counts, text=text, notes=notes)
+
+
+def _rows(path, sheet):
+    """Rows of cells as texts, all of one length, without empty ones at the end."""
+    rows = []
+    for row in sheet.iter_rows(values_only=True):
+        rows.append(["" if cell is None else _cell(cell) for cell in row])
+        _require_rows(path, len(rows))
+    while rows and not any(rows[-1]):
+        rows.pop()
+    width = max((k + 1 for row in rows for k, cell in enumerate(row) if cell), default=0)
+    return [[*row, *[""] * width][:width] for row in rows]
+
+
+def _cell(value):
+    if hasattr(value, "isoformat"):
+        return value.isoformat()
+    return repr(value) if isinstance(value, float) else str(value).replace("\n", " ").strip()

@@ -1,0 +1,127 @@
+"""Tables with runs or bodies side by side: whose the columns are, and one long table of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import pandas as pd
+
+from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
+from bsp_gp.errors import DataError
+
+__all__ = ["Group", "groups_of", "stack"]
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one run or body.
+
+    Attributes
+    ----------
+    kind : {"scene", "entity"}
+    label : str
+    columns : dict of str to int
+        Our name -> position in the table.
+    """
+
+    kind: str
+    label: str
+    columns: dict
+
+
+def groups_of(found, titles=(), *, file=None, line=None):
+    """Groups of the columns of a table; () where it is a long one.
+
+    Parameters
+    ----------
+    found : sequence of Heading
+    titles : sequence of str
+        Cells of the line above the header, which may name the groups.
+    file, line : optional
+        For complaints.
+
+    Returns
+    -------
+    tuple of Group
+    """
+    owners = dict.fromkeys(h.owner for h in found if h.sure != UNKNOWN and h.owner != ("", ""))
+    groups = _owned(found, owners) if owners else _repeated(found, titles)
+    names = [h.name for h in found]
+    duplicated = sorted({n for n in names if n and names.count(n) > 1})
+    if duplicated and not groups:
+        raise DataError(
+            f"the header names {duplicated[0]!r} twice", file=file, row=line, column=duplicated[0],
+            remedy="every column needs a name of its own",
+        )  # fmt: skip
+    labels = [group.label for group in groups]
+    if len(set(labels)) != len(labels):
+        raise DataError(f"two masses have one name: {labels}", file=file)
+    return groups
+
+
+def _owned(found, owners):
+    """Groups whose headings say so; columns without an owner are everyone's."""
+    shared = {h.name: k for k, h in enumerate(found) if h.owner == ("", "") and h.sure != UNKNOWN}
+    groups = []
+    for owner in owners:
+        own = {h.name: k for k, h in enumerate(found) if h.owner == owner and h.sure != UNKNOWN}
+        if not own.keys() & {"x", "y"}:
+            continue
+        kind = "entity" if owner[1] else "scene"
+        if kind == "scene" and "t" not in own and len(owners) > 1 and not is_run(owner[0]):
+            kind = "entity"  # they share their times
+        groups.append(Group(kind, owner[1] or owner[0], {**shared, **own}))
+    if len(groups) == 1 and groups[0].kind == "scene" and not is_run(groups[0].label):
+        return (Group("", "", groups[0].columns),)  # such as "Latest": not worth a name
+    return tuple(groups)
+
+
+def _repeated(found, titles):
+    """Groups of columns that come again and again: ``t, x, y, t, x, y``."""
+    names = [h.name for h in found]
+    clock = "t" if "t" in names else "frame"
+    where = {name: [k for k, n in enumerate(names) if n == name] for name in (clock, *_AXES)}
+    n_groups = max(len(where["x"]), len(where["y"]))
+    if n_groups < 2 or len(where[clock]) not in (1, n_groups) or "entity" in names:
+        return ()
+    if any(len(where[axis]) not in (0, n_groups) for axis in _AXES):
+        return ()
+    axes = [axis for axis in _AXES if where[axis]]
+    own_time = len(where[clock]) == n_groups
+    if axes == ["x"] and found[where["x"][0]].sure == LITERAL and not own_time:
+        return ()  # t, x, x is a slip
+    starts = [min(where[name][k] for name in (axes + [clock] * own_time)) for k in range(n_groups)]
+    cells = [cell for cell in titles if cell]
+    groups = []
+    for k in range(n_groups):
+        stop = starts[k + 1] if k + 1 < n_groups else len(names)
+        label = next((c for c in titles[starts[k] : stop] if c), None)
+        if len(cells) == n_groups:
+            label = cells[k]
+        label = re.sub(r"^#?\s*", "", label) if label and not is_run(label) else label
+        is_scene = is_run(label) if label else own_time and len(axes) == 1
+        label = label or f"{'run' if is_scene else 'mass'}_{k + 1}"
+        columns = {axis: where[axis][k] for axis in axes}
+        columns[clock] = where[clock][k if own_time else 0]
+        groups.append(Group("scene" if is_scene else "entity", label, columns))
+    return tuple(groups)
+
+
+def stack(frame, groups, file):
+    """One long table from groups side by side; what has no coordinates is absent there.
+
+    The columns of `frame` are called by their positions.
+    """
+    pieces = []
+    for group in groups:
+        piece = frame[list(group.columns.values())].set_axis(list(group.columns), axis=1)
+        axes = [axis for axis in _AXES if axis in group.columns]
+        piece = piece[~piece[axes].isna().all(axis=1)]
+        pieces.append(piece.assign(**({group.kind: group.label} if group.kind else {})))
+    stacked = pd.concat(pieces)
+    if stacked.empty:
+        raise DataError("no mass has any coordinates", file=file)
+    return stacked

@@ -1,0 +1,31 @@
+"""Random numbers as public functions take them: an int, a Generator, or None."""
+
+from __future__ import annotations
+
+from numbers import Integral
+
+import numpy as np
+
+from bsp_gp.errors import SettingsError
+
+__all__ = ["generator"]
+
+
+def generator(rng=None):
+    """A Generator: the one given, or one of a seed; None is the seed 0, as on the command line.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator, int or None
+
+    Returns
+    -------
+    numpy.random.Generator
+    """
+    if isinstance(rng, np.random.Generator):
+        return rng
+    if rng is None or (isinstance(rng, Integral) and not isinstance(rng, bool) and rng >= 0):
+        return np.random.default_rng(0 if rng is None else int(rng))
+    raise SettingsError(
+        f"rng must be a numpy.random.Generator, a seed or None, got {type(rng).__name__}"
+    )

@@ -1,0 +1,151 @@
+"""A data set as it was understood, before anything is run: in lines, and as a picture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.errors import DataError
+from bsp_gp.report.drawing import new_figure, tidy
+from bsp_gp.report.numbers import format_number, with_unit
+from bsp_gp.units import Unit
+
+__all__ = ["data_figure", "data_text"]
+
+MAX_PANELS = 6
+_MAX_NAMES = 8
+_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+
+
+def data_text(dataset):
+    """Say what was understood of a data set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+
+    Returns
+    -------
+    str
+        Columns, units, scenes, bodies, axes, noise and notes, a line each.
+    """
+    names = list(dict.fromkeys(name for scene in dataset.scenes for name in scene.names))
+    n_rows = sum(len(scene.times) for scene in dataset.scenes)
+    lines = [
+        f"{dataset.name}: {_counted(len(dataset.scenes), 'scene')}, "
+        f"{_counted(len(names), 'body', 'bodies')}, {_counted(n_rows, 'row')}"
+    ]
+    columns = dataset.provenance.get("columns")
+    lines += [f"Columns: {columns}"] if columns else []
+    lines += [_units(dataset), *_scenes(dataset), f"Bodies: {_listed(names)}"]
+    lines += _properties(dataset)
+    lines += [_up(dataset), *_motion(dataset)]
+    lines += [f"Note: {note}" for note in dataset.notes]
+    return "\n".join(lines)
+
+
+def _counted(n, one, many=None):
+    return f"{n:,} {one if n == 1 else many or one + 's'}"
+
+
+def _listed(names):
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return ", ".join(names[:_MAX_NAMES]) + more
+
+
+def _units(dataset):
+    declared = dataset.units.declared
+    kinds = [f"{kind} in {declared[kind]}" for kind in ("length", "time", "mass")
+             if kind in declared]  # fmt: skip
+    if kinds:
+        return f"Units: {', '.join(kinds)}; below, all are {_unit(dataset, _LENGTH)}, " \
+               f"{_unit(dataset, _TIME)}"  # fmt: skip
+    return "Units: none are given, so numbers stay as they are; give them with --units length=m " \
+           "time=s"  # fmt: skip
+
+
+def _unit(dataset, unit):
+    return dataset.units.text(unit)
+
+
+def _scenes(dataset):
+    out = []
+    for scene in dataset.scenes[:_MAX_NAMES]:
+        steps = np.diff(scene.times)
+        is_even = np.ptp(steps) <= 0.01 * np.median(steps)
+        step = format_number(float(np.median(steps)), 4)
+        out.append(
+            f"Scene {scene.name}: {_counted(len(scene.times), 'row')}, t from "
+            f"{format_number(float(scene.times[0]), 4)} to "
+            f"{with_unit(format_number(float(scene.times[-1]), 4), _unit(dataset, _TIME))}, "
+            f"{'every' if is_even else 'mostly every'} {with_unit(step, _unit(dataset, _TIME))}"
+        )
+    left = len(dataset.scenes) - _MAX_NAMES
+    return [*out, f"and {_counted(left, 'scene')} more"] if left > 0 else out
+
+
+def _properties(dataset):
+    names = dataset.property_names
+    if not names:
+        return ["Properties: none (no masses): constants are those per unit of mass"]
+    return [f"Properties: {', '.join(names)}"]
+
+
+def _up(dataset):
+    if dataset.up:
+        return f"Up: {dataset.up}"
+    moving = [name for name in "xyz"[: dataset.n_dims] if _moves(dataset, "xyz".index(name))]
+    axis = moving[0] if len(moving) == 1 else "y"
+    return f"Up: not given; laws with up or down need it: --up {axis}, or --up=-{axis}"
+
+
+def _moves(dataset, axis):
+    return any(np.ptp(s.positions[:, k, axis][np.isfinite(s.positions[:, k, axis])]) > 0
+               for s in dataset.scenes for k in s.dynamic
+               if np.isfinite(s.positions[:, k, axis]).any())  # fmt: skip
+
+
+def _motion(dataset):
+    """Where bodies are, and the noise, axis by axis."""
+    length = _unit(dataset, _LENGTH)
+    try:
+        noise = estimate_noise(dataset)
+    except DataError as error:
+        return [f"Noise: {error}"]
+    out = []
+    for axis, name in enumerate("xyz"[: dataset.n_dims]):
+        if not math.isfinite(noise.sigma[axis]):
+            out.append(f"Axis {name}: nothing moves along it")
+            continue
+        values = [s.positions[:, s.dynamic, axis].ravel() for s in dataset.scenes]
+        values = np.concatenate(values)
+        low, high = np.nanmin(values), np.nanmax(values)
+        out.append(
+            f"Axis {name}: from {format_number(float(low), 4)} to "
+            f"{with_unit(format_number(float(high), 4), length)}, noise "
+            f"{with_unit(format_number(noise.sigma[axis], 2), length)} ({noise.source})"
+        )
+    return out
+
+
+def data_figure(dataset):
+    """Draw the tracks of the first scenes, a panel each.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    scenes = dataset.scenes[:MAX_PANELS]
+    n_rows = math.ceil(len(scenes) / 3)
+
+    def draw(figure):
+        grid = figure.subplots(n_rows, min(3, len(scenes)), squeeze=False)
+        for axes, scene in zip(grid.flat, scenes, strict=False):
+            dataset.plot(axes, scene=scene.name)
+            tidy(axes)
+        for axes in grid.flat[len(scenes) :]:
+            axes.set_visible(False)
+
+    return new_figure(draw, 2.6 * n_rows)

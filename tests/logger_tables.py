@@ -1,0 +1,205 @@
+"""Thirty small tables as loggers and programs write them, and what is to be read of each.
+
+Headers follow the programs' own documentation and files that people have published: Vernier's
+Logger Pro, Graphical Analysis and Video Analysis, PASCO's Capstone and SPARKvue, phyphox, Tracker,
+DeepLabCut, Excel in German, French, Spanish and Italian, numpy, Arduino. The half that is called
+``SET_ASIDE`` was written and committed before the reader was changed for the other half.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+
+import numpy as np
+
+T = np.round(0.05 * np.arange(8), 10)
+FALL = np.round(2 - 4.905 * T**2, 6)
+SPRING = np.round(0.25 + 0.1 * np.cos(6 * T), 6)
+ACROSS = np.round(1.5 * T, 6)
+OBJECT = "object"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A file, how it is opened, and what is to come of it.
+
+    `tracks` maps (scene, entity) to times, x and y in SI (None: nothing moves there); a scene of
+    None is called after the file. `refused` are words of the complaint; `told` are words of notes.
+    """
+
+    name: str
+    content: bytes
+    tracks: dict = field(default_factory=dict)
+    options: dict = field(default_factory=dict)
+    up: str | None = None
+    told: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
+def table(header, *columns, sep=",", decimal=".", end="\n", form="{:.6f}", quoted=False):
+    """Text of a table; a cell of a column that is None or shorter than the others is blank."""
+    lines = header if isinstance(header, list) else [header]
+    for k in range(max(len(column) for column in columns)):
+        cells = [column[k] if k < len(column) else "" for column in columns]
+        cells = [c if isinstance(c, str) else form.format(c).replace(".", decimal) for c in cells]
+        lines = [*lines, sep.join(f'"{c}"' if quoted else c for c in cells)]
+    return end.join(lines) + end
+
+
+def workbook(rows):
+    """Bytes of an Excel workbook of one sheet; b"" where openpyxl is not installed."""
+    try:
+        import openpyxl
+    except ImportError:
+        return b""
+    book, out = openpyxl.Workbook(), io.BytesIO()
+    for row in rows:
+        book.active.append([None if cell is None else cell for cell in row])
+    book.save(out)
+    return out.getvalue()
+
+
+def parquet(columns):
+    """Bytes of a Parquet file; b"" where nothing is installed that writes one."""
+    import pandas as pd
+
+    out = io.BytesIO()
+    try:
+        pd.DataFrame(columns).to_parquet(out)
+    except ImportError:
+        return b""
+    return out.getvalue()
+
+
+def one(x=None, y=None, *, scene=None, entity=OBJECT, t=T):
+    return {(scene, entity): (t, x, y)}
+
+
+LOOKED_AT = {
+    "vernier": Sample("fall.csv", table(
+        '"Latest: Time (s)","Latest: Position (m)","Latest: Velocity (m/s)"', T, FALL, -9.81 * T,
+    ).encode(), one(x=FALL), told=("Position",)),
+    "graphical analysis, two runs": Sample("cart.csv", table(
+        "Data Set 1:Time(s),Data Set 1:Position(m),Data Set 2:Time(s),Data Set 2:Position(m)",
+        T, SPRING, T[:5], ACROSS[:5],
+    ).encode(), one(x=SPRING, scene="Data Set 1")
+        | one(x=ACROSS[:5], scene="Data Set 2", t=T[:5])),
+    "capstone, runs side by side": Sample("spring.csv", table(
+        "Time (s) Run #1,Position (m) Run #1,Time (s) Run #2,Position (m) Run #2",
+        T, SPRING, T, ACROSS,
+    ).encode(), one(x=SPRING, scene="Run #1") | one(x=ACROSS, scene="Run #2")),
+    "pasco, a row of runs on top": Sample("spring.csv", table(
+        ["Run #1,Run #1,Run #2,Run #2", "Time (s),Position (m),Time (s),Position (m)"],
+        T, SPRING, T, ACROSS,
+    ).encode(), one(x=SPRING, scene="Run #1") | one(x=ACROSS, scene="Run #2")),
+    "excel, german": Sample("Fall.csv", table(
+        "Zeit (s);Höhe (m)", T, FALL, sep=";", decimal=",", end="\r\n",
+    ).encode("cp1252"), one(y=FALL), up="y", told=("Höhe", "1252")),
+    "excel, french": Sample("chute.csv", table(
+        "Essai;Temps (s);Hauteur (cm)", ["1"] * 8 + ["2"] * 8, [*T, *T],
+        [*100 * FALL, *100 * SPRING], sep=";", decimal=",", end="\r\n",
+    ).encode("cp1252"), one(y=FALL, scene="1") | one(y=SPRING, scene="2"), up="y",
+        told=("Essai", "Hauteur")),
+    "phyphox, acceleration": Sample("Raw Data.csv", table(
+        '"Time (s)","Linear Acceleration x (m/s^2)","Linear Acceleration y (m/s^2)",'
+        '"Linear Acceleration z (m/s^2)","Absolute acceleration (m/s^2)"',
+        T, SPRING, FALL, ACROSS, FALL, form="{:.9E}",
+    ).encode(), refused=("acceleration", "position")),
+    "tracker, two masses pasted": Sample("pasted.txt", table(
+        ["mass A\t\t\tmass B\t\t", "t\tx\ty\tt\tx\ty"], T, ACROSS, FALL, T, SPRING, ACROSS,
+        sep="\t",
+    ).encode(), one(ACROSS, FALL, entity="mass A") | one(SPRING, ACROSS, entity="mass B")),
+    "a double star, wide, by date": Sample("star.csv", table(
+        "date,star1_x,star1_y,star2_x,star2_y",
+        [f"2020-01-{k + 1:02d}T12:00:00" for k in range(8)], ACROSS, FALL, SPRING, -FALL,
+    ).encode(), {
+        (None, "star1"): (86400.0 * np.arange(8), ACROSS, FALL),
+        (None, "star2"): (86400.0 * np.arange(8), SPRING, -FALL),
+    }, options={"units": {"length": "m"}}, told=("2020-01-01", "star1")),
+    "workbook": Sample("fall.xlsx", workbook(
+        [["Fall of a ball", None], ["Time (s)", "Height (cm)"],
+         *([t, h] for t, h in zip(T.tolist(), (100 * FALL).tolist(), strict=True))]
+    ), one(y=FALL), up="y", told=("Height",)),
+    "parquet": Sample("tracks.parquet", parquet(
+        {"time": T, "pos_x": ACROSS, "pos_y": FALL, "object": ["ball"] * 8}
+    ), one(ACROSS, FALL, entity="ball", scene=None)),
+    "logger pro, text": Sample("run.txt", table(
+        ["Vernier Format 2", "untitled.cmbl 11/3/2009 10:53:01 .", "Run 1", "Time\tPosition",
+         "t\tx", "s\tcm", ""], T, 100 * SPRING, sep="\t",
+    ).encode(), one(x=SPRING, scene="Run 1")),
+    "trials below each other": Sample("throws.csv", table(
+        "trial,time_s,height_m", ["a"] * 8 + ["b"] * 8, [*T, *T], [*FALL, *SPRING],
+    ).encode(), one(y=FALL, scene="a") | one(y=SPRING, scene="b"), up="y", told=("trial",)),
+    "Versuche, units in words": Sample("wagen.csv", table(
+        "\ufeffVersuch;Zeit [Sekunden];Weg [Zentimeter]", ["1"] * 8 + ["2"] * 8, [*T, *T],
+        [*100 * ACROSS, *100 * SPRING], sep=";", decimal=",",
+    ).encode(), one(x=ACROSS, scene="1") | one(x=SPRING, scene="2"), told=("Weg", "Versuch")),
+    "two positions": Sample("carts.csv", table(
+        '"Time (s)","Position 1 (m)","Position 2 (m)"', T, SPRING, ACROSS,
+    ).encode(), refused=("Position 1", "Position 2", "--columns")),
+}
+
+SET_ASIDE = {
+    "logger pro, runs side by side": Sample("runs.csv", table(
+        '"Run 1: Time (s)","Run 1: Position (m)","Run 2: Time (s)","Run 2: Position (m)"',
+        T, SPRING, T[:6], ACROSS[:6],
+    ).encode(), one(x=SPRING, scene="Run 1") | one(x=ACROSS[:6], scene="Run 2", t=T[:6])),
+    "video analysis": Sample("throw.csv", table(
+        '"Video Analysis: Time (s)","Video Analysis: X (m)","Video Analysis: Y (m)",'
+        '"Video Analysis: X Velocity (m/s)","Video Analysis: Y Velocity (m/s)"',
+        T, ACROSS, FALL, 1.5 + 0 * T, -9.81 * T,
+    ).encode(), one(ACROSS, FALL)),
+    "capstone, decimal comma": Sample("feder.csv", table(
+        "\ufeffTime (s) Run #1;Position (m) Run #1;Velocity (m/s) Run #1", T, SPRING, T, sep=";",
+        decimal=",",
+    ).encode(), one(x=SPRING, scene="Run #1")),
+    "sparkvue": Sample("cart.csv", table(
+        '"Date and Time Run 1","Time (s) Run 1","Position (m) Run 1"',
+        [f"11/3/2023 10:53:0{k} AM" for k in range(8)], T, SPRING,
+    ).encode(), one(x=SPRING, scene="Run 1")),
+    "phyphox, distance": Sample("lidar.csv", table(
+        '"Time (s)";"Distance (m)"', T, SPRING, sep=";", decimal=",", form="{:.9E}",
+    ).encode(), one(x=SPRING), told=("Distance",)),
+    "phyphox, location": Sample("balloon.csv", table(
+        '"Time (s)","Latitude (°)","Longitude (°)","Height (m)","Velocity (m/s)","Direction (°)",'
+        '"Horizontal Accuracy (m)","Vertical Accuracy (m)"',
+        T, 48 + 0 * T, 9 + 0 * T, FALL, 0 * T, 0 * T, 5 + 0 * T, 8 + 0 * T,
+    ).encode(), one(y=FALL), up="y", told=("Latitude", "Height")),
+    "tracker, german": Sample("kugel.txt", table(
+        ["Masse_A", "t\tx\ty\tv"], T, ACROSS, FALL, T, sep="\t", decimal=",", form="{:.5E}",
+    ).encode(), one(ACROSS, FALL, entity="Masse_A")),
+    "deeplabcut": Sample("mouse.csv", table(
+        ["scorer,net,net,net,net,net,net", "bodyparts,nose,nose,nose,tail,tail,tail",
+         "coords,x,y,likelihood,x,y,likelihood"],
+        [str(k) for k in range(8)], ACROSS, FALL, 0.9 + 0 * T, SPRING, ACROSS, 0.9 + 0 * T,
+    ).encode(), one(ACROSS, FALL, entity="nose") | one(SPRING, ACROSS, entity="tail"),
+        options={"fps": 20}),
+    "numpy": Sample("track.txt", table(
+        "# t x y", T, ACROSS, FALL, sep=" ", form="{:.18e}",
+    ).encode(), one(ACROSS, FALL)),
+    "excel, italian": Sample("carrello.csv", table(
+        ["sep=;", "Prova;Tempo (s);Posizione (cm)"], ["1"] * 8 + ["2"] * 8, [*T, *T],
+        [*100 * ACROSS, *100 * SPRING], sep=";", decimal=",", end="\r\n",
+    ).encode("cp1252"), one(x=ACROSS, scene="1") | one(x=SPRING, scene="2"),
+        told=("Posizione", "Prova")),
+    "excel, spanish": Sample("tiro.txt", table(
+        "Tiempo (s)\tPosición x (cm)\tPosición y (cm)", T, 100 * ACROSS, 100 * FALL, sep="\t",
+        decimal=",", end="\r\n",
+    ).encode("cp1252"), one(ACROSS, FALL), told=("1252",)),
+    "workbook, runs side by side": Sample("Wagen.xlsx", workbook(
+        [["Lauf 1", None, "Lauf 2", None], ["Zeit in s", "Weg in cm", "Zeit in s", "Weg in cm"],
+         *([t, a, t, b] for t, a, b in zip(
+             T.tolist(), (100 * SPRING).tolist(), (100 * ACROSS).tolist(), strict=True))]
+    ), one(x=SPRING, scene="Lauf 1") | one(x=ACROSS, scene="Lauf 2")),
+    "arduino": Sample("sonar.csv", table(
+        "time_ms, distance_cm", 1000 * T, 100 * SPRING, sep=", ",
+    ).encode(), one(x=SPRING), told=("distance",)),
+    "numbered bodies": Sample("discs.csv", table(
+        "frame,x1,y1,x2,y2", [str(k) for k in range(8)], ACROSS, FALL, SPRING, ACROSS,
+    ).encode(), one(ACROSS, FALL, entity="1") | one(SPRING, ACROSS, entity="2"),
+        options={"fps": 20}, told=("x1",)),
+    "channels": Sample("scope.csv", table(
+        "Kanal A;Kanal B", T, SPRING, sep=";", decimal=",",
+    ).encode(), refused=("Kanal A", "--columns t=")),
+}  # fmt: skip

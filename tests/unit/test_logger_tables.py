@@ -1,0 +1,66 @@
+"""Tables of loggers and programs: read right, or refused with the option that helps."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.cli import main
+from bsp_gp.data.tables import load_dataset
+from bsp_gp.errors import DataError, on_command_line
+from tests.logger_tables import LOOKED_AT, SET_ASIDE
+
+SAMPLES = LOOKED_AT | SET_ASIDE
+
+
+def test_there_are_thirty_of_them_half_of_them_set_aside():
+    assert len(LOOKED_AT) == len(SET_ASIDE) == 15 and len(SAMPLES) == 30
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
+    sample = SAMPLES[name]
+    if not sample.content:
+        pytest.skip("what writes such a file is not installed: pip install 'bsp_gp[tables]'")
+    path = tmp_path / sample.name
+    path.write_bytes(sample.content)
+    if sample.refused:
+        with on_command_line(), pytest.raises(DataError) as error:
+            load_dataset(path, **sample.options)
+        for word in sample.refused:
+            assert word.lower() in str(error.value).lower()
+        return
+    dataset = load_dataset(path, **sample.options)
+    assert {(s.name, n) for s in dataset.scenes for n in s.names} == {
+        (scene or path.stem, entity) for scene, entity in sample.tracks
+    }
+    assert dataset.up == sample.up
+    for (name, entity), (t, x, y) in sample.tracks.items():
+        scene = dataset.scene(name or path.stem)
+        k = scene.names.index(entity)
+        seen = np.isfinite(scene.positions[:, k]).all(axis=1)
+        assert scene.times[seen] == pytest.approx(t, abs=1e-9)
+        for axis, values in ((0, x), (1, y)):
+            expected = 0 * t if values is None else values
+            assert scene.positions[seen, k, axis] == pytest.approx(expected, abs=5e-6)
+    text = " ".join(dataset.notes)
+    for word in sample.told:
+        assert word in text, f"{word} is not told in {text}"
+
+
+def test_check_says_what_was_understood_and_draws_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    sample = SAMPLES["excel, german"]
+    (tmp_path / sample.name).write_bytes(sample.content)
+    assert main(["check", sample.name]) == 0
+    out = capsys.readouterr().out
+    for text in (
+        "1 scene, 1 body, 8 rows", "t = 'Zeit (s)', y = 'Höhe (m)'", "length in m",
+        "every 0.05000 s",
+        "Bodies: object", "Up: y", "Axis x: nothing moves", "Axis y: from 1.399 to 2.000 m, noise",
+        "--columns y=NAME",
+    ):  # fmt: skip
+        assert text in out
+    picture = tmp_path / "Fall-check" / "picture.png"
+    assert picture.read_bytes()[:4] == b"\x89PNG" and f"Picture: {picture.resolve()}" in out
+    assert main(["check", sample.name, "--columns", "scene=Versuch"]) == 2
+    assert "--columns scene=ONE_OF_THESE" in capsys.readouterr().err
+    assert main(["check", sample.name]) == 0, "an older check is replaced"

@@ -1,0 +1,119 @@
+"""The page of a report in a browser: nothing overflows, folds and controls work, text is legible.
+
+The browser is the system's Chromium; it runs a page that holds the report in frames of three
+widths, looks into them, and prints what it finds.
+"""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from bsp_gp.report.html import render_html
+from tests.unit import report_sample as sample
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+WIDTHS = (390, 768, 1280)
+PAGES = (
+    "adopted", "cannot_tell", *(pytest.param(n, marks=pytest.mark.slow) for n in
+                                ("orbit", "hostile")),
+)  # fmt: skip
+PROBE = """<!DOCTYPE html><meta charset="utf-8"><body><pre id="out"></pre><script>
+const widths = WIDTHS_HERE;
+const channel = v => (v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+const luminance = c => 0.2126 * channel(c[0]) + 0.7152 * channel(c[1]) + 0.0722 * channel(c[2]);
+const numbers = text => (text.match(/[\\d.]+/g) || []).map(Number);
+function behind(node, view) {
+  for (; node && node.nodeType === 1; node = node.parentNode) {
+    const c = numbers(view.getComputedStyle(node).backgroundColor);
+    if (c.length === 3 || c[3] === 1) return c;
+  }
+  return [255, 255, 255];
+}
+function faint(doc, view) {
+  const found = [];
+  for (const node of doc.querySelectorAll("main *")) {
+    const own = [...node.childNodes].some(n => n.nodeType === 3 && n.textContent.trim());
+    if (!own || node.closest("svg")) continue;
+    const pair = [numbers(view.getComputedStyle(node).color), behind(node, view)].map(luminance);
+    const ratio = (Math.max(...pair) + 0.05) / (Math.min(...pair) + 0.05);
+    if (ratio < 4.5) found.push(node.tagName + ": " + node.textContent.trim().slice(0, 30));
+  }
+  return found;
+}
+function look(frame, width) {
+  const doc = frame.contentDocument, view = frame.contentWindow, out = {width};
+  const wide = () => doc.documentElement.scrollWidth;
+  out.closed = wide();
+  const first = doc.querySelector("header");
+  out.first = first.innerText.split(/\\s+/).filter(Boolean).length;
+  out.open_words = doc.body.innerText.split(/\\s+/).filter(Boolean).length;
+  out.folds = 0;
+  for (const fold of doc.querySelectorAll("details:not([open])")) {
+    const before = fold.offsetHeight;
+    fold.querySelector("summary").click();
+    out.folds += fold.open && fold.offsetHeight > before ? 0 : 1;
+  }
+  out.opened = wide();
+  out.faint = faint(doc, view);
+  out.controls = [];
+  for (const box of doc.querySelectorAll("input[type=checkbox]")) {
+    const line = doc.getElementById(box.id.slice("show-".length));
+    const shown = () => view.getComputedStyle(line).display !== "none";
+    const was = shown(); box.click(); const hidden = !shown(); box.click();
+    out.controls.push(was && hidden && shown());
+  }
+  out.unnamed = [...doc.querySelectorAll("img:not([alt]), svg:not([aria-label])")].length;
+  out.unscoped = doc.querySelectorAll("th:not([scope])").length;
+  out.unlabelled = [...doc.querySelectorAll("input")].filter(i => !i.labels.length).length;
+  out.lost = [...doc.querySelectorAll("nav a")].filter(
+    a => !doc.getElementById(a.getAttribute("href").slice(1))).length;
+  out.broken = [...doc.images].filter(i => !i.complete || !i.naturalWidth).length;
+  return out;
+}
+let left = widths.length; const found = [];
+for (const width of widths) {
+  const frame = document.createElement("iframe");
+  frame.style.cssText = `width:${width}px;height:800px;border:0`;
+  frame.onload = () => { found.push(look(frame, width)); if (!--left)
+    document.getElementById("out").textContent = JSON.stringify(found); };
+  frame.src = "report.html"; document.body.append(frame);
+}
+</script>"""
+
+
+def looked_at(folder, *options):
+    """What the probe finds in `report.html` of a folder, and what the console says."""
+    (folder / "probe.html").write_text(PROBE.replace("WIDTHS_HERE", str(list(WIDTHS))), "utf-8")
+    run = subprocess.run(
+        [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
+         "--allow-file-access-from-files", "--window-size=1400,900", "--virtual-time-budget=20000",
+         f"--user-data-dir={folder / 'profile'}", *options, "--dump-dom",
+         (folder / "probe.html").as_uri()],
+        capture_output=True, text=True, timeout=240, check=True,
+    )  # fmt: skip
+    text = re.search(r'<pre id="out">(.*?)</pre>', run.stdout, re.DOTALL)[1]
+    return json.loads(html.unescape(text)), re.findall(r"CONSOLE.*", run.stderr)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+@pytest.mark.parametrize("options", [(), ("--force-dark-mode",)], ids=["light", "dark"])
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_in_a_browser(tmp_path, name, options):
+    (tmp_path / "report.html").write_text(
+        render_html(sample.ALL[name](), {"argv": ["bsp-gp", "close", "data"]}), "utf-8"
+    )
+    found, console = looked_at(tmp_path, *options)
+    assert not console
+    assert [f["width"] for f in found] and {f["width"] for f in found} == set(WIDTHS)
+    for f in found:
+        assert f["closed"] <= f["width"] and f["opened"] <= f["width"], "it scrolls sideways"
+        assert name == "hostile" or (f["first"] <= 120 and f["open_words"] <= 2500)
+        assert f["folds"] == 0, "a fold does not open"
+        assert f["faint"] == []
+        assert all(f["controls"]) and len(f["controls"]) == (0 if name == "cannot_tell" else 2)
+        for fault in ("unnamed", "unscoped", "unlabelled", "lost", "broken"):
+            assert f[fault] == 0, fault
