@@ -114,6 +114,11 @@ class Grammar:
         return tuple(self.source.get("common", {}).get("laws", ()))
 
     @functools.cached_property
+    def inside(self):
+        """Forms with constants inside: texts, lists of what their braces stand for, ranges."""
+        return self.source.get("inside", {})
+
+    @functools.cached_property
     def rules_of(self):
         """Nonterminal -> tuple of its enabled rules."""
         table = {nonterminal: [] for nonterminal in self.types}
@@ -282,6 +287,7 @@ def read_grammar(source):
 class _Reader:
     tables = {
         "grammar", "types", "inputs", "constants", "rules", "operators", "each_property", "common",
+        "inside",
     }  # fmt: skip
 
     def __init__(self, source):

@@ -264,7 +264,9 @@ class _Turn:
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
-            row = self._fitted(source, proposal)
+            # Where one cause could be fitted, one that takes much longer is hardly as good.
+            effort = criteria.effort // (2 if offsets else 1)
+            row = self._fitted(source, proposal, effort)
             if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
                 offsets[source] = max(offsets.get(source, -math.inf), above)
@@ -277,7 +279,7 @@ class _Turn:
         known = {row.key for row in self.rows}
         for source, proposal in every:
             offset = offsets.get(source, -math.inf)
-            evidence = offset + 0.5 * proposal.gain
+            evidence = offset + proposal.promise - proposal.log_prior
             is_near = offset + proposal.promise > least or evidence > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
@@ -287,7 +289,7 @@ class _Turn:
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
-    def _fitted(self, source, proposal):
+    def _fitted(self, source, proposal, effort):
         """Fit a proposal and add its row."""
         self.run.says(f"fitting {proposal.text}")
         hypothesis = proposal.hypothesis
@@ -297,7 +299,7 @@ class _Turn:
             new = fit(
                 hypothesis, self.run.dataset, starts=proposal.starts,
                 bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-                effort=self.run.criteria.effort,
+                effort=effort,
             )  # fmt: skip
         except FAULTS:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
@@ -317,6 +319,7 @@ class _Turn:
                 number, proposal.code, proposal.text, source, status, evidence,
                 proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
                 key=proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
+                is_wide=proposal.is_wide,
             )
         )  # fmt: skip
         return self.rows[-1]

@@ -12,6 +12,7 @@ from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.physics.bodies import dataset_types
@@ -65,6 +66,7 @@ class Laws:
             if (kind == "field" or has_pairs) and least[start] <= max_levels
         ]  # fmt: skip
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
+        self.inside = Inside(grammar, dataset, names, self.available)
         self.common = list(_read(self.grammar.common, names, self.available, types, dataset))
 
     def propose(self, view):
@@ -96,10 +98,15 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
+        least = found[0].gain if found else 0.0
+        inside, gain, chance, n_inside = self.inside.scored(view, least)
+        best, null = max(best, gain), np.maximum(null, chance)
+        proposals += inside
+        certificates.append(f"{n_inside} places on grids of {len(self.inside.forms)} forms scored")
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
-            "\n".join(certificates), n_tried=n_tried,
+            "\n".join(certificates), n_tried=n_tried + n_inside,
         )  # fmt: skip
 
     def _ranked(self, view, found):

@@ -1,0 +1,115 @@
+"""Laws with constants inside, beside the laws of a grammar: see `bsp_gp.search.inner`."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.fitting.hypothesis import Parameter
+from bsp_gp.fitting.parts.ranged import RangedForces
+from bsp_gp.inference.priors import Prior
+from bsp_gp.language.formula import Call, Constant, rename_constants
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Proposal
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.search.inner import InnerSearch, read_forms
+
+__all__ = ["Inside"]
+
+MOST = 8
+"""Forms that are looked at more closely."""
+
+
+class Inside:
+    """The forms of a grammar on a data set.
+
+    Parameters
+    ----------
+    grammar : Grammar
+    dataset : Dataset
+    properties, available
+        As of `read_forms`.
+    """
+
+    def __init__(self, grammar, dataset, properties, available):
+        self.ranges = grammar.inside.get("ranges", {})
+        self.forms = read_forms(grammar, dataset, properties, available)
+
+    def scored(self, view, least):
+        """What forms may be missing.
+
+        Parameters
+        ----------
+        view : View
+        least : float
+            What laws without inner constants explain: forms that do no better are not proposed.
+
+        Returns
+        -------
+        proposals : list of Proposal
+        gain : float
+            The greatest on the first grids.
+        null : ndarray, shape (B,)
+        n_tried : int
+        """
+        search = InnerSearch(
+            view.response.regression, view.left, view.draws_left, view.beside,
+            np.isfinite(view.fit.noise.levels), self.ranges, dataset_types(view.dataset),
+        )  # fmt: skip
+        # Where all that is left is no more than noise leaves, few are tried.
+        is_noise = stats.chi2.sf(view.left @ view.left, max(view.n_left, 1)) > view.criteria.alpha
+        scans = []
+        for form in self.forms:
+            if view.tick is not None:
+                view.tick()
+            axes = search.axes_of(form)
+            if axes and not (is_noise and len(axes) > 1):
+                scans.append(search.scan(form))
+        null = np.max([s.null for s in scans], axis=0, initial=0.0)
+        gain = max((s.gain for s in scans), default=0.0)
+        chosen = []
+        for scan in sorted(scans, key=lambda s: -s.promise):
+            twin = next((c for c in chosen if scan.is_like(c)), None)
+            if twin is not None:
+                twin.ties.append(scan)
+            elif len(chosen) < MOST:
+                chosen.append(scan)
+        closer = [search.closer(scan) for scan in chosen]
+        proposals = [_proposal(view, search, scan) for scan in closer if scan.best > least]
+        return proposals, gain, null, sum(s.n_points for s in scans)
+
+
+def _proposal(view, search, scan):
+    """The hypothesis with a form where the grid has it."""
+    names, taken = {}, set(view.fit.law.names)
+    for name in ("c", *(axis.name for axis in scan.axes)):
+        stem = name.rstrip("0123456789")
+        names[name] = next(n for k in range(1, 99) if (n := f"{stem}{k}") not in taken)
+        taken.add(names[name])
+    formulas = [
+        Call("mul", Constant("c"), search.placed(each.form.term.formula))
+        for each in (scan, *scan.ties)
+    ]
+    formulas = [rename_constants(formula, names) for formula in formulas]
+    ranges = tuple(_range(axis, names[axis.name]) for axis in scan.axes)
+    starts = {
+        p.name: float(np.clip(axis.values(at), p.low, p.high))
+        for axis, at, p in zip(scan.axes, scan.at, ranges, strict=True)
+    }
+    law = ForceLaw((Term(formulas[0], scan.form.term.kind),), {names["c"]: np.nan, **starts})
+    return Proposal(
+        "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
+        -view.criteria.cause_nats - scan.form.nats, scan.best, 1 + len(ranges), starts=starts,
+        formulas=(formulas[0],), ties=tuple(formulas[1:]), n_dims=view.dataset.n_dims,
+        volume=scan.volume, is_wide=True,
+    )  # fmt: skip
+
+
+def _range(axis, name):
+    """The range and prior of an inner constant as a fit takes them."""
+    if axis.cauchy is not None:
+        return Parameter(name, prior=axis.cauchy)
+    low, high = (float(axis.values(end)) for end in (axis.low, axis.high))
+    prior = Prior("log_uniform" if axis.is_log else "uniform", low, high)
+    return Parameter(name, low=low, high=high, prior=prior)
