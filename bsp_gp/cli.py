@@ -239,7 +239,8 @@ def _run_loop(args, progress):
         dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),
+        "search": args.search, "search_budget": args.search_budget,
+        "exclude": excluded_inputs(args, grammar, dataset),
         "seed": args.seed, **read_fit_settings(args),
     }  # fmt: skip
     if args.bootstrap is not None:

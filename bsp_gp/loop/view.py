@@ -36,6 +36,8 @@ class View:
     ----------
     tick : callable or None
         Asked by long work as it goes on; raises where the time is up.
+    search_rng : numpy.random.Generator
+        For searches that draw.
     """
 
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
@@ -43,6 +45,7 @@ class View:
         self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self.tick = None
         self._rows_rng, self._moments_rng = rng.spawn(2)
+        (self.search_rng,) = self._moments_rng.spawn(1)
 
     @cached_property
     def _found(self):

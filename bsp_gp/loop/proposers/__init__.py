@@ -16,7 +16,7 @@ from bsp_gp.loop.proposers.varying import Varying
 __all__ = ["standard"]
 
 
-def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
+def standard(grammar, dataset, **settings):
     """All proposers; this list is the only place that knows them by name.
 
     Parameters
@@ -24,10 +24,10 @@ def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
     grammar : Grammar
     dataset : Dataset
         Training scenes.
-    max_levels, exclude
-        As in `Laws`.
+    **settings
+        Of `Laws`.
     """
     return [
-        Laws(grammar, dataset, max_levels, exclude), Declared(), Varying(), Periods(), Hidden(),
+        Laws(grammar, dataset, **settings), Declared(), Varying(), Periods(), Hidden(),
         Companions(), Contacts(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

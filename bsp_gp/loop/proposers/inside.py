@@ -12,7 +12,7 @@ from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, fresh_names
 from bsp_gp.search.inner import InnerSearch, read_forms
 
 __all__ = ["Inside"]
@@ -82,11 +82,7 @@ class Inside:
 
 def _proposal(view, search, scan):
     """The hypothesis with a form where the grid has it."""
-    names, taken = {}, set(view.fit.law.names)
-    for name in ("c", *(axis.name for axis in scan.axes)):
-        stem = name.rstrip("0123456789")
-        names[name] = next(n for k in range(1, 99) if (n := f"{stem}{k}") not in taken)
-        taken.add(names[name])
+    names = fresh_names(view.fit.law, ("c", *(axis.name for axis in scan.axes)))
     formulas = [
         Call("mul", Constant("c"), search.placed(each.form.term.formula))
         for each in (scan, *scan.ties)
