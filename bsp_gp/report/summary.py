@@ -14,6 +14,7 @@ from bsp_gp.report.sentences import (
     headline,
     hidden_sentence,
     noise_sentence,
+    parting_sentence,
     ratio_caution,
     verdict_sentence,
 )
@@ -129,5 +130,6 @@ def _ties(report):
             )
             if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
+            text = f"{text}. {parting_sentence(r.effect)}".rstrip(". ")
             return _wrapped(text, 2, indent="  ")
     return []

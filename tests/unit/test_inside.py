@@ -1,6 +1,7 @@
 """Laws with constants inside: found on grids, fitted in place, and no rivals of special cases."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
 from bsp_gp.report.naming import describe
+from bsp_gp.report.sentences import parting_sentence
 from bsp_gp.search.inner import Axis, expanded
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.unit.test_decide import decided, row
@@ -111,6 +113,14 @@ def test_a_wider_form_keeps_its_special_case_from_being_a_fact_only_where_it_is_
     assert [r.id for r in wide.rivals] == [2] and wide.is_fact
     better = decided(row(1, prior=0.0), row(2, gain=106.0, prior=-6.0, is_wide=True))
     assert better.best.id == 1 and not better.is_fact
+
+
+def test_the_recording_that_parts_a_law_from_a_push_in_time_is_named():
+    push = "(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x"
+    spring = SimpleNamespace(law="c1 * (origin - p_i)", equivalents=("c1 * v_i", push))
+    assert push in parting_sentence(spring)
+    assert not parting_sentence(SimpleNamespace(law=push, equivalents=(push,)))
+    assert not parting_sentence(SimpleNamespace(law="c1 * v_i", equivalents=("c1 * e_x",)))
 
 
 def test_a_cause_of_another_kind_with_the_same_track_is_told():
