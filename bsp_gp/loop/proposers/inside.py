@@ -57,8 +57,10 @@ class Inside:
             view.response.regression, view.left, view.draws_left, view.beside,
             np.isfinite(view.fit.noise.levels), self.ranges, dataset_types(view.dataset),
         )  # fmt: skip
-        # Where all that is left is no more than noise leaves, few are tried.
-        is_noise = stats.chi2.sf(view.left @ view.left, max(view.n_left, 1)) > view.criteria.alpha
+        # Where laws without inner constants leave no more than noise, few forms are tried; where no
+        # force is declared, all are.
+        left = view.left @ view.left - (least if view.fit.law.terms else 0.0)
+        is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
         scans = []
         for form in self.forms:
             if view.tick is not None:

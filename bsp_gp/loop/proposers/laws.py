@@ -20,6 +20,7 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
+from bsp_gp.search.inner import expanded
 
 __all__ = ["Laws"]
 
@@ -56,10 +57,9 @@ class Laws:
         self.max_levels = max_levels
         types = dataset_types(dataset)
         columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
-        vectors = {c for c, t in columns.items() if t.shape == "vector"}
-        scalars = {c: t.unit for c, t in columns.items() if t.shape == "scalar"}
+        scalars = [c for c, t in columns.items() if t.shape == "scalar"]
         self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
-        grammar = grammar.for_properties(scalars, vectors)
+        grammar = grammar.for_properties(columns)
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
         if not has_pairs and "field" not in self.grammar.start:
@@ -76,7 +76,9 @@ class Laws:
         self.searching = Searching(searches, self.grammar, budget, self.missing)
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
         self.inside = Inside(grammar, dataset, names, self.available)
-        self.common = list(_read(self.grammar.common, names, self.available, types, dataset))
+        vectors = [c for c, t in columns.items() if t.shape == "vector"]
+        lists = {"0": names, "vector": vectors}
+        self.common = list(_read(self.grammar.common, lists, self.available, types, dataset))
 
     def propose(self, view):
         """The family of all laws.
@@ -195,17 +197,16 @@ def _scored(view, formula):
     )  # fmt: skip
 
 
-def _read(texts, names, available, types, dataset):
+def _read(texts, lists, available, types, dataset):
     """Common laws of which the data have all inputs."""
-    for text in texts:
-        for name in names if "{0}" in text else ("",):
-            try:
-                formula = parse_formula(text.replace("{0}", name), types, units=dataset.units)
-            except BspError:  # it names what these data do not have
-                continue
-            is_plane = dataset.n_dims == 2 or "perp" not in text
-            if is_plane and formula.inputs <= available:
-                yield formula
+    for text in (each for law in texts for each in expanded(law, lists)):
+        try:
+            formula = parse_formula(text, types, units=dataset.units)
+        except BspError:  # it names what these data do not have
+            continue
+        absent = "cross" if dataset.n_dims == 2 else "perp"
+        if f"{absent}(" not in text and formula.inputs <= available:
+            yield formula
 
 
 def _declared_properties(law):
