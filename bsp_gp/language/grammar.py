@@ -319,6 +319,7 @@ class _Reader:
         laws = common.get("laws", []) if isinstance(common, dict) else None
         if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
             raise GrammarError("[common] needs laws, a list of texts")
+        _check_inside(self.source.get("inside", {}))
         rules = self.rules()
         grammar = Grammar(
             name=head.get("name", "unnamed"),
@@ -449,6 +450,26 @@ class _Reader:
         lost = sorted(set(grammar.types) - reached)
         if lost:
             raise GrammarError(f"nonterminal(s) {lost} cannot be reached from the start symbol")
+
+
+def _check_inside(table):
+    """Forms with constants inside are lists of texts, ranges texts."""
+    ranges = table.get("ranges", {}) if isinstance(table, dict) else None
+    lists = [] if ranges is None else [v for k, v in table.items() if k != "ranges"]
+    are_texts = isinstance(ranges, dict) and all(isinstance(t, str) for t in ranges.values())
+    are_texts &= all(isinstance(v, list) and all(isinstance(t, str) for t in v) for v in lists)
+    if not are_texts:
+        raise GrammarError("[inside] needs lists of texts, and [inside.ranges] texts")
+    for name, text in ranges.items():
+        low, is_pair, high = text.partition("..")
+        try:
+            is_good = not is_pair or float(low) < float(high)
+        except ValueError:
+            is_good = False
+        if not is_good:
+            raise GrammarError(
+                f"[inside.ranges] {name} = {text!r}: give numbers as in '-4 .. 4', or a formula"
+            )
 
 
 def _alternatives(bodies):

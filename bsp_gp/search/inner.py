@@ -13,7 +13,7 @@ from itertools import product as every
 
 import numpy as np
 
-from bsp_gp.errors import BspError
+from bsp_gp.errors import BspError, GrammarError
 from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
@@ -152,6 +152,11 @@ def read_forms(grammar, dataset, properties, available):
     Returns
     -------
     list of Form
+
+    Raises
+    ------
+    GrammarError
+        If a form is no force, or one of its constants has no range.
     """
     table = grammar.inside
     types = dataset_types(dataset) | {node.name: node.type for node in (CENTRE, MIDDLE)}
@@ -166,9 +171,23 @@ def read_forms(grammar, dataset, properties, available):
             except BspError:  # it names what these data do not have
                 continue
             if formula.inputs <= available:
+                _check(formula, each, table.get("ranges", {}))
                 own[formula] = None
         forms += [Form(Term(f, kind_of(f)), float(np.log(len(own)))) for f in own]
     return forms
+
+
+def _check(formula, text, ranges):
+    """Refuse a form that cannot be scanned."""
+    lost = [n for n in formula.constants if n not in ranges and not n.startswith(PLACE)]
+    if lost:
+        raise GrammarError(
+            f"[inside] {text!r}: constant {lost[0]!r} has no range; give it under [inside.ranges]"
+        )
+    if formula.type.shape != "vector" or not (formula.constants or "centre" in formula.inputs):
+        raise GrammarError(
+            f"[inside] {text!r} must be a vector with constants inside, without its strength"
+        )
 
 
 def expanded(text, lists):

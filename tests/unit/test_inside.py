@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bsp_gp.errors import GrammarError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
-from bsp_gp.language.grammar import load_grammar
+from bsp_gp.language.grammar import load_grammar, read_grammar
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
@@ -134,6 +135,23 @@ def test_braces_stand_for_each_text_of_their_list():
     lists = {"own": ["1", "{0}_i"], "0": ["q", "k"]}
     assert expanded("{own} * v_i", lists) == ["1 * v_i", "q_i * v_i", "k_i * v_i"]
     assert expanded("{none} * v_i", lists) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"laws": "v_i"}, "lists of texts"),
+        ({"ranges": {"n": "4 .. -4"}}, "give numbers"),
+        ({"laws": ["norm(v_i)^w * v_i"]}, "'w' has no range"),
+        ({"laws": ["norm(v_i)^n"]}, "must be a vector"),
+        ({"laws": ["v_i"]}, "must be a vector with constants inside"),
+    ],
+)
+def test_a_form_that_cannot_be_scanned_is_refused_at_once(changes, said):
+    source = {**load_grammar("physics").source, "inside": {"ranges": {"n": "-4 .. 4"}, **changes}}
+    data = dataset_of([scene_of(TIMES, (body("ball"),), np.zeros((40, 1, 2)))])
+    with pytest.raises(GrammarError, match=said):
+        Laws(read_grammar(source), data)
 
 
 @pytest.mark.parametrize("axis", [Axis("h", -1.0, 3.0), Axis("x", 0.0, 0.0, cauchy=(1.0, 2.0))])
