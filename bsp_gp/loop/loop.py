@@ -324,11 +324,6 @@ class _Turn:
         return self.rows[-1]
 
 
-def _size(proposal):
-    """Laws in a proposal; of what is no law its free numbers."""
-    return len(proposal.formulas) or proposal.rank
-
-
 def _chosen(every, clear, criteria):
     """The first proposal of every family that shows something, then those near the best.
 
@@ -340,7 +335,7 @@ def _chosen(every, clear, criteria):
         if name in clear:
             best.setdefault(name, (name, proposal))
             # A single cause is fitted, however well a set of causes does.
-            if name not in simplest or _size(proposal) < _size(simplest[name][1]):
+            if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
     near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
     chosen, keys = [], set()

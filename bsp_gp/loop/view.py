@@ -36,6 +36,8 @@ class View:
     ----------
     tick : callable or None
         Asked by long work as it goes on; raises where the time is up.
+    explained : float
+        Chi-squared that the likeliest law without inner constants explains, once it is known.
     search_rng : numpy.random.Generator
         For searches that draw.
     """
@@ -43,7 +45,7 @@ class View:
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
         self.criteria = criteria or Criteria()
         self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
-        self.tick = None
+        self.tick, self.explained = None, 0.0
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
 

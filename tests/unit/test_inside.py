@@ -12,6 +12,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.grammar import load_grammar, read_grammar
 from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
 from bsp_gp.report.naming import describe
@@ -25,11 +26,13 @@ TIMES = np.linspace(0.0, 1.5, 40)
 
 
 def proposed(data):
-    """The likeliest proposal of one law, and its fit."""
+    """The form that promises most beside laws without inner constants, and its fit."""
     hypothesis = Hypothesis.from_laws(data, [])
     view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
-    family = Laws(load_grammar("physics"), data, max_levels=6).propose(view)
-    best = next(p for p in family.proposals if len(p.formulas) == 1)
+    laws = Laws(load_grammar("physics"), data, max_levels=6)
+    plain = next(p for p in laws.propose(view).proposals if len(p.formulas) == 1)
+    best = Inside(laws, data).propose(view).proposals[0]
+    assert best.promise > plain.promise + 3
     return best, fit(best.hypothesis, data, starts=best.starts)
 
 
@@ -151,7 +154,7 @@ def test_a_form_that_cannot_be_scanned_is_refused_at_once(changes, said):
     source = {**load_grammar("physics").source, "inside": {"ranges": {"n": "-4 .. 4"}, **changes}}
     data = dataset_of([scene_of(TIMES, (body("ball"),), np.zeros((40, 1, 2)))])
     with pytest.raises(GrammarError, match=said):
-        Laws(read_grammar(source), data)
+        Inside(Laws(read_grammar(source), data), data)
 
 
 @pytest.mark.parametrize("axis", [Axis("h", -1.0, 3.0), Axis("x", 0.0, 0.0, cauchy=(1.0, 2.0))])

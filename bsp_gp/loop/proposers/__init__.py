@@ -7,6 +7,7 @@ from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
@@ -27,7 +28,8 @@ def standard(grammar, dataset, **settings):
     **settings
         Of `Laws`.
     """
+    laws = Laws(grammar, dataset, **settings)
     return [
-        Laws(grammar, dataset, **settings), Declared(), Varying(), Periods(), Hidden(),
+        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Hidden(),
         Companions(), Contacts(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

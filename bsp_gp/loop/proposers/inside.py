@@ -10,7 +10,7 @@ from bsp_gp.fitting.parts.ranged import RangedForces
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Proposal
+from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names
 from bsp_gp.search.inner import InnerSearch, read_forms
@@ -22,37 +22,32 @@ MOST = 8
 
 
 class Inside:
-    """The forms of a grammar on a data set.
+    """Forms with constants inside as a proposer.
+
+    They are a family of their own, so that those of them that are tried cost other laws little.
 
     Parameters
     ----------
-    grammar : Grammar
+    laws : Laws
+        Which come first, and tell the view what they explain.
     dataset : Dataset
-    properties, available
-        As of `read_forms`.
+        Training scenes.
     """
 
-    def __init__(self, grammar, dataset, properties, available):
-        self.ranges = grammar.inside.get("ranges", {})
-        self.forms = read_forms(grammar, dataset, properties, available)
+    name = "inside"
 
-    def scored(self, view, least):
-        """What forms may be missing.
+    def __init__(self, laws, dataset):
+        self.ranges = laws.grammar.inside.get("ranges", {})
+        self.forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
+
+    def propose(self, view):
+        """The family of all forms that explain more than laws without inner constants.
 
         Parameters
         ----------
         view : View
-        least : float
-            What laws without inner constants explain: forms that do no better are not proposed.
-
-        Returns
-        -------
-        proposals : list of Proposal
-        gain : float
-            The greatest on the first grids.
-        null : ndarray, shape (B,)
-        n_tried : int
         """
+        least = view.explained
         search = InnerSearch(
             view.response.regression, view.left, view.draws_left, view.beside,
             np.isfinite(view.fit.noise.levels), self.ranges, dataset_types(view.dataset),
@@ -68,8 +63,8 @@ class Inside:
             axes = search.axes_of(form)
             if axes and not (is_noise and len(axes) > 1):
                 scans.append(search.scan(form))
-        null = np.max([s.null for s in scans], axis=0, initial=0.0)
-        gain = max((s.gain for s in scans), default=0.0)
+        if not scans:
+            return Family(self.name)
         chosen = []
         for scan in sorted(scans, key=lambda s: -s.promise):
             twin = next((c for c in chosen if scan.is_like(c)), None)
@@ -79,7 +74,13 @@ class Inside:
                 chosen.append(scan)
         closer = [search.closer(scan) for scan in chosen]
         proposals = [_proposal(view, search, scan) for scan in closer if scan.best > least]
-        return proposals, gain, null, sum(s.n_points for s in scans)
+        count = sum(s.n_points for s in scans)
+        return Family(
+            self.name, tuple(proposals), max(s.gain for s in scans), 1,
+            np.max([s.null for s in scans], axis=0),
+            f"{len(scans)} forms with constants inside scored at {count} places on grids",
+            n_tried=count,
+        )  # fmt: skip
 
 
 def _proposal(view, search, scan):

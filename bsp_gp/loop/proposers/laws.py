@@ -13,7 +13,6 @@ from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
-from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.physics.bodies import dataset_types
@@ -75,7 +74,7 @@ class Laws:
         searches = searches_for(search, self.grammar, self.kinds, max_levels)
         self.searching = Searching(searches, self.grammar, budget, self.missing)
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
-        self.inside = Inside(grammar, dataset, names, self.available)
+        self.properties = names
         vectors = [c for c, t in columns.items() if t.shape == "vector"]
         lists = {"0": names, "vector": vectors}
         self.common = list(_read(self.grammar.common, lists, self.available, types, dataset))
@@ -110,15 +109,11 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
-        least = found[0].gain if found else 0.0
-        inside, gain, chance, n_inside = self.inside.scored(view, least)
-        best, null = max(best, gain), np.maximum(null, chance)
-        proposals += inside
-        certificates.append(f"{n_inside} places on grids of {len(self.inside.forms)} forms scored")
+        view.explained = found[0].gain if found else 0.0
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
-            "\n".join(certificates), n_tried=n_tried + n_inside,
+            "\n".join(certificates), n_tried=n_tried,
         )  # fmt: skip
 
     def _ranked(self, view, found):
