@@ -375,7 +375,13 @@ def _add_grammar(commands):
         metavar="N",
         help="up to this many levels (default 6)",
     )
-    for each in (show, count):
+    check = _add(
+        actions, "check",
+        "check a grammar: which searches take it, how much it says, ten of its laws with units",
+    )  # fmt: skip
+    check.add_argument("name", metavar="FILE", help="a .toml file, or a name")
+    _add(actions, "list", "name the grammars that come with the package")
+    for each in (show, count, check):
         each.add_argument("--data", metavar="DATA", help="only what can be said on this data set")
 
 
