@@ -24,8 +24,8 @@ from bsp_gp.physics.force import Term, kind_of
 
 __all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
 
-N_POINTS, N_ACROSS, N_PLACES = 16, 8, 300
-"""Values of a constant that is alone inside, of each of several, and places."""
+N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
+"""Values of a constant that is alone inside, of each of several; places, and along an axis."""
 BEYOND = 4.0
 """Times that a length may be shorter than the shortest in the data, or longer than the longest."""
 FARTHEST = 30.0
@@ -278,9 +278,8 @@ class InnerSearch:
             return None
         n_places = sum(axis.cauchy is not None for axis in axes)
         alone = N_POINTS if len(axes) == 1 else N_ACROSS
-        lines = [
-            axis.line(round(N_PLACES ** (1 / n_places)) if axis.cauchy else alone) for axis in axes
-        ]
+        across = min(round(N_PLACES ** (1 / n_places)), N_LINE) if n_places else 0
+        lines = [axis.line(across if axis.cauchy else alone) for axis in axes]
         grid = np.array(list(every(*lines)))  # (C, k, 2)
         unit = self._unit(form, axes, grid[..., 0])
         gains = np.square(unit.T @ self.target)

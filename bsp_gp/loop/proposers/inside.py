@@ -47,14 +47,13 @@ class Inside:
         ----------
         view : View
         """
-        least = view.explained
         search = InnerSearch(
             view.response.regression, view.left, view.draws_left, view.beside,
             np.isfinite(view.fit.noise.levels), self.ranges, dataset_types(view.dataset),
         )  # fmt: skip
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.
-        left = view.left @ view.left - (least if view.fit.law.terms else 0.0)
+        left = view.left @ view.left - (view.explained if view.fit.law.terms else 0.0)
         is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
         scans = []
         for form in self.forms:
@@ -73,7 +72,9 @@ class Inside:
             elif len(chosen) < MOST:
                 chosen.append(scan)
         closer = [search.closer(scan) for scan in chosen]
-        proposals = [_proposal(view, search, scan) for scan in closer if scan.best > least]
+        every = (_proposal(view, search, s) for s in closer if s.best > view.explained)
+        least = view.promised - view.criteria.equal_nats  # what is less likely tells nothing new
+        proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
         return Family(
             self.name, tuple(proposals), max(s.gain for s in scans), 1,

@@ -109,7 +109,9 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
-        view.explained = found[0].gain if found else 0.0
+        if found:
+            view.explained = found[0].gain
+            view.promised = 0.5 * found[0].gain - found[0].complexity
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
