@@ -24,6 +24,8 @@ __all__ = ["Round", "run_rounds"]
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
+REACH = 1.5
+"""Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -218,6 +220,7 @@ class _Turn:
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
+        self.found = 0.0  # nats that a fit has promised and kept
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -263,9 +266,12 @@ class _Turn:
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
-            # Where one cause could be fitted, one that takes much longer is hardly as good.
-            effort = criteria.effort // (2 if offsets else 1)
-            row = self._fitted(source, proposal, effort)
+            if REACH * (proposal.promise + criteria.class_nats) < self.found:
+                continue
+            row = self._fitted(source, proposal)
+            if row.is_fit:
+                gained = row.log_posterior - self.rows[0].log_posterior
+                self.found = max(self.found, min(gained, proposal.promise))
             if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
                 offsets[source] = max(offsets.get(source, -math.inf), above)
@@ -288,24 +294,21 @@ class _Turn:
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
-    def _fitted(self, source, proposal, effort):
+    def _fitted(self, source, proposal):
         """Fit a proposal and add its row."""
         self.run.says(f"fitting {proposal.text}")
-        hypothesis = proposal.hypothesis
-        names = {p.name for p in hypothesis.parameters}
-        bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
+        run = self.run
         try:
-            new = fit(
-                hypothesis, self.run.dataset, starts=proposal.starts,
-                bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-                effort=effort,
+            new = proposal.fitted(
+                self.base, run.dataset, criteria=run.criteria, bounds=run.bounds,
+                deadline=run.clock.left,
             )  # fmt: skip
         except FAULTS:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
         self.fits[len(self.rows)] = new
         return self._add(
-            source, proposal, new.status, log_evidence(new, hypothesis, self.run.criteria),
+            source, proposal, new.status, log_evidence(new, proposal.hypothesis, run.criteria),
             new.log_likelihood, new.n_free, held_out_gain(self.base, new),
         )  # fmt: skip
 

@@ -302,6 +302,14 @@ class InnerSearch:
                 scan = replace(scan, best=float(gains[k]), at=points[k])
         return scan
 
+    def strength(self, scan):
+        """The strength of a form where it does best."""
+        values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}
+        term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
+        column = self._columns(term, values)
+        row = self.beside(column)[:, 0]
+        return float(row @ self.target / (row @ row))
+
     def _unit(self, form, axes, points):
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""
         term = Term(self.placed(form.term.formula), form.term.kind)

@@ -97,7 +97,8 @@ def _proposal(view, search, scan):
         p.name: float(np.clip(axis.values(at), p.low, p.high))
         for axis, at, p in zip(scan.axes, scan.at, ranges, strict=True)
     }
-    law = ForceLaw((Term(formulas[0], scan.form.term.kind),), {names["c"]: np.nan, **starts})
+    starts[names["c"]] = search.strength(scan)
+    law = ForceLaw((Term(formulas[0], scan.form.term.kind),), starts)
     return Proposal(
         "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
         -view.criteria.cause_nats - scan.form.nats, scan.best, 1 + len(ranges), starts=starts,
