@@ -303,12 +303,16 @@ class InnerSearch:
         return scan
 
     def strength(self, scan):
-        """The strength of a form where it does best."""
+        """The strength of a form where it does best; nan where numbers do not carry it."""
         values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}
         term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
         column = self._columns(term, values)
-        row = self.beside(column)[:, 0]
-        return float(row @ self.target / (row @ row))
+        top = float(np.abs(column).max())  # squares of the columns may be beyond all numbers
+        if not 0 < top < np.inf:
+            return np.nan
+        row = self.beside(column / top)[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(row @ self.target / (row @ row) / top)
 
     def _unit(self, form, axes, points):
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""
