@@ -26,6 +26,8 @@ __all__ = ["main"]
 
 QUIET_S = 1.0
 """Work that is done within this time shows no progress."""
+CHECKED_LEVELS = 8
+"""Levels up to which a grammar is checked: those that the loop searches by default."""
 LONGEST = 1000
 """Characters of a complaint; its beginning and its end, the remedy, are kept."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -256,7 +258,8 @@ def _run_loop(args, progress):
         dataset = with_declared_latents(args, dataset)
     settings = {
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "search": args.search, "exclude": excluded_inputs(args, grammar, dataset),
+        "search": args.search, "search_budget": args.search_budget,
+        "exclude": excluded_inputs(args, grammar, dataset),
         "seed": args.seed, **read_fit_settings(args),
     }  # fmt: skip
     if args.bootstrap is not None:
@@ -419,8 +422,13 @@ def _compare(args):
 
 
 def _grammar(args):
-    from bsp_gp.language.grammar import load_grammar
+    from bsp_gp.language.grammar import grammar_directory, load_grammar
 
+    if args.action == "list":
+        for path in sorted(grammar_directory().glob("*.toml")):
+            kinds = " and ".join(load_grammar(path.stem).start)
+            print(f"{path.stem}: {kinds} laws ({path})")
+        return
     grammar, missing = load_grammar(args.name), ()
     kinds = dict(grammar.start)
     if args.data:
@@ -433,6 +441,8 @@ def _grammar(args):
     print(f"grammar {grammar.name}, fingerprint {grammar.fingerprint}")
     if args.action == "show":
         _show_grammar(grammar)
+    elif args.action == "check":
+        _check_grammar(grammar, kinds)
     else:
         print("levels  " + "  ".join(f"{f'{k} ({s})':>24}" for k, s in kinds.items()))
         for level in range(1, args.levels + 1):
@@ -440,6 +450,36 @@ def _grammar(args):
             print(f"{level:>6}  " + "  ".join(f"{count:>24}" for count in counts))
     if args.data:
         print(f"not sayable on {args.data} for want of: {', '.join(missing) or 'nothing'}")
+
+
+def _check_grammar(grammar, kinds):
+    """Tell which searches take a grammar, what it counts, and ten of its laws with units."""
+    import numpy as np
+
+    from bsp_gp.errors import GrammarError
+    from bsp_gp.language.expression import to_formula
+    from bsp_gp.language.pcfg import Pcfg
+    from bsp_gp.language.render import to_text
+    from bsp_gp.physics.force import Term, constant_units
+    from bsp_gp.search.choice import SEARCHES, searches_for
+
+    for search in SEARCHES:
+        try:
+            runs = searches_for(search, grammar, kinds, CHECKED_LEVELS)
+            levels = ", ".join(f"{name} to {k} levels" for name, k in runs.items())
+            print(f"--search {search}: yes, {levels}")
+        except GrammarError as error:
+            print(f"--search {search}: no: {error}")
+    rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
+    for kind, symbol in kinds.items():
+        count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
+        print(f"{kind} laws: {count} derivations of at most {CHECKED_LEVELS} levels, such as")
+        if grammar.min_levels[symbol] > CHECKED_LEVELS:
+            continue
+        for expression in pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 10 // len(kinds)):
+            term = Term(to_formula(expression, grammar), kind)
+            units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
+            print("; ".join([f"  {to_text(term.formula)}", *units]))
 
 
 def _show_grammar(grammar):

@@ -188,6 +188,4 @@ def masked_grammar(grammar, dataset):
 
     types = dataset_types(dataset)
     columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
-    vectors = {name for name, t in columns.items() if t.shape == "vector"}
-    units = {name: t.unit for name, t in columns.items() if t.shape == "scalar"}
-    return grammar.for_properties(units, vectors).masked(types, dataset.n_dims)
+    return grammar.for_properties(columns).masked(types, dataset.n_dims)

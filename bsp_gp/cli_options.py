@@ -11,7 +11,7 @@ from bsp_gp.errors import SettingsError
 __all__ = ["build_parser", "joined"]
 
 MAX_LEVELS, MAX_COUNTED_LEVELS, MAX_ROUNDS, MAX_WORKERS = 20, 16, 100, 256
-MAX_SCENES = 100_000
+MAX_SCENES, MAX_SCORED = 100_000, 10**9
 MIN_ALPHA = 1e-4
 _OPTION = re.compile(r"-h|--|--[a-z][a-z-]*(=.*)?", re.DOTALL)
 _TAKES_DASH = ("--declare", "--law", "--up", "--set")
@@ -221,7 +221,7 @@ def _add_compare(commands):
         "--seeds", type=_integer(1, 1000), default=5, metavar="N", help="runs of each (default 5)"
     )
     group.add_argument(
-        "--laws", type=_integer(1, 10**9), default=20_000, metavar="N",
+        "--laws", type=_integer(1, 10**9), default=5_000, metavar="N",
         help="budget of a run, in scored laws (default 20000)",
     )  # fmt: skip
     group.add_argument(
@@ -393,7 +393,13 @@ def _add_grammar(commands):
         metavar="N",
         help="up to this many levels (default 6)",
     )
-    for each in (show, count):
+    check = _add(
+        actions, "check",
+        "check a grammar: which searches take it, how much it says, ten of its laws with units",
+    )  # fmt: skip
+    check.add_argument("name", metavar="FILE", help="a .toml file, or a name")
+    _add(actions, "list", "name the grammars that come with the package")
+    for each in (show, count, check):
         each.add_argument("--data", metavar="DATA", help="only what can be said on this data set")
 
 
@@ -532,9 +538,16 @@ def _loop(parser):
     )
     group.add_argument(
         "--search",
-        choices=("exhaustive", "auto"),
+        choices=("exhaustive", "cross_entropy", "genetic", "auto"),
         default="exhaustive",
-        help="how it is searched (default exhaustive; auto is the same so far)",
+        help="how it is searched (default exhaustive; auto: the others beyond its bound as well)",
+    )
+    group.add_argument(
+        "--search-budget",
+        type=_integer(1, MAX_SCORED),
+        default=5_000,
+        metavar="N",
+        help="laws of a kind that each of the others may score in a round (default 5000)",
     )
     group.add_argument(
         "--max-levels",
@@ -666,7 +679,7 @@ def _latents(parser):
     group.add_argument(
         "--max-steps",
         type=_integer(100, 10**7),
-        default=20_000,
+        default=5_000,
         metavar="N",
         help="bound of a chain (default 20000)",
     )

@@ -15,7 +15,8 @@ from bsp_gp.language.inputs import property_of
 
 __all__ = ["canonical_key", "same_law"]
 
-N_POINTS = 24
+N_POINTS, N_DRAWS = 24, 4
+"""Values of inputs, and of constants inside: a threshold lies beyond all values of some input."""
 DIGITS = 9
 """Values that agree to this many digits are one."""
 
@@ -41,20 +42,27 @@ def canonical_key(formula, n_dims=2):
         c for part in (*above, *below) if not isinstance(part, Constant) for c in part.constants
     ]
     free = [p for p in above if not (isinstance(p, Constant) and p.name not in inner)]
-    rest = product(free)
-    values = np.asarray(_ratio(rest, below, _points(formula, n_dims), dict.fromkeys(inner)))
-    values = np.broadcast_to(values, np.broadcast_shapes(values.shape, (N_POINTS, n_dims)))
-    finite = np.where(np.isfinite(values), values, 0.0).ravel()
-    size = np.abs(finite).max()
-    if size > 0:
-        finite = finite / finite[np.argmax(np.abs(finite) > 1e-3 * size)]
-        with np.errstate(divide="ignore"):
-            step = 10.0 ** (np.floor(np.log10(np.abs(finite))) - DIGITS + 1)
-        finite = np.where(finite == 0, 0.0, np.round(finite / np.where(step > 0, step, 1)) * step)
-        finite = np.array([float(f"{x:.{DIGITS - 2}g}") for x in finite.tolist()])
-    mark = hashlib.sha256(np.ascontiguousarray(finite + 0.0).tobytes())
-    mark.update(np.isfinite(values).tobytes())
+    rest, points, mark = product(free), _points(formula, n_dims), hashlib.sha256()
+    rng = np.random.default_rng(20)
+    for _ in range(N_DRAWS if inner else 1):
+        constants = dict(zip(dict.fromkeys(inner), rng.uniform(0.1, 1.9, len(inner)), strict=False))
+        values = np.asarray(_ratio(rest, below, points, constants))
+        values = np.broadcast_to(values, np.broadcast_shapes(values.shape, (N_POINTS, n_dims)))
+        mark.update(_digits(np.where(np.isfinite(values), values, 0.0).ravel()).tobytes())
+        mark.update(np.isfinite(values).tobytes())
     return mark.hexdigest()[:24]
+
+
+def _digits(values):
+    """Values in terms of the first that is not small, with as many digits as are compared."""
+    size = np.abs(values).max()
+    if not size > 0:
+        return values + 0.0
+    values = values / values[np.argmax(np.abs(values) > 1e-3 * size)]
+    with np.errstate(divide="ignore"):
+        step = 10.0 ** (np.floor(np.log10(np.abs(values))) - DIGITS + 1)
+    values = np.where(values == 0, 0.0, np.round(values / np.where(step > 0, step, 1)) * step)
+    return np.array([float(f"{x:.{DIGITS - 2}g}") for x in values.tolist()]) + 0.0
 
 
 def same_law(one, other, n_dims=2):
@@ -62,11 +70,7 @@ def same_law(one, other, n_dims=2):
     return canonical_key(one, n_dims) == canonical_key(other, n_dims)
 
 
-def _ratio(above, below, points, inner):
-    rng = np.random.default_rng(20)
-    constants = {
-        name: float(v) for name, v in zip(inner, rng.uniform(0.6, 1.9, len(inner)), strict=True)
-    }
+def _ratio(above, below, points, constants):
     value = evaluate(above, points, constants)
     for part in below:
         with np.errstate(all="ignore"):

@@ -23,11 +23,12 @@ from bsp_gp.errors import GrammarError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS, SHAPES, Type
-from bsp_gp.units import parse_unit
+from bsp_gp.units import Unit, parse_unit
 
 __all__ = ["Grammar", "Rule", "Slot", "grammar_directory", "load_grammar", "read_grammar"]
 
 KINDS = ("pair", "field")
+VELOCITY = Unit.of(m=1, s=-1)
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,11 @@ class Grammar:
     def common(self):
         """Laws of textbooks, as typed: likelier beforehand than their length says."""
         return tuple(self.source.get("common", {}).get("laws", ()))
+
+    @functools.cached_property
+    def inside(self):
+        """Forms with constants inside: texts, lists of what their braces stand for, ranges."""
+        return self.source.get("inside", {})
 
     @functools.cached_property
     def rules_of(self):
@@ -205,27 +211,33 @@ class Grammar:
             tuple(enabled),
         )
 
-    def for_properties(self, property_units, vectors=()):
-        """Repeat the ``[each_property]`` rules for further property columns of a data set.
+    def for_properties(self, columns):
+        """Repeat rules for further property columns of a data set.
+
+        Those of ``[each_property]`` for every scalar, of ``[each_vector]`` for every vector, and of
+        ``[each_velocity]`` for every vector that is a velocity.
 
         Parameters
         ----------
-        property_units : mapping of str to Unit
+        columns : mapping of str to Type
             Columns that no input of the grammar names are added as ``<column>_i``, ``_j``.
-        vectors : collection of str
-            Columns that are vectors; they are left out here.
         """
         known = {property_of(name)[0] for name in self.inputs if property_of(name)}
-        new = sorted(set(property_units) - known - set(vectors))
-        if not new or not self.source.get("each_property"):
-            return self
-        source = json.loads(json.dumps(dict(self.source)))
-        for column in new:
+        source, is_changed = json.loads(json.dumps(dict(self.source))), False
+        for column in sorted(set(columns) - known):
+            type_ = columns[column]
+            is_velocity = type_ == Type("vector", VELOCITY)
+            tables = ["each_property"] if type_.shape == "scalar" else ["each_vector"]
+            tables += ["each_velocity"] if is_velocity else []
+            rules = [pair for t in tables for pair in self.source.get(t, {}).items()]
+            if not rules:
+                continue
+            is_changed = True
             for role in ("i", "j"):
-                source["inputs"][f"{column}_{role}"] = f"scalar {property_units[column].text()}"
-            for nonterminal, bodies in self.source["each_property"].items():
+                source["inputs"][f"{column}_{role}"] = f"{type_.shape} {type_.unit.text()}"
+            for nonterminal, bodies in rules:
                 source["rules"][nonterminal] += " | " + bodies.replace("{name}", column)
-        return read_grammar(source)
+        return read_grammar(source) if is_changed else self
 
 
 def _rebuild(source, enabled):
@@ -281,7 +293,8 @@ def read_grammar(source):
 
 class _Reader:
     tables = {
-        "grammar", "types", "inputs", "constants", "rules", "operators", "each_property", "common",
+        "grammar", "types", "inputs", "constants", "rules", "operators", "each_property",
+        "each_vector", "each_velocity", "common", "inside",
     }  # fmt: skip
 
     def __init__(self, source):
@@ -306,6 +319,7 @@ class _Reader:
         laws = common.get("laws", []) if isinstance(common, dict) else None
         if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
             raise GrammarError("[common] needs laws, a list of texts")
+        _check_inside(self.source.get("inside", {}))
         rules = self.rules()
         grammar = Grammar(
             name=head.get("name", "unnamed"),
@@ -438,6 +452,26 @@ class _Reader:
             raise GrammarError(f"nonterminal(s) {lost} cannot be reached from the start symbol")
 
 
+def _check_inside(table):
+    """Forms with constants inside are lists of texts, ranges texts."""
+    ranges = table.get("ranges", {}) if isinstance(table, dict) else None
+    lists = [] if ranges is None else [v for k, v in table.items() if k != "ranges"]
+    are_texts = isinstance(ranges, dict) and all(isinstance(t, str) for t in ranges.values())
+    are_texts &= all(isinstance(v, list) and all(isinstance(t, str) for t in v) for v in lists)
+    if not are_texts:
+        raise GrammarError("[inside] needs lists of texts, and [inside.ranges] texts")
+    for name, text in ranges.items():
+        low, is_pair, high = text.partition("..")
+        try:
+            is_good = not is_pair or float(low) < float(high)
+        except ValueError:
+            is_good = False
+        if not is_good:
+            raise GrammarError(
+                f"[inside.ranges] {name} = {text!r}: give numbers as in '-4 .. 4', or a formula"
+            )
+
+
 def _alternatives(bodies):
     lines = [line.partition("#")[0] for line in str(bodies).splitlines()]
     return [" ".join(part.split()) for part in " ".join(lines).split("|") if part.strip()]
@@ -487,7 +521,7 @@ def _fingerprint(source):
     meaning = {
         table: (
             {k: _alternatives(v) for k, v in content.items()}
-            if table in ("rules", "each_property")
+            if table == "rules" or table.startswith("each_")
             else content
         )
         for table, content in source.items()

@@ -405,6 +405,12 @@ def _table():
     plain = {
         "sqrt": (np.sqrt, lambda a: 0.5 / np.sqrt(a), _power_of(0.5), r"\sqrt{{{0}}}"),
         "abs": (np.abs, np.sign, _same, r"\left|{0}\right|"),
+        "sign": (
+            np.sign,
+            np.zeros_like,
+            lambda unit: DIMENSIONLESS,
+            r"\operatorname{{sign}}\left({0}\right)",
+        ),
         "square": (np.square, lambda a: 2 * np.asarray(a), _power_of(2), ""),
         "inverse": (
             lambda a: 1.0 / np.asarray(a),
@@ -419,7 +425,6 @@ def _table():
         "sin": (np.sin, np.cos),
         "cos": (np.cos, lambda a: -np.sin(a)),
         "tanh": (np.tanh, lambda a: 1.0 / np.square(np.cosh(a))),
-        "sign": (np.sign, lambda a: np.zeros_like(a)),
     }
     operators = [
         Operator("add", 2, _infer_add, lambda t, a, b: np.asarray(a) + b, _d_add),

@@ -40,19 +40,19 @@ from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
 from bsp_gp.randomness import generator
+from bsp_gp.search.choice import BUDGET
 
 __all__ = ["close_loop"]
 
 WRITING_SHARE = 0.25
 """Part of a time limit that is kept for what comes after the rounds."""
-SEARCHES = ("exhaustive", "auto")
 
 
 def close_loop(
     dataset, declared=(), *, rng=None, grammar="physics", criteria=None, alpha=None, max_rounds=5,
-    max_levels=8, search="exhaustive", starts=None, bounds=None, time_limit=None, n_bootstrap=40,
-    exclude=("t",), seed=None, workers=None, progress=None, on_round=None,
-    earlier=None,
+    max_levels=8, search="exhaustive", search_budget=BUDGET, starts=None, bounds=None,
+    time_limit=None, n_bootstrap=40, exclude=("t",), seed=None, workers=None, progress=None,
+    on_round=None, earlier=None,
 ):  # fmt: skip
     """Find what a declared model lacks, add it, and report the error before and after.
 
@@ -72,7 +72,11 @@ def close_loop(
     max_rounds, max_levels : int
         Rounds, and levels of a derivation in the search, at the most.
     search : str
-        "exhaustive" or "auto", which is the same so far.
+        "exhaustive", of every law up to the bound; "cross_entropy" or "genetic", which take
+        grammars that are no products as well; "auto": exhaustive where it can, and the others two
+        levels beyond its bound.
+    search_budget : int
+        Laws of a kind that each of the others may score in a round.
     starts, bounds : dict, optional
         Of constants of the declared model, SI: where they begin, and between what they stay.
     time_limit : float, optional
@@ -103,7 +107,11 @@ def close_loop(
     """
     began = time.monotonic()
     criteria = _criteria(criteria, alpha)
-    _check(dataset, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
+    numbers = {
+        "max_rounds": max_rounds, "max_levels": max_levels, "search_budget": search_budget,
+        "n_bootstrap": n_bootstrap,
+    }  # fmt: skip
+    _check(dataset, criteria, numbers, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
     split_rng, round_rng, account_rng, swapped_rng, asked_rng = generator(rng).spawn(5)
@@ -122,7 +130,10 @@ def close_loop(
     }  # fmt: skip
 
     def look(ready, rng, **more):
-        able = standard(grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude))
+        able = standard(
+            grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude), search=search,
+            budget=search_budget,
+        )  # fmt: skip
         return run_rounds(ready.hypothesis, ready.train, able, rng=rng, **settings, **more)
 
     if earlier is not None:
@@ -308,7 +319,7 @@ def _criteria(criteria, alpha):
     return criteria if alpha is None else replace(criteria, alpha=alpha)
 
 
-def _check(dataset, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit):
+def _check(dataset, criteria, numbers, time_limit):
     """Refuse settings that cannot be."""
     for latent in dataset.latents:
         if latent.values or latent.name == "radius":
@@ -318,9 +329,6 @@ def _check(dataset, criteria, search, max_rounds, max_levels, n_bootstrap, time_
             )
     if not 0 < criteria.alpha < 1:
         raise SettingsError(f"alpha must be between 0 and 1, got {criteria.alpha!r}")
-    if search not in SEARCHES:
-        raise SettingsError(f"search must be one of {', '.join(SEARCHES)}, got {search!r}")
-    numbers = {"max_rounds": max_rounds, "max_levels": max_levels, "n_bootstrap": n_bootstrap}
     for name, value in numbers.items():
         least = 0 if name == "n_bootstrap" else 1
         if value < least:

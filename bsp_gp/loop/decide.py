@@ -77,7 +77,7 @@ def decide(table, criteria=None):
         if row.kind != best.kind
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
-    is_fact = not any(abs(_apart(best, row)) < criteria.separation for row in rivals)
+    is_fact = not any(_is_near(row, best, criteria) for row in rivals)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
@@ -92,7 +92,17 @@ def _is_rival(row, best, criteria):
     likely = best.log_posterior - row.log_posterior < criteria.class_nats
     # What is unlikely beforehand, and explains the data as well, is not ruled out either.
     equal = best.log_evidence - row.log_evidence < criteria.equal_nats
-    return _apart(best, row) < criteria.separation and (likely or equal)
+    # Nor is a cause of another kind that makes the same track with a number more.
+    same = row.code != best.code and row.n_free <= best.n_free + 1
+    same = same and abs(_apart(best, row)) < 2 * criteria.tie_nats
+    return _apart(best, row) < criteria.separation and (likely or equal or same)
+
+
+def _is_near(row, best, criteria):
+    """Whether a rival keeps the best from being a fact; a wider form does where it is better."""
+    if row.is_wide:
+        return _apart(best, row) < -2 * criteria.tie_nats
+    return abs(_apart(best, row)) < criteria.separation
 
 
 def _apart(best, row):

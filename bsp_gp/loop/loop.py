@@ -286,7 +286,7 @@ class _Turn:
             own = above.get(source, {0: (-math.inf, -math.inf)})
             # Where none of so many numbers was fitted, no more is expected than of any other.
             offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
-            evidence = offset + 0.5 * proposal.gain
+            evidence = offset + proposal.promise - proposal.log_prior
             is_near = offset + proposal.promise > least or evidence > equal
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
@@ -334,6 +334,7 @@ class _Turn:
                 number, proposal.code, proposal.text, source, status, evidence,
                 proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
                 key=twin or proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
+                is_wide=proposal.is_wide,
             )
         )  # fmt: skip
         return self.rows[-1]

@@ -43,6 +43,10 @@ class Proposal:
         Of the space of `formulas`.
     kind : str
         One of `KINDS`.
+    volume : float, nats
+        Logarithm of the part of its inner constants' range that the data leave.
+    is_wide : bool
+        Whether other forms are special cases of it: it is wider than they, and no other form.
     """
 
     code: str
@@ -57,6 +61,8 @@ class Proposal:
     ties: tuple = ()
     n_dims: int = 2
     kind: str = "force"
+    volume: float = 0.0
+    is_wide: bool = False
 
     @cached_property
     def key(self):
@@ -77,7 +83,7 @@ class Proposal:
     @property
     def promise(self):
         """Log posterior beside the law as it is, nats, up to what all proposals share."""
-        return 0.5 * self.gain + self.log_prior
+        return 0.5 * self.gain + self.log_prior + self.volume
 
 
     def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):

@@ -55,6 +55,8 @@ class Row:
     key : tuple
         Identity of what it adds.
     ties : tuple of str
+    is_wide : bool
+        Whether other forms are special cases of it.
     """
 
     id: int
@@ -72,6 +74,7 @@ class Row:
     probability: float = math.nan
     key: tuple = ()
     ties: tuple = ()
+    is_wide: bool = False
 
     @property
     def log_posterior(self):

@@ -36,13 +36,19 @@ class View:
     ----------
     tick : callable or None
         Asked by long work as it goes on; raises where the time is up.
+    explained, promised : float
+        Chi-squared that the likeliest law without inner constants explains, and its promise, once
+        they are known.
+    search_rng : numpy.random.Generator
+        For searches that draw.
     """
 
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
         self.criteria = criteria or Criteria()
         self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
-        self.tick = None
+        self.tick, self.explained, self.promised = None, 0.0, -np.inf
         self._rows_rng, self._moments_rng = rng.spawn(2)
+        (self.search_rng,) = self._moments_rng.spawn(1)
 
     @cached_property
     def _found(self):

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
+from itertools import count
 from types import MappingProxyType
 
 import numpy as np
@@ -27,8 +28,8 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "COPY", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name", "key_of",
-    "kind_of", "split_linear", "tabled", "term_gradient",
+    "COPY", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name", "fresh_names",
+    "key_of", "kind_of", "split_linear", "tabled", "term_gradient",
 ]  # fmt: skip
 
 _MASS = ("m_i", "mass_i")
@@ -351,10 +352,17 @@ def term_gradient(law, term, bodies, positions, velocities, times):
 
 def fresh_name(law, stem="c"):
     """A constant name that the law does not use."""
-    k = 1
-    while f"{stem}{k}" in law.names:
-        k += 1
-    return f"{stem}{k}"
+    return fresh_names(law, (stem,), stem)[stem]
+
+
+def fresh_names(law, names, stem=None):
+    """New names for constants that the law does not use: their own or a stem, with numbers."""
+    taken, out = set(law.names), {}
+    for name in names:
+        own = name.rstrip("0123456789") if stem is None else stem
+        out[name] = next(n for k in count(1) if (n := f"{own}{k}") not in taken)
+        taken.add(out[name])
+    return out
 
 
 def split_linear(formula):

@@ -29,9 +29,45 @@ def describe(formula, value=None, other="the other body"):
     `other` is the name of the body that acts.
     """
     direction, conditions, powers = _parts(formula)
-    phrase = _phrase(direction, conditions[-1] if conditions else None, powers, value)
+    if split_linear(formula)[1].constants:
+        phrase = _inner_phrase(direction, formula, powers)
+    else:
+        phrase = _phrase(direction, conditions[-1] if conditions else None, powers, value)
     phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
     return pretty_unit(phrase).replace("the other body", other)
+
+
+_INNER = (
+    ("sign(t", "switched on and off in time"), ("sign(", "beyond a threshold"),
+    ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
+    ("inverse(1 +", "levelling off"), ("^n", "to a fitted power of {}"), ("", "less a length"),
+)  # fmt: skip
+"""Marks of factors with a constant inside, and what they do."""
+
+
+def _inner_phrase(direction, formula, powers):
+    """Name a term with constants inside: "spring to a point", "force along e_x, fading ..."."""
+    above, below = factors(split_linear(formula)[1])
+    inner = [to_text(f) for f in (*above, *below) if f.constants and f.type.shape != "vector"]
+    text = to_text(direction)
+    is_place = "centre_" in text
+    powers = {
+        "norm(p_i - p_j)" if "centre_" in name else name: power
+        for name, power in powers.items() if "centre_" in name or name not in inner
+    }  # fmt: skip
+    words = [
+        next(word for mark, word in _INNER if mark in each).format(
+            "speed" if "v_" in each else "distance"
+        )
+        for each in inner if "centre_" not in each
+    ]  # fmt: skip
+    bare = text.removeprefix("normalize(").removesuffix(")")
+    if is_place and not powers and not inner:
+        return "spring to a rest point"
+    along = "to a point" if is_place else f"along the {_DIRECTIONS.get(bare, bare)}"
+    if any(each.startswith("centre_") for each in inner):
+        return f"spring to a line or plane across {text}"
+    return ", ".join(dict.fromkeys([f"force {along}{_scaling(powers)}", *words]))
 
 
 def _parts(formula):

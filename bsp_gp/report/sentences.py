@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -31,6 +32,7 @@ __all__ = [
     "noise_sentence",
     "outcome_sentence",
     "overturned_by",
+    "parting_sentence",
     "powers_sentence",
     "ratio_caution",
     "verdict_parts",
@@ -215,6 +217,22 @@ def outcome_sentence(round_):
     return f"Seen, not adopted: {name} ({significance}). {reason}".strip()
 
 
+def parting_sentence(effect):
+    """The recording that parts a law from one that depends on time instead; "" where none does.
+
+    Parameters
+    ----------
+    effect : Effect
+    """
+    timed = [law for law in effect.equivalents if re.search(r"\bt\b", law)]
+    if not timed or re.search(r"\bt\b", effect.law or ""):
+        return ""
+    return (
+        f"{timed[0]} moves this body in the same way. A recording that begins at another place, or "
+        "faster, tells them apart: what depends on time alone pushes as before."
+    )
+
+
 def overturned_by(round_):
     """What would change the verdict of a round, one sentence each.
 
@@ -229,7 +247,7 @@ def overturned_by(round_):
     effect = round_.effect
     if effect is None:
         return []
-    out = []
+    out = [text for text in (parting_sentence(effect),) if text]
     if effect.equivalents:
         out.append(
             f"Data in which {effect.equivalents[0]} does better: these do not tell it apart, and "

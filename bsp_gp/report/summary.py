@@ -15,6 +15,7 @@ from bsp_gp.report.sentences import (
     headline,
     hidden_sentence,
     noise_sentence,
+    parting_sentence,
     powers_sentence,
     ratio_caution,
     worse_bodies,
@@ -134,5 +135,6 @@ def _ties(report):
             )
             if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
+            text = f"{text}. {parting_sentence(r.effect)}".rstrip(". ")
             return [(text, "  ")]
     return []

@@ -39,9 +39,9 @@ class Columns:
         self.is_white = all(batch.whitener is None for batch in self.regression.batches)
         self.receiver = receiver_index(rows)
         self._scale = flat_scale(self.regression, rows) if self.is_white else None
-        shape = (len(y) // rows.n_dims, rows.n_dims)
-        self._y = y.reshape(shape)
-        self._q = q.T.reshape(q.shape[1], *shape)
+        if self.is_white:
+            shape = (len(y) // rows.n_dims, rows.n_dims)
+            self._y, self._q = y.reshape(shape), q.T.reshape(q.shape[1], *shape)
 
     def dots_and_sizes(self, coefficients, vector):
         """Products with the target and squared norms, free terms projected out.

@@ -70,9 +70,14 @@ class Objective:
         Weight of the complexity under "prior".
     starts : int
         Start points of constants that do not multiply a term.
+    null_targets : ndarray, shape (n, B), optional
+        Simulated targets.
 
     Attributes
     ----------
+    null_gain : ndarray, shape (B,)
+        The most that any law which was scored explains of each simulated target; of constants that
+        do not multiply a term the fitted values are taken.
     n_trees, n_scored, n_repeats, n_failed : int
         Trees asked for; laws that differ on the data; trees that had been asked for before; new
         trees without a finite value, without any effect on the data, or with terms that are not
@@ -95,6 +100,7 @@ class Objective:
         criterion="prior",
         beta=1e-3,
         starts=3,
+        null_targets=None,
     ):
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
@@ -103,6 +109,7 @@ class Objective:
         self._given = {
             "regression": regression, "grammar": grammar, "kind": kind, "target": target,
             "nuisance": nuisance, "criterion": criterion, "beta": beta, "starts": starts,
+            "null_targets": null_targets,
         }  # fmt: skip
         self.regression = regression
         self.grammar = grammar
@@ -117,6 +124,9 @@ class Objective:
         self.q = orthonormal(nuisance, len(y))
         self.y = y - self.q @ (self.q.T @ y)
         self.total = float(self.y @ self.y)
+        null = np.zeros((len(y), 0)) if null_targets is None else np.asarray(null_targets)
+        self.null = null - self.q @ (self.q.T @ null)
+        self.null_gain = np.zeros(self.null.shape[1])
         self.columns = Columns(self.rows, self.y, self.q)
         self.projected = Projected(regression, self.y, self.q)
         self.n_trees = self.n_scored = self.n_repeats = self.n_failed = 0
@@ -249,6 +259,8 @@ class Objective:
         vector = self.recogniser.values("direction", b)
         values = [self.recogniser.values("coefficient", a) for a in members]
         dots, sizes = self.columns.dots_and_sizes(values, vector)
+        if self.null.size:
+            self._note_null(self.columns.columns(values, vector))
         with np.errstate(divide="ignore", invalid="ignore"):
             losses = np.where(sizes > 0, 0.5 * (self.total - dots**2 / sizes), np.inf).tolist()
         for a, loss in zip(members, losses, strict=True):
@@ -267,6 +279,8 @@ class Objective:
             part = laws[start : start + step]
             terms = {term: k for k, term in enumerate(sorted({t for law in part for t in law}))}
             columns = self._term_columns(list(terms))
+            if self.null.size:
+                self._note_null(columns)
             chosen = columns[[[terms[term] for term in law] for law in part]]
             gram = np.einsum("lin,ljn->lij", chosen, chosen, optimize=True)
             dots = np.einsum("lin,n->li", chosen, self.y, optimize=True)
@@ -294,8 +308,16 @@ class Objective:
         except EvaluationError:
             self._laws[key] = (-1, np.inf, 0)
             return
+        if self.null.size:
+            self._note_null((self.y - fit.residual)[None])
         self._fits[formula] = tuple(float(fit.law.constants[n]) for n in formula.constants)
         self._settle(key, fit.loss, len(formula.constants))
+
+    def _note_null(self, columns):
+        """Note what columns (k, n) explain of the simulated targets; of sums term by term."""
+        size = np.linalg.norm(columns, axis=1, keepdims=True)
+        dots = (columns / np.where(size > 0, size, 1.0)) @ self.null
+        self.null_gain = np.maximum(self.null_gain, np.square(dots).max(axis=0, initial=0.0))
 
     def _law(self, formula, constants):
         return ForceLaw(tuple(Term(part, self.kind) for part in summands(formula)), constants)

@@ -349,6 +349,19 @@ def test_count_text():
     assert cli._count_text(99999 * 10**5000) == "9.9999e5004"
 
 
+def test_grammars_are_listed_and_checked(capsys):
+    assert main(["grammar", "list"]) == 0
+    assert "newtonian_sum: pair laws" in capsys.readouterr().out
+    assert main(["grammar", "check", "newtonian_sum"]) == 0
+    told = capsys.readouterr().out
+    assert "--search exhaustive: no: exhaustive search needs products" in told
+    assert "--search genetic: yes" in told
+    assert told.count("\n  ") == 10
+    assert main(["grammar", "check", "physics"]) == 0
+    told = capsys.readouterr().out
+    assert "--search exhaustive: yes" in told and "c1 [kg" in told
+
+
 def test_grammar_show(data, capsys):
     assert main(["grammar", "show", "physics"]) == 0
     whole = capsys.readouterr().out

@@ -9,6 +9,7 @@ import pytest
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import derive, from_lists
 from bsp_gp.language.grammar import grammar_directory, load_grammar, read_grammar
+from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.units import Unit
@@ -193,20 +194,32 @@ def test_grammars_travel_to_other_processes(newtonian):
 
 def test_each_property_rules_are_repeated_for_new_columns():
     physics = load_grammar("physics")
-    units = {"mass": Unit.of(kg=1), "spin": Unit.of(s=-1), "wind": Unit.of(m=1)}
-    more = physics.for_properties(units, vectors=("wind",))
+    mass, spin = (Type("scalar", unit) for unit in (Unit.of(kg=1), Unit.of(s=-1)))
+    more = physics.for_properties({"mass": mass, "spin": spin})
     assert len(more.rules) == len(physics.rules) + 4 + 1
     assert more.inputs["spin_i"].unit == Unit.of(s=-1)
-    assert "wind_i" not in more.inputs
     assert more.fingerprint != physics.fingerprint
     law = "c1 * ((spin_i - spin_j) * normalize(p_i - p_j))"
     formula = parse_formula(law, dict(more.inputs))
     assert derive(formula, more, "PairForce") is not None
     assert derive(formula, physics, "PairForce") is None
-    assert physics.for_properties({"mass": Unit.of(kg=1)}) is physics
+    assert physics.for_properties({"mass": mass}) is physics
     # The paper's grammar has no such rules and stays what it is.
     newtonian = load_grammar("newtonian")
-    assert newtonian.for_properties(units) is newtonian
+    assert newtonian.for_properties({"mass": mass, "spin": spin}) is newtonian
+
+
+def test_vectors_have_rules_of_their_own_and_velocities_more():
+    physics = load_grammar("physics")
+    spin, wind = (Type("vector", unit) for unit in (Unit.of(s=-1), Unit.of(m=1, s=-1)))
+    more = physics.for_properties({"spin": spin, "wind": wind})
+    types = dict(more.inputs)
+    for law in (
+        "c1 * (norm(spin_i) * norm(v_i) * cross(normalize(spin_i), normalize(v_i)))",
+        "c1 * (norm(v_i - wind_i) * normalize(v_i - wind_i))",
+    ):
+        formula = parse_formula(law, types)
+        assert derive(formula, more, "FieldForce") is not None
 
 
 @pytest.mark.parametrize(
@@ -260,7 +273,7 @@ def test_a_table_is_missing(table):
 def test_reading_leaves_its_source_alone():
     source = small()
     before = copy.deepcopy(source)
-    read_grammar(source).for_properties({"spin": Unit.of()})
+    read_grammar(source).for_properties({"spin": Type("scalar")})
     assert source == before
 
 

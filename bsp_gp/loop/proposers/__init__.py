@@ -7,6 +7,7 @@ from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
@@ -16,7 +17,7 @@ from bsp_gp.loop.proposers.varying import Varying
 __all__ = ["standard"]
 
 
-def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
+def standard(grammar, dataset, **settings):
     """All proposers; this list is the only place that knows them by name.
 
     Parameters
@@ -24,10 +25,11 @@ def standard(grammar, dataset, *, max_levels=8, exclude=("t",)):
     grammar : Grammar
     dataset : Dataset
         Training scenes.
-    max_levels, exclude
-        As in `Laws`.
+    **settings
+        Of `Laws`.
     """
+    laws = Laws(grammar, dataset, **settings)
     return [
-        Laws(grammar, dataset, max_levels, exclude), Declared(), Varying(), Periods(), Hidden(),
+        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Hidden(),
         Companions(), Contacts(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

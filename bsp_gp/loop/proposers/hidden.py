@@ -8,12 +8,10 @@ import numpy as np
 
 from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
-from bsp_gp.language.inputs import STATE_INPUTS
-from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.whereabouts import whereabouts
-from bsp_gp.physics.bodies import dataset_types, law_inputs
+from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Hidden", "Sources", "Stage", "apart", "pulls_of", "still"]
@@ -27,12 +25,6 @@ ALIKE = 0.95
 N_STARTS = 2
 CHUNK = 1 << 22
 """Numbers in one array at a time."""
-PULLS = (
-    "m_i * norm(p_j - p_i)^-2 * normalize(p_j - p_i)",
-    "p_j - p_i",
-)
-"""Where no law says how a source acts: a pull falling with distance, a spring to a rest point."""
-
 
 class Sources:
     """What proposers of unseen bodies share."""
@@ -98,12 +90,7 @@ def pulls_of(view, strength):
         pull = unit_pull(term, strength) if term.kind == "pair" else None
         if pull is not None:
             columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
-    if columns:
-        return [tuple(both) for both in columns.values()]
-    types = dataset_types(view.dataset)
-    types |= {name: STATE_INPUTS[name] for name in ("p_j", "v_j")}
-    terms = [Term(parse_formula(text, types), "pair") for text in PULLS]
-    return [((term, Term(unit_pull(term, strength)[0], "pair")),) for term in terms]
+    return [tuple(both) for both in columns.values()]
 
 
 def still(places):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import Term, fresh_name, split_linear
+from bsp_gp.physics.force import Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
-from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.choice import BUDGET, Searching, searches_for
+from bsp_gp.search.inner import expanded
 
 __all__ = ["Laws"]
 
@@ -40,18 +42,23 @@ class Laws:
     max_levels : int
     exclude : sequence of str
         Inputs that laws may not use.
+    search : str
+        One of `bsp_gp.search.choice.SEARCHES`.
+    budget : int
+        Laws that a guided search may score.
     """
 
     name = "laws"
 
-    def __init__(self, grammar, dataset, max_levels=8, exclude=("t",)):
+    def __init__(
+        self, grammar, dataset, max_levels=8, exclude=("t",), search="exhaustive", budget=BUDGET
+    ):
         self.max_levels = max_levels
         types = dataset_types(dataset)
         columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
-        vectors = {c for c, t in columns.items() if t.shape == "vector"}
-        scalars = {c: t.unit for c, t in columns.items() if t.shape == "scalar"}
+        scalars = [c for c, t in columns.items() if t.shape == "scalar"]
         self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
-        grammar = grammar.for_properties(scalars, vectors)
+        grammar = grammar.for_properties(columns)
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
         if not has_pairs and "field" not in self.grammar.start:
@@ -64,8 +71,13 @@ class Laws:
             kind for kind, start in self.grammar.start.items()
             if (kind == "field" or has_pairs) and least[start] <= max_levels
         ]  # fmt: skip
+        searches = searches_for(search, self.grammar, self.kinds, max_levels)
+        self.searching = Searching(searches, self.grammar, budget, self.missing)
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
-        self.common = list(_read(self.grammar.common, names, self.available, types, dataset))
+        self.properties = names
+        vectors = [c for c, t in columns.items() if t.shape == "vector"]
+        lists = {"0": names, "vector": vectors}
+        self.common = list(_read(self.grammar.common, lists, self.available, types, dataset))
 
     def propose(self, view):
         """The family of all laws.
@@ -78,24 +90,28 @@ class Laws:
         target, columns = view.response.left()
         found, null, certificates, n_tried = [], np.zeros(view.moment_draws.shape[1]), [], 0
         sizes = np.square(view.draws_left).sum(axis=0)
-        for kind in self.kinds:
-            result = search_exhaustive(
-                regression, self.grammar, kind=kind, target=target,
-                nuisance=columns if columns.size else None, max_levels=self.max_levels,
-                missing_inputs=self.missing, null_targets=view.moment_draws,
+        for kind, name in product(self.kinds, self.searching.searches):
+            result, text = self.searching.run(
+                name, regression, kind, view.search_rng, target=target,
+                nuisance=columns if columns.size else None, null=view.moment_draws,
                 max_ties=MOST_TIES, progress=view.tick,
             )  # fmt: skip
             null = np.maximum(null, np.array(result.null_gains) * sizes)
             found += result.candidates
-            certificates.append(result.certificate.text())
+            certificates.append(text)
             n_tried += result.n_evaluated
         best = max((c.gain for c in found), default=0.0)
         declared = _declared(view)
         found = [c for c in self._ranked(view, found) if not _is_parallel(view, c, declared)]
-        sets = [*pairs_of(view, found), *sets_of(view, self, found, declared)]
+        sets = pairs_of(view, found)
+        if self.searching.is_exhaustive:
+            sets = [*sets, *sets_of(view, self, found, declared)]
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
+        if found:
+            view.explained = found[0].gain
+            view.promised = 0.5 * found[0].gain - found[0].complexity
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
@@ -141,18 +157,18 @@ def _proposal(view, candidates, amounts=None, gain=None):
     """The proposal of one law, or of several at once."""
     hypothesis, law, formulas = view.hypothesis, view.fit.law, []
     for k, candidate in enumerate(candidates):
-        old, _ = split_linear(candidate.formula)
-        name = fresh_name(law)
-        value = float(candidate.constants[old] if amounts is None else amounts[k])
-        term = Term(rename_constants(candidate.formula, {old: name}), candidate.kind)
-        hypothesis, law = with_term(hypothesis, term, {name: value}), law.plus(term, {name: value})
+        names = fresh_names(law, candidate.formula.constants)
+        found = candidate.constants if amounts is None else dict.fromkeys(names, amounts[k])
+        values = {new: float(found[old]) for old, new in names.items()}
+        term = Term(rename_constants(candidate.formula, names), candidate.kind)
+        hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
         formulas.append(term.formula)
     cost = sum(candidate.complexity for candidate in candidates)
     gain = candidates[0].gain if gain is None else gain
     most = (1 - RESOLVED) * float(view.left @ view.left)
     return Proposal(
         "law", " + ".join(map(to_text, formulas)), hypothesis, -cost, min(gain, most),
-        len(candidates), formulas=tuple(formulas),
+        sum(len(formula.constants) for formula in formulas), formulas=tuple(formulas),
         ties=candidates[0].ties if len(candidates) == 1 else (), n_dims=view.dataset.n_dims,
     )  # fmt: skip
 
@@ -178,17 +194,16 @@ def _scored(view, formula):
     )  # fmt: skip
 
 
-def _read(texts, names, available, types, dataset):
+def _read(texts, lists, available, types, dataset):
     """Common laws of which the data have all inputs."""
-    for text in texts:
-        for name in names if "{0}" in text else ("",):
-            try:
-                formula = parse_formula(text.replace("{0}", name), types, units=dataset.units)
-            except BspError:  # it names what these data do not have
-                continue
-            is_plane = dataset.n_dims == 2 or "perp" not in text
-            if is_plane and formula.inputs <= available:
-                yield formula
+    for text in (each for law in texts for each in expanded(law, lists)):
+        try:
+            formula = parse_formula(text, types, units=dataset.units)
+        except BspError:  # it names what these data do not have
+            continue
+        absent = "cross" if dataset.n_dims == 2 else "perp"
+        if f"{absent}(" not in text and formula.inputs <= available:
+            yield formula
 
 
 def _declared_properties(law):
@@ -220,7 +235,7 @@ def _is_parallel(view, candidate, declared):
     if not declared:
         return False
     _, rest = split_linear(candidate.formula)
-    own = _direction(view, Term(rest, candidate.kind))
+    own = None if rest.constants else _direction(view, Term(rest, candidate.kind))
     return own is not None and any(1 - (own @ d) ** 2 < PARALLEL for d in declared)
 
 

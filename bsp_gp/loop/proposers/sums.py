@@ -44,7 +44,7 @@ def pairs_of(view, found):
     list of (tuple of Candidate, ndarray, float)
         Laws, their constants, and what they gain.
     """
-    found = found[:MOST_PAIRED]
+    found = [c for c in found if len(c.formula.constants) == 1][:MOST_PAIRED]
     if len(found) < 2:
         return []
     unit, size = _unit(view, _columns(view, found))

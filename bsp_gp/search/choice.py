@@ -1,0 +1,155 @@
+"""Which searches look for a law: exhaustive with its certificate, and those that are guided.
+
+The exhaustive search takes grammars whose laws are products, up to its bound. Cross-entropy and
+genetic programming take any grammar, and go deeper, for as many laws as they are allowed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.errors import GrammarError, SettingsError
+from bsp_gp.search.candidate import SearchResult
+from bsp_gp.search.cross_entropy import CrossEntropy
+from bsp_gp.search.exhaustive import search_exhaustive
+from bsp_gp.search.factoring import plan_of
+from bsp_gp.search.objective import Objective
+from bsp_gp.search.run import Budget, run_search
+
+__all__ = ["BUDGET", "SEARCHES", "Searching", "searches_for"]
+
+SEARCHES = ("exhaustive", "cross_entropy", "genetic", "auto")
+BUDGET = 5_000
+"""Laws that differ on the data which a guided search may score."""
+DEEPER = 2
+"""Levels beyond the bound of the exhaustive search to which "auto" goes."""
+KEPT, N_IDLE = 40, 10
+"""Laws that a guided search hands on, and steps without a new one after which it ends."""
+
+
+def searches_for(search, grammar, kinds, max_levels):
+    """The searches that are run, and up to how many levels.
+
+    Parameters
+    ----------
+    search : str
+        One of `SEARCHES`.
+    grammar : Grammar
+        Masked to the data.
+    kinds : sequence of str
+    max_levels : int
+
+    Returns
+    -------
+    dict of str to int
+
+    Raises
+    ------
+    SettingsError
+        If there is no such search.
+    GrammarError
+        If the search cannot take the grammar; says which can.
+    """
+    if search not in SEARCHES:
+        raise SettingsError(f"search must be one of {', '.join(SEARCHES)}, got {search!r}")
+    if search in ("cross_entropy", "genetic"):
+        return {search: max_levels}
+    try:
+        for kind in kinds:
+            plan_of(grammar, kind, max_levels)
+    except GrammarError as error:
+        if search == "auto":
+            return {"cross_entropy": max_levels + DEEPER, "genetic": max_levels + DEEPER}
+        raise GrammarError(
+            f"{error}; --search auto, cross_entropy and genetic take the grammar {grammar.name}"
+        ) from None
+    if search == "exhaustive":
+        return {search: max_levels}
+    deeper = max_levels + DEEPER
+    return {"exhaustive": max_levels, "cross_entropy": deeper, "genetic": deeper}
+
+
+class Searching:
+    """A search for laws, as often as it is asked for.
+
+    Parameters
+    ----------
+    searches : mapping of str to int
+        As of `searches_for`.
+    grammar : Grammar
+    budget : int
+        Laws that each guided search may score for one kind of law.
+    missing_inputs : tuple of str
+        For the certificate.
+    """
+
+    def __init__(self, searches, grammar, budget=BUDGET, missing_inputs=()):
+        self.searches, self.grammar, self.budget = searches, grammar, budget
+        self.missing_inputs = missing_inputs
+
+    @property
+    def is_exhaustive(self):
+        return "exhaustive" in self.searches
+
+    def run(self, name, regression, kind, rng, *, target, nuisance, null, max_ties, progress):
+        """What one of the searches finds.
+
+        Parameters
+        ----------
+        name : str
+        regression : Regression
+        kind : str
+        rng : numpy.random.Generator
+        target, nuisance, null, max_ties, progress
+            As of `search_exhaustive`.
+
+        Returns
+        -------
+        result : SearchResult
+        text : str
+            What it covers.
+        """
+        if name == "exhaustive":
+            result = search_exhaustive(
+                regression, self.grammar, kind=kind, target=target, nuisance=nuisance,
+                max_levels=self.searches[name], missing_inputs=self.missing_inputs,
+                null_targets=null, max_ties=max_ties, progress=progress,
+            )  # fmt: skip
+            return result, result.certificate.text()
+        result = self._guided(name, regression, kind, rng, target, nuisance, null, progress)
+        best = max(result.candidates, key=lambda c: c.gain, default=None)
+        share = "none" if best is None else f"the best explains {best.share:.1%}"
+        text = (
+            f"{name} search: {result.n_evaluated} {kind} laws of grammar {self.grammar.name} with "
+            f"at most {self.searches[name]} levels visited, {share}; others may do better"
+        )
+        return result, text
+
+    def _guided(self, name, regression, kind, rng, target, nuisance, null, progress):
+        levels = self.searches[name]
+        if self.grammar.min_levels[self.grammar.start[kind]] > levels:
+            return SearchResult(None, (), (), 0, 0, 0.0, null_gains=(0.0,) * null.shape[1])
+        objective = Objective(
+            regression, self.grammar, kind, target=target, nuisance=nuisance, beta=1.0,
+            null_targets=null,
+        )  # fmt: skip
+        budget = Budget(n_scored=self.budget, n_idle=N_IDLE)
+        result = run_search(
+            _strategy(name, levels), objective, budget, rng=rng, keep=KEPT,
+            callback=None if progress is None else lambda step, _: bool(progress(step, step)),
+            is_part=True,
+        )  # fmt: skip
+        sizes = np.square(objective.null).sum(axis=0)
+        gains = tuple(objective.null_gain / np.where(sizes > 0, sizes, 1.0))
+        return SearchResult(
+            result.best, result.candidates, result.front, result.n_evaluated, result.n_failed,
+            result.seconds, None, gains,
+        )  # fmt: skip
+
+
+def _strategy(name, max_levels):
+    if name == "cross_entropy":
+        return CrossEntropy(max_levels=max_levels)
+    from bsp_gp.search.genetic import Genetic  # DEAP is slow to import
+
+    return Genetic(max_levels=max_levels)

@@ -1,0 +1,374 @@
+"""Laws with constants inside, scored on grids over these: exponents, lengths, thresholds, places.
+
+The forms stand in the grammar, with the quantity of the data among whose values each constant lies.
+Strengths are projected out (variable projection, Golub and Pereyra 1973): what a form explains is a
+function of its inner constants alone. It is scored on a grid, and where it does best on finer ones.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from itertools import product as every
+
+import numpy as np
+
+from bsp_gp.errors import BspError, GrammarError
+from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute
+from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.operators import Type
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics.bodies import dataset_types, law_inputs
+from bsp_gp.physics.evaluation import Settling
+from bsp_gp.physics.force import Term, kind_of
+
+__all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
+
+N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
+"""Values of a constant that is alone inside, of each of several; places, and along an axis."""
+BEYOND = 4.0
+"""Times that a length may be shorter than the shortest in the data, or longer than the longest."""
+FARTHEST = 30.0
+"""Places are sought up to so many sizes of the data from their middle."""
+ZOOMS, CLOSER = 5, 3.0
+"""Finer grids about the best, and how much finer each is."""
+SAME = 1e-9
+"""Part of a gain by which two forms that are one on these data may differ."""
+CHUNK = 1 << 21
+"""Numbers in one array at a time."""
+CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middle"))
+PLACE = "centre_"
+"""How names of the coordinates of a place begin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A law with constants inside and without its strength.
+
+    Attributes
+    ----------
+    term : Term
+        Its inner constants, and the place ``centre``, are what is sought.
+    nats : float
+        What it costs beforehand that it is one of several forms.
+    """
+
+    term: Term
+    nats: float
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The range of one inner constant, in the coordinate in which it is even.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        In that coordinate.
+    is_log : bool
+    cauchy : tuple of float or None
+        Centre and scale of where a place is likely, whose range has no end.
+    """
+
+    name: str
+    low: float
+    high: float
+    is_log: bool = False
+    cauchy: tuple | None = None
+
+    def values(self, coordinates):
+        """The constant at coordinates."""
+        return np.exp(coordinates) if self.is_log else coordinates
+
+    def line(self, count):
+        """Coordinates that are even under the prior, and their spacing, shape (count, 2)."""
+        share = (np.arange(count) + 0.5) / count
+        if self.cauchy is None:
+            step = (self.high - self.low) / count
+            return np.stack([self.low + share * (self.high - self.low), np.full(count, step)], 1)
+        widest = np.arctan(FARTHEST)
+        line = np.tan(widest * (2 * share - 1))
+        step = (1 + np.square(line)) * 2 * widest / count
+        return np.stack([self.cauchy[0] + self.cauchy[1] * line, self.cauchy[1] * step], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What a form explains.
+
+    Attributes
+    ----------
+    form : Form
+    axes : tuple of Axis
+    n_points : int
+    gain : float
+        Greatest on the first grid.
+    null : ndarray, shape (B,)
+        The same of every draw of noise.
+    volume : float
+        Logarithm of the part of the grid that the data leave.
+    best : float
+        Greatest, as far as it was looked for.
+    at, spacing : ndarray, shape (k,)
+        Coordinates of that, and the distance to its neighbours on the grid.
+    ties : list of Scan
+        That are the same on these data.
+    """
+
+    form: Form
+    axes: tuple
+    n_points: int
+    gain: float
+    null: np.ndarray
+    volume: float
+    best: float
+    at: np.ndarray
+    spacing: np.ndarray
+    ties: list = field(default_factory=list)
+
+    @property
+    def promise(self):
+        """Log posterior up to what all forms share, nats."""
+        return 0.5 * self.best + self.volume - self.form.nats
+
+    def is_like(self, other):
+        """Whether two forms are the same on these data."""
+        return abs(self.best - other.best) <= SAME * self.best and self.axes == other.axes
+
+
+def read_forms(grammar, dataset, properties, available):
+    """The forms of a grammar of which a data set has all inputs.
+
+    Parameters
+    ----------
+    grammar : Grammar
+    dataset : Dataset
+    properties : sequence of str
+        Short names of properties that may stand for ``{0}``.
+    available : set of str
+        Inputs that laws may use.
+
+    Returns
+    -------
+    list of Form
+
+    Raises
+    ------
+    GrammarError
+        If a form is no force, or one of its constants has no range.
+    """
+    table = grammar.inside
+    types = dataset_types(dataset) | {node.name: node.type for node in (CENTRE, MIDDLE)}
+    available = available | {"t", "origin", "centre", "middle"}
+    lists = {**table, "0": properties}
+    forms = []
+    for part in ("common", "laws"):
+        own = {}
+        for each in (e for text in table.get(part, ()) for e in expanded(text, lists)):
+            try:
+                formula = parse_formula(each.removeprefix("1 * "), types, units=dataset.units)
+            except BspError:  # it names what these data do not have
+                continue
+            if formula.inputs <= available:
+                _check(formula, each, table.get("ranges", {}))
+                own[formula] = None
+        forms += [Form(Term(f, kind_of(f)), float(np.log(len(own)))) for f in own]
+    return forms
+
+
+def _check(formula, text, ranges):
+    """Refuse a form that cannot be scanned."""
+    lost = [n for n in formula.constants if n not in ranges and not n.startswith(PLACE)]
+    if lost:
+        raise GrammarError(
+            f"[inside] {text!r}: constant {lost[0]!r} has no range; give it under [inside.ranges]"
+        )
+    if formula.type.shape != "vector" or not (formula.constants or "centre" in formula.inputs):
+        raise GrammarError(
+            f"[inside] {text!r} must be a vector with constants inside, without its strength"
+        )
+
+
+def expanded(text, lists):
+    """A text with every name in braces replaced by each text of its list."""
+    match = re.search(r"\{(\w+)\}", text)
+    if match is None:
+        return [text]
+    texts = lists.get(match[1], ())
+    return [e for each in texts for e in expanded(text.replace(match[0], each), lists)]
+
+
+class InnerSearch:
+    """Scores of forms on a regression.
+
+    Parameters
+    ----------
+    regression : Regression
+    target, draws : ndarray, shapes (n,) and (n, B)
+        What is to be explained, and simulated noise, beside what constants of the law take up.
+    beside : callable
+        ``beside(columns)`` projects columns (n, c) in the same way.
+    moving : ndarray of bool, shape (d,)
+        Axes along which something is seen.
+    ranges : mapping of str to str
+        Of the grammar.
+    types : mapping of str to Type
+        Inputs of the data.
+    """
+
+    def __init__(self, regression, target, draws, beside, moving, ranges, types):
+        self.batches, self.target, self.draws = regression.batches, target, draws
+        self.beside, self._texts = beside, ranges
+        self._types = types | {node.name: node.type for node in (CENTRE, MIDDLE)}
+        self.axes = ["xyz"[k] for k in np.flatnonzero(moving)]
+        rows = np.concatenate([
+            b.positions[:, :, b.bodies.receivers][b.valid.any(axis=-1)] for b in self.batches
+        ])  # fmt: skip
+        self.size = float(np.max(np.ptp(rows, axis=0))) / 2 or 1.0
+        grain = 10.0 ** np.floor(np.log10(self.size / 10))
+        self.middle = np.round((rows.min(axis=0) + rows.max(axis=0)) / 2 / grain) * grain
+        self._known = {}
+
+    def axes_of(self, form):
+        """Ranges of the inner constants of a form; None where one has none on these data."""
+        names = list(form.term.formula.constants)
+        if "centre" in form.term.formula.inputs:
+            names += [PLACE + axis for axis in self.axes]
+        elif len(self.axes) == 1 and any(name.startswith(PLACE) for name in names):
+            return None  # a plane is a place in one dimension
+        for name in names:
+            if name not in self._known:
+                self._known[name] = self._axis(name)
+        found = tuple(self._known[name] for name in names)
+        return None if None in found else found
+
+    def _axis(self, name):
+        if name.startswith(PLACE):
+            axis = name.removeprefix(PLACE)
+            centre = (float(self.middle["xyz".index(axis)]), self.size)
+            return Axis(name, -np.inf, np.inf, cauchy=centre) if axis in self.axes else None
+        text = self._texts[name]
+        if ".." in text:
+            return Axis(name, *map(float, text.split("..")))
+        formula = parse_formula(text, self._types)
+        found = self._values(self.placed(formula))
+        if not isinstance(formula, Call) or formula.operator != "norm":
+            return Axis(name, found.min(), found.max()) if len(found) and np.ptp(found) else None
+        found = found[found > 0]
+        if not len(found):
+            return None
+        return Axis(name, *np.log([found.min() / BEYOND, found.max() * BEYOND]), is_log=True)
+
+    def _values(self, formula):
+        """Values of a scalar where something is seen."""
+        kind, found = kind_of(formula), []
+        for batch in self.batches:
+            lookup = law_inputs(kind, batch.bodies, batch.positions, batch.velocities, batch.times)
+            shown = batch.valid.any(axis=-1)
+            shown = shown[..., None] if kind == "pair" else shown
+            value, shown = np.broadcast_arrays(evaluate(formula, lookup), shown)
+            found.append(value[shown & np.isfinite(value)])
+        return np.concatenate(found)
+
+    def scan(self, form):
+        """A form on its first grid; None if it has none."""
+        axes = self.axes_of(form)
+        if axes is None:
+            return None
+        n_places = sum(axis.cauchy is not None for axis in axes)
+        alone = N_POINTS if len(axes) == 1 else N_ACROSS
+        across = min(round(N_PLACES ** (1 / n_places)), N_LINE) if n_places else 0
+        lines = [axis.line(across if axis.cauchy else alone) for axis in axes]
+        grid = np.array(list(every(*lines)))  # (C, k, 2)
+        unit = self._unit(form, axes, grid[..., 0])
+        gains = np.square(unit.T @ self.target)
+        k = int(np.argmax(gains))
+        volume = float(np.log(np.mean(np.exp(0.5 * (gains - gains[k])))))
+        null = np.square(unit.T @ self.draws).max(axis=0)
+        best = float(gains[k])
+        return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T)
+
+    def closer(self, scan):
+        """The same with the best sought on finer grids."""
+        span = np.linspace(-1, 1, 5 if len(scan.axes) < 3 else 3)
+        steps = np.array(list(every(span, repeat=len(scan.axes))))
+        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
+        for zoom in range(ZOOMS):
+            points = np.clip(scan.at + steps * scan.spacing / CLOSER**zoom, low, high)
+            gains = np.square(self._unit(scan.form, scan.axes, points).T @ self.target)
+            k = int(np.argmax(gains))
+            if gains[k] > scan.best:
+                scan = replace(scan, best=float(gains[k]), at=points[k])
+        return scan
+
+    def strength(self, scan):
+        """The strength of a form where it does best; nan where numbers do not carry it."""
+        values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}
+        term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
+        column = self._columns(term, values)
+        top = float(np.abs(column).max())  # squares of the columns may be beyond all numbers
+        if not 0 < top < np.inf:
+            return np.nan
+        row = self.beside(column / top)[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(row @ self.target / (row @ row) / top)
+
+    def _unit(self, form, axes, points):
+        """Moments of a form at points (C, k), beside what constants take up, of unit length."""
+        term = Term(self.placed(form.term.formula), form.term.kind)
+        values = np.stack([axis.values(points[:, k]) for k, axis in enumerate(axes)])
+        size = sum(b.target.size * max(b.bodies.others.shape[1], 1) for b in self.batches)
+        step = max(CHUNK // size, 1)
+        columns = np.concatenate([
+            self._columns(term, {a.name: v for a, v in zip(axes, some, strict=True)})
+            for some in (values[:, k : k + step] for k in range(0, len(points), step))
+        ], axis=1)  # fmt: skip
+        columns = np.where(np.isfinite(columns), columns, 0.0)
+        top = np.abs(columns).max(axis=0)
+        columns = columns / np.where(top > 0, top, 1.0)
+        rows = self.beside(columns)
+        square = np.square(rows).sum(axis=0)
+        good = square > 1e-8 * np.square(columns).sum(axis=0)
+        return np.where(good, rows / np.sqrt(np.where(good, square, 1.0)), 0.0)
+
+    def _columns(self, term, values):
+        """Moments of a term for many values of its constants, (n, C)."""
+        parts = []
+        for batch in self.batches:
+            tail = (1,) * (batch.target.ndim - 1 + (term.kind == "pair"))
+            constants = {name: value.reshape(-1, *tail) for name, value in values.items()}
+            lookup = law_inputs(
+                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
+            )
+            force = evaluate(term.acceleration_formula, lookup, constants)
+            count = len(next(iter(values.values())))
+            value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
+            moments = batch.whiten(np.moveaxis(value, 0, 3))
+            parts.append(moments[:, :, 0, :, 0].reshape(-1, count))
+        return np.concatenate(parts)
+
+    def placed(self, formula):
+        """A formula with its places written out.
+
+        Axes along which nothing is seen have the coordinate at which everything is.
+        """
+        middle = [self._number(k) for k in range(len(self.middle))]
+        centre = [
+            Constant(PLACE + axis) if axis in self.axes else number
+            for axis, number in zip("xyz", middle, strict=False)
+        ]
+        return substitute(formula, {MIDDLE: _point(middle), CENTRE: _point(centre)})
+
+    def _number(self, k):
+        value = float(f"{self.middle[k]:.6g}")
+        return Number(value, STATE_INPUTS["p_i"].unit, f"{value:g} [m]")
+
+
+def _point(parts):
+    """The point with these coordinates."""
+    total = Input("origin", STATE_INPUTS["origin"])
+    for axis, part in zip("xyz", parts, strict=False):
+        if not isinstance(part, Number) or part.value:
+            total = Call("add", total, Call("mul", part, Input(f"e_{axis}", Type("vector"))))
+    return total

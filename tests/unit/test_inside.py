@@ -1,0 +1,165 @@
+"""Laws with constants inside: found on grids, fitted in place, and no rivals of special cases."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from bsp_gp.errors import GrammarError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.inside import Inside
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.view import View
+from bsp_gp.report.naming import describe
+from bsp_gp.report.sentences import parting_sentence
+from bsp_gp.search.inner import Axis, expanded
+from tests.fitted_tracks import body, dataset_of, scene_of
+from tests.unit.test_decide import decided, row
+
+SIGMA = 0.003
+TIMES = np.linspace(0.0, 1.5, 40)
+
+
+def proposed(data):
+    """The form that promises most beside laws without inner constants, and its fit."""
+    hypothesis = Hypothesis.from_laws(data, [])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    laws = Laws(load_grammar("physics"), data, max_levels=6)
+    plain = next(p for p in laws.propose(view).proposals if len(p.formulas) == 1)
+    best = Inside(laws, data).propose(view).proposals[0]
+    assert best.promise > plain.promise + 3
+    return best, fit(best.hypothesis, data, starts=best.starts)
+
+
+def pushed(push, n_scenes=3, seed=0):
+    """Bodies thrown about, with accelerations ``push(place, velocity, time)``."""
+    rng, scenes = np.random.default_rng(seed), []
+    for k in range(n_scenes):
+        start = np.concatenate([rng.uniform(0.0, 2.0, 2), rng.uniform(-3.0, 3.0, 2)])
+        track = solve_ivp(
+            lambda t, y: np.concatenate([y[2:], push(y[:2], y[2:], t)]), (0.0, TIMES[-1]), start,
+            t_eval=TIMES, rtol=1e-9, atol=1e-10, max_step=0.005,
+        )  # fmt: skip
+        places = track.y[:2].T + SIGMA * rng.standard_normal((len(TIMES), 2))
+        scenes.append(scene_of(TIMES, (body("ball"),), places[:, None], name=f"s{k}"))
+    return dataset_of(scenes, noise=(SIGMA, SIGMA))
+
+
+def value(found, stem):
+    """The constant whose name begins so, and its standard error."""
+    k = next(k for k, (name, _) in enumerate(found.parameters) if name.startswith(stem))
+    return found.values[k], found.errors[k]
+
+
+def is_within(found, **truth):
+    return all(
+        abs(value(found, stem)[0] - true) < 4 * value(found, stem)[1]
+        for stem, true in truth.items()
+    )
+
+
+def test_a_spring_about_an_unknown_rest_point_leads():
+    rng, t = np.random.default_rng(0), np.linspace(0.0, 6.0, 200)
+    x = 3.0 + 0.5 * np.cos(2.0 * t + 0.3) + 0.01 * rng.standard_normal(200)
+    places = np.stack([x, np.zeros(200)], axis=1)
+    best, found = proposed(dataset_of([scene_of(t, (body("cart"),), places[:, None])]))
+    assert best.text == "c1 * (origin + centre_x1 * e_x - p_i)"
+    assert describe(best.formulas[0]) == "spring to a rest point"
+    assert is_within(found, c=4.0, centre_x=3.0)
+
+
+def test_a_push_beyond_a_height_leads():
+    def push(place, velocity, time):
+        return np.array([3.0 * (place[1] > 1.2), 0.0])
+
+    best, found = proposed(pushed(push))
+    assert "sign(dot(p_i - origin, e_y) - h_y1)" in best.text
+    assert is_within(found, c=1.5, h_y=1.2)
+
+
+def test_a_push_in_a_window_of_time_leads():
+    def push(place, velocity, time):
+        return np.array([3.0 * (0.4 < time < 0.9), 0.0])
+
+    best, found = proposed(pushed(push))
+    assert "sign(t - t1)" in best.text and "sign(t - t2)" in best.text
+    assert is_within(found, t1=0.4, t2=0.9)
+
+
+def test_a_drag_between_the_powers_of_the_grammar_leads():
+    def push(place, velocity, time):
+        return -np.sqrt(np.linalg.norm(velocity)) * velocity
+
+    best, found = proposed(pushed(push))
+    assert best.text == "c1 * (norm(v_i)^n1 * normalize(v_i))"
+    assert is_within(found, n=1.5)
+
+
+def test_inner_constants_stay_in_the_ranges_that_the_data_give_them():
+    def push(place, velocity, time):
+        return np.array([3.0 * (place[1] > 1.2), 0.0])
+
+    data = pushed(push)
+    best, found = proposed(data)
+    (height,) = [p for p in best.hypothesis.parameters if p.name == "h_y1"]
+    seen = np.concatenate([scene.positions[:, 0, 1] for scene in data.scenes])
+    assert seen.min() - 0.1 < height.low < 1.2 < height.high < seen.max() + 0.1
+    assert math.isfinite(log_evidence(found, best.hypothesis))
+
+
+def test_a_wider_form_keeps_its_special_case_from_being_a_fact_only_where_it_is_better():
+    wide = decided(row(1), row(2, gain=102.0, prior=-6.0, is_wide=True))
+    assert [r.id for r in wide.rivals] == [2] and wide.is_fact
+    better = decided(row(1, prior=0.0), row(2, gain=106.0, prior=-6.0, is_wide=True))
+    assert better.best.id == 1 and not better.is_fact
+
+
+def test_the_recording_that_parts_a_law_from_a_push_in_time_is_named():
+    push = "(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x"
+    spring = SimpleNamespace(law="c1 * (origin - p_i)", equivalents=("c1 * v_i", push))
+    assert push in parting_sentence(spring)
+    assert not parting_sentence(SimpleNamespace(law=push, equivalents=(push,)))
+    assert not parting_sentence(SimpleNamespace(law="c1 * v_i", equivalents=("c1 * e_x",)))
+
+
+def test_a_cause_of_another_kind_with_the_same_track_is_told():
+    other = row(2, code="period", prior=-4.0, log_evidence=25.0, n_free=6)
+    assert [r.id for r in decided(row(1), other).rivals] == [2]
+    more = row(2, code="period", prior=-4.0, log_evidence=25.0, n_free=9)
+    assert not decided(row(1), more).rivals
+
+
+def test_braces_stand_for_each_text_of_their_list():
+    lists = {"own": ["1", "{0}_i"], "0": ["q", "k"]}
+    assert expanded("{own} * v_i", lists) == ["1 * v_i", "q_i * v_i", "k_i * v_i"]
+    assert expanded("{none} * v_i", lists) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"laws": "v_i"}, "lists of texts"),
+        ({"ranges": {"n": "4 .. -4"}}, "give numbers"),
+        ({"laws": ["norm(v_i)^w * v_i"]}, "'w' has no range"),
+        ({"laws": ["norm(v_i)^n"]}, "must be a vector"),
+        ({"laws": ["v_i"]}, "must be a vector with constants inside"),
+    ],
+)
+def test_a_form_that_cannot_be_scanned_is_refused_at_once(changes, said):
+    source = {**load_grammar("physics").source, "inside": {"ranges": {"n": "-4 .. 4"}, **changes}}
+    data = dataset_of([scene_of(TIMES, (body("ball"),), np.zeros((40, 1, 2)))])
+    with pytest.raises(GrammarError, match=said):
+        Inside(Laws(read_grammar(source), data), data)
+
+
+@pytest.mark.parametrize("axis", [Axis("h", -1.0, 3.0), Axis("x", 0.0, 0.0, cauchy=(1.0, 2.0))])
+def test_grids_are_even_under_the_prior(axis):
+    line = axis.line(100)
+    assert np.all(np.diff(line[:, 0]) > 0)
+    assert np.median(line[:, 0]) == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose(np.diff(line[:, 0])[40:60], line[40:60, 1], rtol=0.1)
