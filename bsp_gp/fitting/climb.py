@@ -310,7 +310,7 @@ class Climb:
         and it stalls.
         """
         low, high = self.box
-        point = TrackPoint(np.clip(start.values, low, high), start.nodes)
+        point = problem.upon(np.clip(start.values, low, high), start.nodes)
         count = 0
         for _ in range(JOININGS):
             found = minimise(

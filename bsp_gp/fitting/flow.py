@@ -169,6 +169,23 @@ class Flow:
             return found
         return Points(state, times, chain, found.driven, self.motion.modes_at(found))
 
+    def held(self, nodes):
+        """Nodes (2, R, d, T, S) put on the constraints of the law."""
+        if not self.motion.constraints:
+            return nodes
+        row, chain = np.nonzero(np.isfinite(self.chains.times))
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
+        nodes = nodes.copy()
+        nodes[..., row, chain] = self.motion.constraints.held(points)
+        return nodes
+
+    def tangent(self, nodes, row, chain):
+        """Derivatives of nodes that are put on the constraints, (M, n, n + k); None if none are."""
+        if not self.motion.constraints:
+            return None
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
+        return self.motion.constraints.tangent(points)
+
     def step(self, scheme, points, h):
         """One step of a scheme with the modes frozen.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.noise_model import NoiseModel
@@ -106,8 +106,12 @@ class Forces(Part):
         units = {}
         for term in self.law.terms:
             units.update(constant_units(term))
-        out = []
+        held = {p.name: p for part in self.law.frame for p in part.parameters}
+        at = {name: self.law.constants.get(name, math.nan) for name in held}
+        out = [p if math.isnan(at[p.name]) else replace(p, start=at[p.name]) for p in held.values()]
         for name in self.law.names:
+            if name in held:
+                continue
             value = self.law.constants.get(name, math.nan)
             table = value if hasattr(value, "items") else {"": math.nan}
             out += [Parameter(name, k, units.get(name), start=v) for k, v in table.items()]
@@ -208,7 +212,7 @@ class Hypothesis:
                 constants.update(part.law.constants)
                 frame += part.law.frame
                 unseen += part.law.unseen
-            elif part.kind != "noise" and part.parameters:
+            elif part.kind == "constraint" or part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))
@@ -262,16 +266,22 @@ def read_law(dataset, texts: Sequence[str]):
     ----------
     dataset : Dataset
     texts : sequence of str
-        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``. Named constants are fitted.
+        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
+        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted.
 
     Returns
     -------
     ForceLaw
         Its terms are declared; constants are nan until they are fitted.
     """
+    from bsp_gp.fitting.parts.constraints import read_constraint  # a part itself
+
     types = dataset_types(dataset)
-    terms = []
+    terms, frame = [], []
     for text in texts:
+        if "=" in text:
+            frame.append(read_constraint(dataset, text))
+            continue
         formula = parse_formula(text, types, units=dataset.units)
         unit = formula.type.unit
         if unit is not None and unit != FORCE:
@@ -280,7 +290,7 @@ def read_law(dataset, texts: Sequence[str]):
                 "give its number a unit, as in 9.81 [m/s^2]"
             )
         terms.append(Term(formula, is_declared=True))
-    law = ForceLaw(tuple(terms), {})
+    law = ForceLaw(tuple(terms), {}, tuple(frame))
     return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
 
 

@@ -263,24 +263,36 @@ class _Group:
         n_forces = n_fine * half
         before, after_ = self._kicks()
         changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
-        changes[0, :, np.arange(n), n_forces + np.arange(n)] = 1.0
+        kept = self._kept_states(flow)
+        changes[0, :, :, n_forces : n_forces + n + k] = kept[0]
         number = np.full((n_fine, n_pieces), -1)
         number[flow.row, flow.chain] = np.arange(flow.n_intervals)
-        own = half + np.arange(half)
         for row in range(n_fine):
-            at = row * half + np.arange(half)
-            changes[row, :, own, at] += before[row]
+            at = slice(row * half, (row + 1) * half)
+            pushed = kept[row, :, :, half:n]  # of a force what constraints leave
+            changes[row, :, :, at] += before[row, :, None, None] * pushed
             open_ = np.flatnonzero(number[row] >= 0)
             if row + 1 == n_fine or not len(open_):
                 break
             kicked = changes[row, open_]
-            kicked[:, own, at] += after_[row, open_, None]
+            kicked[:, :, at] += after_[row, open_, None, None] * pushed[open_]
             moved = transitions[number[row, open_]]
             later = moved[:, :, :n] @ kicked
             later[:, :, n_forces + n : n_forces + n + k] += moved[:, :, n:]
             later[:, :, -1] += gaps[number[row, open_]]
             changes[row + 1, open_] = later
         return changes
+
+    def _kept_states(self, flow):
+        """Changes of states by themselves and constants that constraints leave, (L, W, n, n + k)."""
+        n, k = flow.n_state, flow.n_constants
+        out = np.broadcast_to(np.eye(n, n + k), (*self.fine.times.shape, n, n + k))
+        row, chain = np.nonzero(np.isfinite(self.fine.times))
+        kept = flow.tangent(self.nodes, row, chain)
+        if kept is not None:
+            out = out.copy()
+            out[row, chain] = kept
+        return out
 
     def _kicks(self):
         """Change of velocity by an acceleration of one, up to and from every instant, (L, W)."""
@@ -377,6 +389,7 @@ class _Group:
         change = np.einsum("lwij,wj->lwi", changes, weights)
         shape = (*change.shape[:2], 2, self.n_own, self.n_dims)
         self.nodes = self.nodes + np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
+        self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
     def _level(self, turned, scaled, height):

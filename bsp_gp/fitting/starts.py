@@ -195,6 +195,9 @@ def roles_of(law):
                     roles.setdefault(name, "exponent")
             if node.operator in ("sin", "cos"):
                 _angle_roles(node.args[0], roles)
+    for part in law.frame:
+        if part.kind == "constraint":
+            roles |= dict.fromkeys(part.names, "inner")
     for name in law.names:
         if name not in roles:
             is_linear = all(_is_linear(term.formula, name) for term in law.terms)
