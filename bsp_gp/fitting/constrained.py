@@ -20,6 +20,10 @@ __all__ = ["Constraints", "constraints_of"]
 
 APPROACHES = 8
 """Newton's steps by which states are put on constraints."""
+NEAR = 1e-8
+"""Part of its distance by which a state may be moved last."""
+NOTHING = 1e-11
+"""Part of a force that is none where constraints leave no more of it."""
 STATE = ("p_i", "p_j", "v_i", "v_j", "a_i", "a_j")
 
 
@@ -66,11 +70,16 @@ class _Program:
 class _Link:
     """A constraint on one body, or on a body and another, of every chain."""
 
-    def __init__(self, program, first, second, n_own):
+    def __init__(self, program, first, second):
         self.program = program
-        self.first, self.second = first, second  # (S,), -1 = none, n_own + k = driven body k
-        self.is_on = first >= 0
-        self.n_own = n_own
+        self.first, self.second = first, second  # (S,), -1 = none, those behind moving ones driven
+        # Mostly it is the same bodies in all chains.
+        self.bodies = [int(b[0]) if (b == b[0]).all() else None for b in (first, second)]
+
+    def at(self, chain):
+        """Its bodies at points: one number for all, or an array (M,)."""
+        both = zip(self.bodies, (self.first, self.second), strict=True)
+        return [each[chain] if one is None else one for one, each in both]
 
 
 class Constraints:
@@ -111,7 +120,7 @@ class Constraints:
             ])  # fmt: skip
         for k in range(max(map(len, found))):
             pairs = [mine[k] if k < len(mine) else (-1, -1) for mine in found]
-            yield _Link(program, *np.array(pairs).T, self.n_own)
+            yield _Link(program, *np.array(pairs).T)
 
     def set_constants(self, known):
         """Put the values of the constants of the law in."""
@@ -144,40 +153,53 @@ class Constraints:
 
     def _outputs(self, number, which, points, accelerations):
         """Outputs of a tape of a link at points, (M,) each."""
-        link, chain = self.links[number], np.arange(self.chains.n_chains)[points.chain]
-        at = np.arange(len(chain))
-        first, second = link.first[chain], link.second[chain]
-        places = np.concatenate([points.state, accelerations[None]])
-        if (second >= self.n_own).any():
-            driven = np.concatenate([points.driven, self.driven.pull(points.times, chain)[None]])
-            places = np.concatenate([places, driven], axis=1)
+        link, chain = self.links[number], points.chain
+        places = (points.state[0], points.state[1], accelerations)
+        if link.second.max() >= self.n_own:
+            pull = self.driven.pull(points.times, np.arange(self.chains.n_chains)[chain])
+            driven = (*points.driven, pull)
+            places = tuple(map(np.concatenate, zip(places, driven, strict=True)))
+        bodies, at = link.at(chain), np.arange(len(points.times))
 
         def value(name, axis):
             if name == "t":
                 return points.times
-            return places["pva".index(name[0]), first if name[-1] == "i" else second, axis, at]
+            body, whole = bodies[name[-1] == "j"], places["pva".index(name[0])]
+            return whole[body, axis] if np.ndim(body) == 0 else whole[body, axis, at]
 
         tape = (link.program.rows, link.program.slopes)[which]
         ready = {
             key: v if np.ndim(v) == 0 else v[chain] for key, v in self._ready[number][which].items()
         }
-        return tape.run(ready, value), first, second, link.is_on[chain], at
+        return tape.run(ready, value), bodies
+
+    def _own(self, body):
+        """Whether, or where, a body of a link is one that forces move; which points these are."""
+        if np.ndim(body) == 0:
+            return body, slice(None), 0 <= body < self.n_own
+        at = np.flatnonzero((body >= 0) & (body < self.n_own))
+        return body[at], at, len(at) > 0
 
     def _rows(self, points, accelerations):
-        """Values, their first and second derivatives by time (c, M), and J (c, n, M)."""
+        """Values, their first and second derivatives by time (3, c, M), and J (c, n, M)."""
         m, d = len(points.times), self.n_dims
         values, jacobian = np.zeros((3, len(self.links), m)), np.zeros((len(self.links), self.n, m))
         with np.errstate(all="ignore"):
-            for c in range(len(self.links)):
-                out, first, second, is_on, at = self._outputs(c, 0, points, accelerations)
-                for row in range(3):
-                    values[row, c] = np.where(is_on, out[row], 0.0)
-                for body, part in ((first, out[3 : 3 + d]), (second, out[3 + d :])):
-                    mine = np.flatnonzero((body >= 0) & (body < self.n_own) & is_on)
-                    for axis, slope in enumerate(part):
-                        slope = np.broadcast_to(slope, (m,))
-                        jacobian[c, body[mine] * d + axis, at[mine]] += slope[mine]
+            for c, link in enumerate(self.links):
+                out, bodies = self._outputs(c, 0, points, accelerations)
+                values[:, c] = np.where(self._is_on(link, points.chain), out[:3], 0.0)
+                for number, body in enumerate(bodies):
+                    body, at, is_own = self._own(body)
+                    for axis, slope in enumerate(out[3 + number * d : 3 + (number + 1) * d]):
+                        if is_own:
+                            slope = np.broadcast_to(slope, (m,))[at]
+                            jacobian[c, body * d + axis, at] += slope
         return values, jacobian
+
+    @staticmethod
+    def _is_on(link, chain):
+        """Whether a link is on a body at points."""
+        return True if link.bodies[0] is not None else link.first[chain] >= 0
 
     def _slopes(self, points, accelerations):
         """Derivatives of the rows by states and constants: (3, c, 2n + k, M), (c, n, 2n + k, M)."""
@@ -186,45 +208,52 @@ class Constraints:
         of_rows = np.zeros((len(self.links), n, 2 * n + self.k, m))
         with np.errstate(all="ignore"):
             for c, link in enumerate(self.links):
-                out, first, second, is_on, at = self._outputs(c, 1, points, accelerations)
+                out, bodies = self._outputs(c, 1, points, accelerations)
                 for (row, name, axis), slope in zip(link.program.slope_of, out, strict=True):
-                    slope, mine = np.broadcast_to(slope, (m,)), is_on
-                    if axis is None:
-                        by = self._parameter(link, name, points.chain, m)
-                        mine = mine & (by >= 0)
-                        by = by + 2 * n
-                    else:
-                        body = first if name[-1] == "i" else second
-                        mine = mine & (body >= 0) & (body < self.n_own)
-                        by = body * d + axis + (n if name[0] == "v" else 0)
-                    if row >= 3:
-                        body, of = (first, row - 3) if row < 3 + d else (second, row - 3 - d)
-                        mine = mine & (body >= 0) & (body < self.n_own)
-                        mine = np.flatnonzero(mine)
-                        of_rows[c, body[mine] * d + of, by[mine], at[mine]] += slope[mine]
+                    by, at, is_own = self._column(link, name, axis, bodies, points.chain)
+                    if not is_own:
                         continue
-                    mine = np.flatnonzero(mine)
-                    of_values[row, c, by[mine], at[mine]] += slope[mine]
+                    slope = np.broadcast_to(slope, (m,))
+                    if row < 3:
+                        of_values[row, c, by, at] += slope[at]
+                        continue
+                    number, of = divmod(row - 3, d)
+                    body = bodies[number]
+                    if np.ndim(body) or np.ndim(by):
+                        body, by, at = (np.broadcast_to(x, (m,)) for x in (body, by, np.arange(m)))
+                        at = np.flatnonzero((body >= 0) & (body < self.n_own) & (by >= 0))
+                        of_rows[c, body[at] * d + of, by[at], at] += slope[at]
+                    elif 0 <= body < self.n_own:
+                        of_rows[c, body * d + of, by] += slope
         return of_values, of_rows
 
-    def _parameter(self, link, name, chain, m):
-        """Number of the parameter of a constant at every point; -1 = none."""
-        number = self._mine(link, self._number[name])
-        return number[chain] if np.ndim(number) else np.full(m, number)
+    def _column(self, link, name, axis, bodies, chain):
+        """Which column a derivative belongs to, at which points, and whether there is any."""
+        if axis is None:
+            number = self._mine(link, self._number[name])
+            if np.ndim(number) == 0:
+                return 2 * self.n + number, slice(None), number >= 0
+            number = number[chain]
+            return 2 * self.n + number, np.arange(len(number)), True
+        body, at, is_own = self._own(bodies[name[-1] == "j"])
+        return body * self.n_dims + axis + (self.n if name[0] == "v" else 0), at, is_own
 
     def _solved(self, jacobian, right, chain):
         """``(W J' G^-1) right`` and ``G^-1 right`` with G = J W J', right (c, ..., M)."""
         weighed = jacobian * self.weight[:, chain]
+        if len(jacobian) == 1:
+            gram = (weighed[0] * jacobian[0]).sum(axis=0)
+            out = right / np.where(gram > 0, gram, 1.0)
+            whole = weighed[0].reshape(self.n, *(1,) * (right.ndim - 2), -1)
+            return whole * out, out
         gram = np.einsum("anm,bnm->mab", weighed, jacobian)
         own = np.arange(len(gram[0]))
         gram[:, own, own] += gram[:, own, own] == 0  # who is not constrained there
         flat = np.moveaxis(right.reshape(len(right), -1, right.shape[-1]), -1, 0)
-        if len(own) == 1:
-            out = flat / gram
-        else:  # constraints that say the same twice share the pull
-            good = np.isfinite(gram).all(axis=(1, 2))[:, None, None]
-            out = np.linalg.pinv(np.where(good, gram, 1.0), 1e-10, hermitian=True) @ flat
-            out = np.where(good, out, np.nan)
+        # Constraints that say the same twice share the pull.
+        good = np.isfinite(gram).all(axis=(1, 2))[:, None, None]
+        out = np.linalg.pinv(np.where(good, gram, 1.0), 1e-10, hermitian=True) @ flat
+        out = np.where(good, out, np.nan)
         out = np.moveaxis(out, 0, -1).reshape(right.shape)
         return np.einsum("anm,a...m->n...m", weighed, out), out
 
@@ -245,7 +274,10 @@ class Constraints:
         turned = np.einsum("cm,cnzm->nzm", tension, of_rows)
         own = own + self.weight[:, None, points.chain] * turned
         left = of_values[2] + np.einsum("cnm,nzm->czm", jacobian, own)
-        own = own - self._solved(jacobian, left, points.chain)[0]
+        left = own - self._solved(jacobian, left, points.chain)[0]
+        # What the constraints take up leaves rounding, which must not pass for an influence.
+        is_left = np.abs(left).max(axis=0) > NOTHING * np.abs(own).max(axis=0)
+        own = np.where(is_left, left, 0.0)
         return own[:, : 2 * n], own[:, 2 * n :]
 
     def held(self, points):
@@ -256,10 +288,15 @@ class Constraints:
             values, jacobian = self._rows(points.at(state), rest)
             shift, _ = self._solved(jacobian, values[0], points.chain)
             state[0] -= shift.reshape(shape)
-            if not np.any(np.abs(shift) > 1e-15 * np.abs(state[0]).max(initial=0.0)):
-                break
-        values, jacobian = self._rows(points.at(state), rest)
-        state[1] -= self._solved(jacobian, values[1], points.chain)[0].reshape(shape)
+            if not np.any(np.abs(shift) > NEAR * np.abs(state[0]).max(initial=0.0)):
+                break  # the next step would be as small squared
+        return self.along(points.at(state))
+
+    def along(self, points):
+        """The states with velocities along the constraints, (2, R, d, M)."""
+        state = points.state.copy()
+        values, jacobian = self._rows(points, np.zeros(state.shape[1:]))
+        state[1] -= self._solved(jacobian, values[1], points.chain)[0].reshape(state.shape[1:])
         return state
 
     def tangent(self, points):
@@ -269,16 +306,21 @@ class Constraints:
         -------
         ndarray, shape (M, 2n, 2n + k)
         """
+        return np.moveaxis(self.tangent_rows(points), -1, 0)
+
+    def tangent_rows(self, points, is_there=False):
+        """The same with points on the last axis; `is_there`: of `along` alone."""
         n, m = self.n, len(points.times)
         rest = np.zeros(points.state.shape[1:])
         _, jacobian = self._rows(points, rest)
-        of_values, of_rows = self._slopes(points, rest)
+        of_values, _ = self._slopes(points, rest)
         out = np.zeros((2 * n, 2 * n + self.k, m))
         out[np.arange(2 * n), np.arange(2 * n)] = 1.0
-        out[:n] -= self._solved(jacobian, of_values[0], points.chain)[0]
+        if not is_there:
+            out[:n] -= self._solved(jacobian, of_values[0], points.chain)[0]
         by_place = of_values[1][:, :n]
         moved = np.einsum("cpm,pzm->czm", by_place, out[:n])
         moved[:, n : 2 * n] += jacobian
         moved[:, 2 * n :] += of_values[1][:, 2 * n :]
         out[n:] -= self._solved(jacobian, moved, points.chain)[0]
-        return np.moveaxis(out, -1, 0)
+        return out

@@ -448,7 +448,7 @@ class _Run:
         """The law with probes beside it, of unknown strength."""
         law = self.law
         is_moving = np.isfinite(self.hypothesis.noise.levels)
-        for term in probe_terms(self.groups, is_moving):
+        for term in probe_terms(self.groups, is_moving, bool(constraints_of(law))):
             law = law.plus(term, {term.formula.constants[0]: np.nan})
         return law
 

@@ -392,8 +392,13 @@ class Motion:
         return total
 
     def _acceleration(self, points):
-        total = self._free_acceleration(points)
-        return self.constraints.accelerations(total, points) if self.constraints else total
+        if not self.constraints:
+            return self._free_acceleration(points)
+        return self.constraints.accelerations(self._free_acceleration(self._along(points)), points)
+
+    def _along(self, points):
+        """Points at which forces are asked: friction turns with the least way off constraints."""
+        return points.at(self.constraints.along(points)) if self.stops else points
 
     def _summed(self, program, value, n_points):
         """A term's values summed over the sources, (R, M)."""
@@ -418,7 +423,9 @@ class Motion:
     def slope_rows(self, points, holds=True):
         """The same with the points on the last axis."""
         _, n_own, n_dims, n_points = points.state.shape
-        n = n_own * n_dims
+        n, asked = n_own * n_dims, points
+        if self.constraints:
+            points = self._along(points)
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
         held = self.is_held(points) if self.has_stops and holds else None
@@ -432,7 +439,11 @@ class Motion:
         if self.constraints:
             free = self._free_acceleration(points)
             flat = by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
-            by_state, by_constant = self.constraints.slopes(free, *flat, points)
+            if points is not asked:
+                moved = self.constraints.tangent_rows(points, is_there=True)
+                moved = np.einsum("nzm,zym->nym", flat[0], moved)
+                flat = moved[:, : 2 * n], flat[1] + moved[:, 2 * n :]
+            by_state, by_constant = self.constraints.slopes(free, *flat, asked)
             by_state = by_state.reshape(n_own, n_dims, 2, n_own, n_dims, n_points)
             by_constant = by_constant.reshape(n_own, n_dims, -1, n_points)
         if held is not None:

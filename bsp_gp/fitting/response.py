@@ -38,6 +38,8 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 """Chi-squared that moments may lose which are left out, where forces show so much at least."""
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
+NOTHING = 1e-10
+"""Part of what a force could show up to which it shows nothing."""
 PASSES = 3
 STRENGTHS = np.logspace(-4, 6, 41)
 """Of the free force that smooths tracks, squared, in units of what one moment would show."""
@@ -65,7 +67,13 @@ class ResponseBatch(RegressionBatch):
         n, s, r, d = (*values.shape[:3], values.shape[-1])
         flat = np.moveaxis(values, (1, -1), (0, 3)).reshape(s, n * r * d, -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            out = self.whitener.reshape(s, -1, n * r * d) @ flat
+            whitener = self.whitener.reshape(s, -1, n * r * d)
+            out = whitener @ flat
+            # Of a force that acts along a rod rounding is left, which must not pass for a trace.
+            most = np.linalg.norm(whitener, axis=2).max(axis=1, initial=0.0)[:, None, None]
+            most = most * np.linalg.norm(flat, axis=1, keepdims=True)
+            size = np.abs(out).max(axis=1, keepdims=True, initial=0.0)
+            out = np.where(size > NOTHING * most, out, 0.0)
         return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
 
     def whitened_target(self):
@@ -197,7 +205,7 @@ class _Group:
         self.per_row = 1 if fit.paper_steps else self._instants_per_row()
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
-        self.nodes = self._between()
+        self.nodes = self._flow(self.fine).held(self._between())
         self.level = 1.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
 
