@@ -375,10 +375,14 @@ class Flow:
         """
         leg = object.__new__(Flow)
         leg.__dict__.update(self.__dict__)
-        leg.row, leg.chain = np.zeros(len(chain), dtype=int), chain
+        # A chain may be asked for at several times: each has a row of its own.
+        order = np.argsort(chain, kind="stable")
+        row = np.empty(len(chain), dtype=int)
+        row[order] = np.arange(len(chain)) - np.searchsorted(chain[order], chain[order])
+        leg.row, leg.chain = row, chain
         leg.start, leg.length = begin, end - begin
-        nodes = np.zeros((*state.shape[:-1], 1, self.chains.n_chains))
-        nodes[..., 0, chain] = state
+        nodes = np.zeros((*state.shape[:-1], row.max(initial=0) + 1, self.chains.n_chains))
+        nodes[..., row, chain] = state
         mesh, ends = leg._mesh(nodes, "dop853")
         if not mesh.is_complete:
             gone = np.zeros(len(chain))
