@@ -24,6 +24,8 @@ __all__ = ["Round", "run_rounds"]
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
+FAR_BEHIND = 100.0
+"""Nats, and a quarter, by which a promise must fall short of one that was kept to be passed over."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -261,10 +263,16 @@ class _Turn:
         clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
         chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
         offsets = {}  # of what was fitted above its promise, family by family
+        kept = 0.0  # the greatest promise that was kept
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
+            if kept - proposal.promise > max(FAR_BEHIND, kept / 4):  # it cannot be as likely
+                continue
             row = self._fitted(source, proposal)
+            gained = row.log_likelihood - self.rows[0].log_likelihood
+            if row.is_fit and gained > 0.4 * proposal.gain:
+                kept = max(kept, proposal.promise)
             if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
                 offsets[source] = max(offsets.get(source, -math.inf), above)
