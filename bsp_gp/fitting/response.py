@@ -292,7 +292,7 @@ class _Group:
         return changes
 
     def _kept_states(self, flow):
-        """Changes of states by themselves and constants that constraints leave, (L, W, n, n + k)."""
+        """What constraints leave of changes of states and constants, (L, W, n, n + k)."""
         n, k = flow.n_state, flow.n_constants
         out = np.broadcast_to(np.eye(n, n + k), (*self.fine.times.shape, n, n + k))
         row, chain = np.nonzero(np.isfinite(self.fine.times))

@@ -256,7 +256,8 @@ def candidates(law, parameters, scales, rates, most):
         Of the constants that do not enter linearly; the others are found from these.
     """
     roles = roles_of(law)
-    names = [n for n in dict.fromkeys(name for name, _ in parameters) if roles[n] not in ("linear", "kept")]
+    names = dict.fromkeys(name for name, _ in parameters)
+    names = [n for n in names if roles[n] not in ("linear", "kept")]
     grids = {
         "exponent": EXPONENTS,
         "rate": tuple(rates) or tuple(2 * np.pi / scales.span * np.array([1.0, 3.0, 10.0])),

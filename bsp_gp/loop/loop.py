@@ -24,8 +24,10 @@ __all__ = ["Round", "run_rounds"]
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
+EXPLAINED = 1.5
+"""Reduced chi-squared below which a cause beside free forces explains the tracks."""
 FAR_BEHIND = 100.0
-"""Nats, and a quarter, by which a promise must fall short of one that was kept to be passed over."""
+"""Nats, and a quarter, by which a promise must fall short of a kept one to be passed over."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -221,6 +223,7 @@ class _Turn:
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
+        self.judged = {}  # reduced chi-squared of what was judged by more than itself
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -270,6 +273,8 @@ class _Turn:
             if kept - proposal.promise > max(FAR_BEHIND, kept / 4):  # it cannot be as likely
                 continue
             row = self._fitted(source, proposal)
+            if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
+                break
             gained = row.log_likelihood - self.rows[0].log_likelihood
             if row.is_fit and gained > 0.4 * proposal.gain:
                 kept = max(kept, proposal.promise)
@@ -301,19 +306,29 @@ class _Turn:
         hypothesis = proposal.hypothesis
         names = {p.name for p in hypothesis.parameters}
         bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
-        try:
+        def fitted(hypothesis):
             new = fit(
                 hypothesis, self.run.dataset, starts=proposal.starts,
                 bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
                 effort=self.run.criteria.effort,
             )  # fmt: skip
+            return new, log_evidence(new, hypothesis, self.run.criteria)
+
+        try:
+            new, evidence = fitted(hypothesis)
+            best = new
+            if proposal.judged is not None and not new.is_failed:
+                other, theirs = fitted(proposal.judged)
+                if theirs > evidence:
+                    best, evidence = other, theirs
+                self.judged[len(self.rows)] = best.chi2_red
         except FAULTS:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
         self.fits[len(self.rows)] = new
         return self._add(
-            source, proposal, new.status, log_evidence(new, hypothesis, self.run.criteria),
-            new.log_likelihood, new.n_free, held_out_gain(self.base, new),
+            source, proposal, new.status, evidence, best.log_likelihood, best.n_free,
+            held_out_gain(self.base, best),
         )  # fmt: skip
 
     def _add(self, source, proposal, status, evidence, log_likelihood, n_free, held_out):

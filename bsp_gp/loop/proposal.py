@@ -42,6 +42,11 @@ class Proposal:
         Of the space of `formulas`.
     kind : str
         One of `KINDS`.
+    judged : Hypothesis or None
+        By which it is judged, if not by itself alone: beside forces that know no physics, where
+        more may be missing than one cause explains.
+    is_sole : bool
+        Whether nothing else is asked for where it leaves no misfit when it is judged so.
     """
 
     code: str
@@ -56,6 +61,8 @@ class Proposal:
     ties: tuple = ()
     n_dims: int = 2
     kind: str = "force"
+    judged: object = None
+    is_sole: bool = False
 
     @cached_property
     def key(self):

@@ -72,7 +72,7 @@ class Constraint(Part):
         return self.text
 
 
-def read_constraint(dataset, text):
+def read_constraint(dataset, text, pairs=None):
     """Read a typed constraint, ``norm(p_i - (0, 1.2)) = L``.
 
     Parameters
@@ -82,6 +82,8 @@ def read_constraint(dataset, text):
         An equation between places. Points are written as their coordinates, in the unit of the
         data; names in them, and elsewhere, are fitted. ``x_i, y_i, z_i`` are coordinates;
         ``p_NAME`` is the place of a body by name.
+    pairs : sequence of (str, str), optional
+        The bodies i and j ("" = none) that it is on, where the text does not say it.
 
     Returns
     -------
@@ -101,8 +103,7 @@ def read_constraint(dataset, text):
     moving, fixed = _names(dataset)
     sides, roles = _with_roles(text, sides, moving, fixed)
     formula, axes = _difference(dataset, text, sides)
-    roles = roles or (None, None)
-    pairs = _pairs(dataset, text, formula, roles)
+    pairs = tuple(pairs or _pairs(dataset, text, formula, roles))
     coupling = tuple(pair for pair in pairs if pair[1] in moving)
     lone = [e.name for s in dataset.scenes for e in s.entities if not np.isfinite(e.mass)]
     if any(set(pair) & set(lone) for pair in coupling):
@@ -215,7 +216,7 @@ def _is_number(text):
 
 def _pairs(dataset, text, formula, roles):
     """Which bodies keep to it, by name."""
-    if roles[0] is not None:
+    if roles is not None:
         return (roles,)
     has_other = any(name == "p_j" or name.endswith("_j") for name in formula.inputs)
     found = {}
