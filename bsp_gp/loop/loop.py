@@ -200,7 +200,6 @@ class _Run:
             "hidden_bound": hidden_bound(view),
         }  # fmt: skip
 
-
     def traced(self, view, turn):
         """Where what is missing is, and on what it depends, by names of `Round`."""
         if turn.note_time("fits"):

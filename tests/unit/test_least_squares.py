@@ -8,7 +8,6 @@ from scipy.optimize import least_squares, lsq_linear
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.multistart import multistart
 from bsp_gp.fitting.problem import Linearised, Settings, dense_problem
 
 X = np.linspace(0.0, 4.0, 30)
@@ -289,41 +288,3 @@ def test_states_alone_without_shared_unknowns():
     found = minimise(Tracks(TARGETS, is_shared=False), Track(1.7, LOCAL + [0.3, 0.4]))
     assert found.status == "converged" and found.values.shape == (0,)
     np.testing.assert_allclose(found.point.local, LOCAL, atol=0.05)
-
-
-# -- several starts ---------------------------------------------------------------------------
-
-WAVE = dense_problem(
-    lambda b: (np.sin(3.0 * X) - np.sin(b[0] * X) + 0.01 * NOISE) / 0.01,
-    lambda b: -(X * np.cos(b[0] * X) / 0.01)[:, None],
-)
-
-
-def test_the_lowest_of_several_minima_and_how_many_starts_agree():
-    starts = [[2.8], [3.3], [7.0], [0.1]]
-    alone = [minimise(WAVE, start) for start in starts]
-    assert sum(m.values[0] == pytest.approx(3.0, abs=0.01) for m in alone) == 2
-    found = multistart(WAVE, starts)
-    assert found.values[0] == pytest.approx(3.0, abs=0.01)
-    assert (found.status, found.n_starts, found.n_agree) == ("converged", 4, 2)
-
-
-def test_a_lower_chisqr_that_has_not_converged_is_not_hidden():
-    few = Settings(max_linearised=2)
-    local = minimise(WAVE, [7.0]).values  # there at once
-    found = multistart(WAVE, [local, [2.8], [np.inf]], settings=few)
-    assert minimise(WAVE, local, settings=few).status == "converged"
-    assert (found.status, found.n_starts, found.n_agree) == ("unconverged", 3, 0)
-    assert found.chisqr < minimise(WAVE, local).chisqr
-
-
-def test_starts_none_of_which_is_finite():
-    found = multistart(WAVE, [[np.nan], [np.inf]])
-    assert (found.status, found.n_starts, found.n_agree) == ("nonfinite", 2, 0)
-
-
-def test_exact_data_and_unknowns_that_nothing_determines_agree():
-    matrix = np.stack([X, X, np.ones_like(X)], axis=1)
-    exact = linear(matrix, 2.0 * X + 1.0)
-    found = multistart(exact, [[0.0, 0.0, 0.0], [5.0, -7.0, 1.0]], settings=UNKNOWN)
-    assert (found.status, found.n_agree) == ("converged", 2)

@@ -22,8 +22,7 @@ from bsp_gp.fitting.parts.hidden import HiddenBody, body_pull
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.proposers.hidden import Stage, apart, pulls_of, still
-from bsp_gp.loop.whereabouts import whereabouts
+from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, pulls_of, still
 from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
 
 __all__ = ["Companions", "Orbits"]
@@ -39,7 +38,7 @@ LEAST_WIDTH, SETTLED = 1e-6, 1e-3
 """Part of that width that is left at least, and gain from turn to turn that is none."""
 
 
-class Companions:
+class Companions(Sources):
     """Unseen bodies under the law as a proposer."""
 
     name = "companions"
@@ -63,16 +62,7 @@ class Companions:
             n_tried += len(gains)
             chosen = apart(unit, np.where(strengths > 0, gains, 0.0))
             proposals += [orbits.proposal(*best) for best in orbits.improved(states[chosen])]
-        proposals.sort(key=lambda p: -p.promise)
-        best = max((p.gain for p in proposals), default=0.0)
-        return Family(
-            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
-            is_continuum=True,
-        )  # fmt: skip
-
-    def details(self, view, proposal, fit, rng):
-        """What the posterior of a fitted body is, see `whereabouts`."""
-        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
+        return self.family(proposals, null, n_tried)
 
 
 def _moves_anything(law):

@@ -16,7 +16,7 @@ from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
-__all__ = ["Hidden", "Stage", "apart", "pulls_of", "still"]
+__all__ = ["Hidden", "Sources", "Stage", "apart", "pulls_of", "still"]
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -34,7 +34,26 @@ PULLS = (
 """Where no law says how a source acts: a pull falling with distance, a spring to a rest point."""
 
 
-class Hidden:
+class Sources:
+    """What proposers of unseen bodies share."""
+
+    name = ""
+
+    def family(self, proposals, null, n_tried):
+        """The family of proposals found among so many places."""
+        proposals = sorted(proposals, key=lambda p: -p.promise)
+        best = max((p.gain for p in proposals), default=0.0)
+        return Family(
+            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
+            is_continuum=True,
+        )  # fmt: skip
+
+    def details(self, view, proposal, fit, rng):
+        """What the posterior of a fitted source is, see `whereabouts`."""
+        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
+
+
+class Hidden(Sources):
     """Unseen sources as a proposer."""
 
     name = "hidden"
@@ -58,16 +77,7 @@ class Hidden:
             for k in apart(unit, gains):
                 strength = float(unit[:, k] @ view.left / size[k])
                 proposals += stage.proposals(terms, k, strength, float(gains[k]))
-        proposals.sort(key=lambda p: -p.promise)
-        best = max((p.gain for p in proposals), default=0.0)
-        return Family(
-            self.name, tuple(proposals), best, 1 if n_tried else 0, null, n_tried=n_tried,
-            is_continuum=True,
-        )  # fmt: skip
-
-    def details(self, view, proposal, fit, rng):
-        """What the posterior of a fitted source is, see `whereabouts`."""
-        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
+        return self.family(proposals, null, n_tried)
 
 
 def pulls_of(view, strength):
