@@ -50,6 +50,8 @@ class _Kept:
         Of the noise, told by changes from row to row.
     is_sole : bool
         Whether nothing else would keep the quantity: an orbit may be round, at an even speed.
+    normal : tuple of float or None
+        Across a line or plane.
     """
 
     code: str
@@ -58,7 +60,8 @@ class _Kept:
     stems: tuple
     values: tuple
     level: float
-    is_sole: bool = True
+    is_sole: bool = False
+    normal: tuple | None = None
 
 
 class Rods:
@@ -115,7 +118,8 @@ def _alone(name, tracks):
     if _is_constant(bend, level, places[seen]):
         names = "xyz"[: len(middle)]
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
-        return _Kept("wire", text, (name, ""), ("b",), (float(middle @ axes[-1]),), level)
+        values = (float(middle @ axes[-1]),)
+        return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
     centre, radius = _sphere(places[seen])
     spread, level = _deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
     if bend < BENT * level or not _is_constant(spread, level, places[seen]):
@@ -176,33 +180,53 @@ def _is_constant(spread, level, places):
 
 def _proposal(view, kept, n_tried):
     """The constraint beside the law; None where the law leaves nothing that it could explain."""
-    law, names = view.fit.law, []
-    for stem in kept.stems:
-        names.append(fresh_name(law, stem))
+    fit = view.fit
+    names = [fresh_name(fit.law, stem) for stem in kept.stems]
+    levels = np.array(fit.noise.levels)
+    if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
+        return None
+    level = max(kept.level, float(np.max(fit.noise.lowest)))
+    gain, n_rows = _misfit(fit, kept, levels, level)
+    if gain < (MISFIT - 1) * n_rows:
+        return None
     try:
         part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,))
     except LawError:  # masses that a rod would need are not known
         return None
     part = part.at(dict(zip(names, kept.values, strict=True)))
-    n_rows = view.fit.n_rows
-    level = max(kept.level, float(np.nanmin(view.fit.noise.floors)))
-    sizes = np.log(np.array(view.fit.noise.levels) / level)
-    gain = float(np.square(view.fit.whitened).sum()) + n_rows * (2 * float(np.nanmean(sizes)) - 1)
-    if gain < (MISFIT - 1) * n_rows:
-        return None
     log_prior = -view.criteria.cause_nats - math.log(n_tried)
     text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
     for letter, name in zip("ij", kept.pair, strict=True):
         text = text.replace(f"_{letter}", f"_{name}") if name else text
     hypothesis = view.hypothesis + part
-    moving = np.isfinite(view.fit.noise.levels)
-    terms = tuple(probe_terms(view.fit.groups, moving, is_held=True))
+    terms = tuple(probe_terms(fit.groups, np.isfinite(levels), is_held=True))
     strengths = {name: math.nan for term in terms for name in term.formula.constants}
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
         judged=judged, is_sole=kept.is_sole,
     )  # fmt: skip
+
+
+def _misfit(fit, kept, levels, level):
+    """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
+
+    A body that moves along a line is no body on a wire, unless the law would have it leave it.
+    """
+    if kept.normal is None:
+        size = 2 * float(np.log(levels / level).mean()) - 1
+        return float(np.square(fit.whitened).sum()) + fit.n_rows * size, fit.n_rows
+    channels, mine = fit.channels, fit.channels.body_names.index(kept.pair[0])
+    across = []
+    for chain in np.unique(channels.chain):
+        own = (channels.chain == chain) & (channels.body == mine)
+        at = [np.flatnonzero(own & (channels.axis == k)) for k in range(len(kept.normal))]
+        if all(len(k) for k in at):
+            rows = [fit.residual[:, k[0]] for k in at]
+            across.append(np.array(kept.normal) @ rows)
+    left = np.concatenate(across) / level
+    left = left[np.isfinite(left)]
+    return float(np.square(left).sum()) - len(left), len(left)
 
 
 def _is_uneven(series):
