@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
+from bsp_gp.report.numbers import format_number, with_unit
 
-__all__ = ["describe"]
+__all__ = ["constant_distance", "describe"]
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -24,6 +27,20 @@ def describe(formula, value=None):
     """Name a term in plain words: "drag, linear in speed", "pull falling as distance^-2"."""
     direction, conditions, powers = _parts(formula)
     return _phrase(direction, conditions[-1] if conditions else None, powers, value)
+
+
+def constant_distance(effect):
+    """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
+    *place, length = effect.constants
+    unit = length.unit
+    if place:
+        point = ", ".join(format_number(c.value, 3) for c in place)
+        to = f"to ({point}) {unit}"
+    else:
+        first, second = re.findall(r"p_(\w+)", effect.name)
+        to = f"of {first} and {second}"
+    size = with_unit(format_number(length.value, 3), unit)
+    return f"distance {to} is constant, {size}: a string or rod"
 
 
 def _parts(formula):
@@ -112,6 +129,4 @@ def _scaling(powers):
 
 
 def _input_names(text):
-    import re
-
     return re.findall(r"[A-Za-z_]\w*", text)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
-from bsp_gp.report.naming import describe
+from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
 
 __all__ = ["page_of"]
@@ -123,6 +123,8 @@ def _name(effect):
         return describe(effect.formula, value)
     if effect.kind == "declared_term_change":
         return effect.name
+    if effect.code == "rod":
+        return constant_distance(effect)
     return CAUSES.get(effect.code, effect.name)
 
 
