@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import cut_pieces
@@ -208,6 +209,8 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self._between())
         self.level = 1.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
+        held = {name for part in constraints_of(fit.law) for name in part.names}
+        self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
 
     def _flow(self, chains):
         motion = self.motion.on(chains, self.fit.law)
@@ -353,10 +356,17 @@ class _Group:
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
         vectors = vectors[:, :, -count:] * keep[:, None, -count:]
-        turned = np.swapaxes(vectors, 1, 2)
-        shape = (len(by_force), count, -1, self.n_own, self.n_dims)
-        moments = (turned @ left[..., None])[..., 0]
-        return (turned @ by_force).reshape(shape), moments, keep[:, -count:]
+        turned, keep = np.swapaxes(vectors, 1, 2), keep[:, -count:]
+        by_constant, force = beyond[:, :, n_forces + n : -1], turned @ by_force
+        if self.held.any():  # what bodies are held by shows where no force does, too
+            rest = by_constant[:, :, self.held]
+            more = np.swapaxes(_orthonormal(rest - vectors @ (turned @ rest)), 1, 2)
+            turned = np.concatenate([turned, more], axis=1)
+            keep = np.concatenate([keep, more.any(axis=2)], axis=1)
+            force = np.concatenate([force, np.zeros((*more.shape[:2], n_forces))], axis=1)
+        self.by_constant = np.swapaxes(turned @ by_constant, 0, 1)
+        shape = (*turned.shape[:2], -1, self.n_own, self.n_dims)
+        return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
 
     def _kept(self, values, left):
         """Moments without which less than `LOST` is lost of what a force white in time may show."""
@@ -442,7 +452,10 @@ class _Group:
         slopes = np.zeros((*self.fine.times.shape, self.n_own, k, self.n_dims))
         shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, k)
         slopes[row, chain] = np.swapaxes(shaped, 2, 3)
-        return batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
+        out = batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
+        # What constants of constraints change is more than forces: where bodies can be.
+        out[:, self.held] = self.by_constant.reshape(out.shape)[:, self.held]
+        return out
 
 
 def _orthonormal(matrices):

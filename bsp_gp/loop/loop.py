@@ -27,7 +27,8 @@ FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 EXPLAINED = 1.5
 """Reduced chi-squared below which a cause beside free forces explains the tracks."""
 FAR_BEHIND = 100.0
-"""Nats, and a quarter, by which a promise must fall short of a kept one to be passed over."""
+"""Nats, or a fiftieth, by which a promise is behind one that was kept and explained all there is:
+what explains as much is told from the same moments as it."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -265,17 +266,18 @@ class _Turn:
         clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
         chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
         offsets = {}  # of what was fitted above its promise, family by family
-        kept = 0.0  # the greatest promise that was kept
+        kept = 0.0  # the greatest promise that was kept by what leaves no misfit
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
-            if kept - proposal.promise > max(FAR_BEHIND, kept / 4):  # it cannot be as likely
+            if kept - proposal.promise > max(FAR_BEHIND, kept / 50):  # it cannot be as likely
                 continue
             row = self._fitted(source, proposal)
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             gained = row.log_likelihood - self.rows[0].log_likelihood
-            if row.is_fit and gained > 0.4 * proposal.gain:
+            is_whole = row.is_fit and self.fits[row.id].chi2_red < EXPLAINED
+            if is_whole and gained > 0.4 * proposal.gain:
                 kept = max(kept, proposal.promise)
             if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
@@ -365,4 +367,4 @@ def _chosen(every, clear, criteria):
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             keys.add(proposal.key)
-    return chosen
+    return sorted(chosen, key=lambda pair: not pair[1].is_sole)

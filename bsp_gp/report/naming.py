@@ -31,15 +31,15 @@ def describe(formula, value=None):
 
 def constant_distance(effect):
     """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
-    *place, length = effect.constants
-    unit = length.unit
+    unit, (between, length) = effect.constants[-1].unit, effect.name.rsplit(" = ", 1)
+    place = re.search(r"\(([^()]*,[^()]*)\)", between)
     if place:
-        point = ", ".join(format_number(c.value, 3) for c in place)
+        point = ", ".join(format_number(float(x), 3) for x in place[1].split(","))
         to = f"to ({point}) {unit}"
     else:
-        first, second = re.findall(r"p_(\w+)", effect.name)
+        first, second = re.findall(r"p_(\w+)", between)
         to = f"of {first} and {second}"
-    size = with_unit(format_number(length.value, 3), unit)
+    size = with_unit(format_number(float(length), 3), unit)
     return f"distance {to} is constant, {size}: a string or rod"
 
 
