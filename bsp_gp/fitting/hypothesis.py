@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
-from bsp_gp.units import FORCE
+from bsp_gp.units import FORCE, Unit
 
 __all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
 
@@ -277,12 +280,13 @@ def read_law(dataset, texts: Sequence[str]):
     from bsp_gp.fitting.parts.constraints import read_constraint  # a part itself
 
     types = dataset_types(dataset)
-    terms, frame = [], []
+    is_angle, terms, frame = dataset.units.is_angle, [], []
     for text in texts:
         if "=" in text:
             frame.append(read_constraint(dataset, text))
             continue
-        formula = parse_formula(text, types, units=dataset.units)
+        formula = read_torque(text, types, dataset.units) if is_angle else None
+        formula = formula or parse_formula(text, types, units=dataset.units)
         unit = formula.type.unit
         if unit is not None and unit != FORCE:
             raise LawError(
@@ -292,6 +296,25 @@ def read_law(dataset, texts: Sequence[str]):
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {}, tuple(frame))
     return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
+
+
+def read_torque(text, types, units):
+    """A law of an angle: ``theta_i`` and ``omega_i`` are it and its rate, and scalars are torques.
+
+    What stands for a mass is the moment of inertia.
+    """
+    radian = Number(1.0, Unit.of(m=1), "1 [rad]")
+    units_of = {
+        Constant("radian"): radian, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
+    }  # fmt: skip
+    text = re.sub(r"\bsign\(\s*omega_i\s*\)", "sign(omega_i / hertz)", text)
+    for name, shown in (("theta", "(p_i - origin)"), ("omega", "v_i")):
+        text = re.sub(rf"\b{name}_i\b", f"(dot({shown}, e_x) / radian)", text)
+    types = {**types, "origin": STATE_INPUTS["origin"]}
+    formula = substitute(parse_formula(text, types, units=units), units_of)
+    if formula.type.shape == "scalar":
+        formula = Call("mul", formula, Call("mul", radian, Input("e_x", types["e_x"])))
+    return formula
 
 
 def declared_law(dataset, texts: Sequence[str]):

@@ -68,7 +68,7 @@ def _notes(report):
     yield from report.dataset["notes"]
     if report.dataset["split"]:
         yield report.dataset["split"]
-    symbols = report.dataset["symbols"]
+    symbols = {k: v for k, v in report.dataset["symbols"].items() if v != "rad"}
     if symbols:
         listed = ", ".join(f"{v} stands for {k}" for k, v in symbols.items())
         yield f"not calibrated: {listed}; constants are in the data's own units"

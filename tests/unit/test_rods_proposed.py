@@ -39,7 +39,7 @@ def test_a_rod_and_then_the_drag_are_found_from_the_weight_alone():
     assert 0 < length.high - length.low < 2e-3
     assert abs(found["pivot_y1"].value - PIVOT[1]) < 3e-3
     told = page_of(report).rounds[0].effect.name
-    assert told == "distance to (0.0203, 1.61) m is constant, 0.8 m: a string or rod"
+    assert told == "distance to (0.0203, 1.61) m is constant, 0.800 m: a string or rod"
 
 
 def test_what_is_held_already_is_not_proposed_again():
