@@ -41,9 +41,6 @@ STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "conve
 FAILED = STATUSES[:3]
 """These say nothing about the law: a failed fit is never "nothing missing"."""
 
-BESIDE_NOISE = 5.0
-"""Times what neighbouring rows tell of the noise that it may be beside a misfit."""
-
 
 @dataclass(frozen=True)
 class FitTolerances:
@@ -422,10 +419,9 @@ class _Run:
                 n_own = len(self.parameters)
                 # What a force does may differ from scene to scene, and is no noise either.
                 local = np.concatenate([tracks.local, tracks.shared[n_own:]])
-                new = estimate(
+                return estimate(
                     model, tracks.channels, tracks.residual, tracks.shared[:n_own], local
                 )
-                return model if _is_far_above(new, model) else new
         return self.estimated(climb, minimum, model)
 
     def estimated(self, climb, minimum, model, adopt=True):
@@ -682,12 +678,6 @@ def _same_noise(new, old):
     a, b = np.array(new.levels), np.array(old.levels)
     both = np.isfinite(a) & np.isfinite(b)
     return bool(np.all(np.abs(a - b)[both] <= 1e-3 * b[both]))
-
-
-def _is_far_above(new, old):
-    """Whether probes cannot tell a misfit from noise, by what neighbouring rows show of it."""
-    a, b = np.array(new.levels), np.array(old.levels)
-    return bool(np.nanmax(a / b) > BESIDE_NOISE)
 
 
 def _name(key):
