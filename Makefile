@@ -45,7 +45,7 @@ faults: $(VENV)/.ok  ## kill every command at every write, and fill its disk (an
 	@$(BIN)/python -m pytest -n $(WORKERS) -m faults $(ARGS)
 
 EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 null_data power \
-    undeclared_effects ball_drops
+    undeclared_effects open_world ball_drops
 
 quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
 	@mkdir -p runs/quick

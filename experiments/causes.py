@@ -33,6 +33,8 @@ LAWS = {
 """What may be taken for an effect, where the data have what it names."""
 ADDED = ("law", "period", "contact")
 """Codes of causes whose text is the force that they add."""
+CHANGED = ("exponent", "number")
+"""Codes of causes whose text is the declared term with another number, or says which that is."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,12 @@ class Cause:
     @property
     def law(self):
         """The force that it adds, or that stands in the place of a declared one; "" for others."""
-        if self.code == "exponent":
+        if self.text.startswith("exponent of "):
             base, _, term = self.text.removeprefix("exponent of ").partition(" in ")
             return f"({base})^n * ({term})"
-        if self.code == "number":
+        if self.text.startswith("number of "):
             return f"s * ({self.text.removeprefix('number of ')})"
-        return self.text if self.code in ADDED else ""
+        return self.text if self.code in (*ADDED, *CHANGED) else ""
 
     def __str__(self):
         return f"{self.code}: {self.text}"

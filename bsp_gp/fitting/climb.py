@@ -150,6 +150,9 @@ class Climb:
 
     def best(self):
         """The best minimum of all starts, with the count of those that agree."""
+        end = self._from_near()
+        if end is not None:
+            return self._finish(replace(end, n_starts=1, n_agree=1))
         points = self.first_points()
         # Where rows are dense and no constant is free, starts cannot differ.
         is_open = self.run.parameters and not self.run.is_aside
@@ -164,6 +167,28 @@ class Climb:
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
         return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
+
+    def _from_near(self):
+        """The minimum that the tracks of a smaller hypothesis lead to, if they lead to one."""
+        near, run = self.run.near, self.run
+        if near is None or near.is_failed or near.paper_steps != self.paper_steps:
+            return None
+        shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in run.groups]
+        if shapes != [nodes.shape for nodes in near.nodes]:  # it has bodies or rows of its own
+            return None
+        there = dict(zip(near.parameters, near.values, strict=True))
+        known = np.array([run.starts.get(pair, there.get(pair, np.nan)) for pair in run.parameters])
+        missing = np.flatnonzero(np.isnan(known))
+        if any(run.roles[run.parameters[k][0]] != "linear" for k in missing):
+            return None
+        if len(missing):
+            known[missing] = 0.0
+            known = regressed(self.flows, near.nodes, self.noises, known, list(missing))
+        point = TrackPoint(self.coordinates.unknowns(known), near.nodes)
+        problem = self.at(None, point)
+        end = self._joined(self._minimise(problem, point, WHOLE), problem)
+        is_end = end.linearised is not None and end.status != "unconverged"
+        return end if is_end else None
 
     def _is_enough(self, ends):
         """Whether nothing more is tried: a good minimum, or as many as were asked for."""

@@ -178,7 +178,7 @@ class Fit:
 
 def fit(
     hypothesis, dataset, *, rng=None, starts=None, bounds=None, deadline=None, effort=None,
-    tolerances=None,
+    near=None, tolerances=None,
 ):  # fmt: skip
     """Fit a hypothesis to all scenes of a data set.
 
@@ -196,6 +196,9 @@ def fit(
         Seconds after which a fit ends with what it has, within an integration if need be.
     effort : int, optional
         Steps of integrations and descents after which it ends so, the same on every machine.
+    near : Fit, optional
+        Of a hypothesis that this one extends: the first descent begins at its tracks, and is the
+        last one if it converges.
     tolerances : FitTolerances, optional
 
     Returns
@@ -212,6 +215,7 @@ def fit(
     began = time.monotonic()
     tolerances = tolerances or FitTolerances()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
+    run.near = near
     if deadline is not None or effort is not None:
         run.is_over = _Patience(began, deadline, effort)
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
@@ -260,6 +264,7 @@ class _Run:
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = lambda: False
+        self.near = None
         self.is_aside = False  # for the noise alone: not worth every start
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
@@ -411,7 +416,7 @@ class _Run:
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
             parts = (Forces(self.probed_law, False), TrackNoise(model))
             beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
-            beside.is_over, beside.is_aside = self.is_over, True
+            beside.is_over, beside.is_aside, beside.near = self.is_over, True, self.near
             beside.copy_ranges(self)
             other, found = beside.descend(model, False)
             if found.linearised is not None and found.chisqr < minimum.chisqr:

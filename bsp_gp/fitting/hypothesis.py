@@ -246,6 +246,11 @@ class Hypothesis:
         """Of all that its parts leave unexplained of the rows, nats."""
         return sum(part.log_density for part in self.parts)
 
+    def own(self, values):
+        """Those of some values, bounds or starts by name that belong to its parameters."""
+        names = {p.name for p in self.parameters}
+        return {name: value for name, value in (values or {}).items() if name in names}
+
     def seen(self, dataset):
         """The rows with all edits of the parts, one after the other.
 

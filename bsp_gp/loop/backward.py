@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import continued
 
@@ -55,7 +56,7 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
     -------
     Pruned
     """
-    clock = clock or Clock()
+    clock, criteria = clock or Clock(), criteria or Criteria()
     found, hypothesis = rounds[-1].after, rounds[-1].continuing
     adopted = [done for done in rounds if done.decision.is_adopted]
     removed, n_fits = set(), 0
@@ -71,9 +72,10 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
             if progress is not None:
                 progress(f"without {done.decision.best.text}")
             smaller = continued(smaller, found)
-            names = {p.name for p in smaller.parameters}
-            kept = {name: pair for name, pair in (bounds or {}).items() if name in names}
-            other = fit(smaller, dataset, bounds=kept, deadline=clock.left)
+            other = fit(
+                smaller, dataset, bounds=smaller.own(bounds), deadline=clock.left, near=found,
+                effort=criteria.effort,
+            )
             n_fits += 1
             if clock.is_over:  # it may have been cut short
                 return Pruned(found, hypothesis, frozenset(removed), n_fits, False)

@@ -28,11 +28,14 @@ from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.backward import prune
 from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.kept import rounds_from
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
+from bsp_gp.loop.proposal import continued
 from bsp_gp.loop.proposers import standard
+from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
@@ -104,7 +107,7 @@ def close_loop(
     _check(dataset, rng, criteria, search, max_rounds, max_levels, n_bootstrap, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    split_rng, round_rng, account_rng, swapped_rng = rng.spawn(4)
+    split_rng, round_rng, account_rng, swapped_rng, asked_rng = rng.spawn(5)
     says("reading the data set")
     ready = _Ready(dataset, declared, split_rng)
     grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
@@ -125,7 +128,8 @@ def close_loop(
 
     if earlier is not None:
         earlier = rounds_from(
-            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds
+            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds,
+            criteria=criteria,
         )
     rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
     is_cut = False
@@ -142,7 +146,10 @@ def close_loop(
     )
     says("writing up")
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
-    written = _written(ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole)
+    asked = None if whole.is_over else _constancy(ready, pruned, asked_rng, criteria)
+    written = _written(
+        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria
+    )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
     left_out += [] if pruned.is_complete else ["removal"]
@@ -215,7 +222,15 @@ class _Ready:
         )  # fmt: skip
 
 
-def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
+def _constancy(ready, pruned, rng, criteria):
+    """The constancy of what was found, under the final law."""
+    if all(term.is_declared for term in pruned.fit.law.terms):
+        return Constancy()
+    hypothesis = continued(pruned.hypothesis, pruned.fit)
+    return constancy(View(pruned.fit, hypothesis, ready.train, rng, criteria))
+
+
+def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria):
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
@@ -224,7 +239,8 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock):
     at = {id(f): k for k, f in enumerate(fits)}
     records = [
         writing_up.record_of(
-            done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed
+            done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed,
+            asked, criteria,
         )
         for done in rounds
     ]

@@ -17,9 +17,10 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
-    "superseded", "not_tested",
+    "superseded", "not_tested", "strength_varies",
 )  # fmt: skip
-"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal."""
+"""Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
+"strength_varies": adopted as a description, since its constant is not the same everywhere."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
@@ -65,6 +66,9 @@ class Criteria:
         Odds by which a cause must be likelier than noise of another kind.
     promise : float
         Part of the gain that a hypothesis promises for held-out tracks, which it must keep.
+    constant_within : float
+        Part of its strength by which a law that was found may change from place to place, surely,
+        and be a law: some weaker effect beside it always shows where the noise is low.
     cause_nats : float
         Log odds, beforehand, against a cause that is no law of the grammar: as likely as the
         simplest laws.
@@ -80,10 +84,11 @@ class Criteria:
     equal_nats: float = 4.0
     fitted_nats: float = 8.0
     most_fits: int = 12
-    effort: int = 3000
+    effort: int = 600
     tie_nats: float = 2.0
     noise_nats: float = 3.0
     promise: float = 0.3
+    constant_within: float = 0.05
     cause_nats: float = 3.0
     decades: float = 3.0
     exponent_width: float = 2.0

@@ -14,6 +14,7 @@ from fractions import Fraction
 from bsp_gp.errors import DataError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.language.formula import Formula
+from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import Round
 from bsp_gp.loop.proposal import Family
 from bsp_gp.physics.force import ForceLaw
@@ -49,7 +50,7 @@ def joined_texts(texts):
     return json.dumps([each for text in texts if text is not None for each in json.loads(text)])
 
 
-def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None):
+def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None, criteria=None):
     """Rounds of `text_of`, their fits made again.
 
     Parameters
@@ -60,6 +61,7 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None):
     dataset : Dataset
         Training scenes.
     starts, bounds : dict, optional
+    criteria : Criteria, optional
         As of `run_rounds`.
 
     Raises
@@ -67,6 +69,7 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None):
     DataError
         If the text is none of this version.
     """
+    criteria = criteria or Criteria()
     found, rounds = fit(hypothesis, dataset, starts=starts, bounds=bounds), []
     try:
         kept = [_unpacked(each) for each in json.loads(text)]
@@ -75,12 +78,7 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None):
     for each in kept:
         fits = {0: found}
         for number, proposal in each["proposals"].items():
-            mine = {p.name for p in proposal.hypothesis.parameters}
-            limits = {name: pair for name, pair in (bounds or {}).items() if name in mine}
-            fits[number] = fit(
-                proposal.hypothesis, dataset, starts=proposal.starts,
-                bounds={**limits, **proposal.bounds},
-            )  # fmt: skip
+            fits[number] = proposal.fitted(found, dataset, criteria=criteria, bounds=bounds)
         each["hypotheses"] = {0: hypothesis, **each["hypotheses"]}
         each["families"] = tuple(Family(name, certificate=c) for name, c in each["families"])
         done = Round(entering=found, fits=fits, **each)

@@ -29,6 +29,8 @@ EXPLAINED = 1.5
 FAR_BEHIND = 100.0
 """Nats, or a fiftieth, by which a promise is behind one that was kept and explained all there is:
 what explains as much is told from the same moments as it."""
+REACH = 1.5
+"""Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -224,6 +226,7 @@ class _Turn:
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
+        self.found = 0.0  # nats that a fit has promised and kept
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -270,15 +273,17 @@ class _Turn:
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
-            if kept - proposal.promise > max(FAR_BEHIND, kept / 50):  # it cannot be as likely
+            is_behind = kept - proposal.promise > max(FAR_BEHIND, kept / 50)
+            if is_behind or REACH * (proposal.promise + criteria.class_nats) < self.found:
                 continue
             row = self._fitted(source, proposal)
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
-            gained = row.log_likelihood - self.rows[0].log_likelihood
-            is_whole = row.is_fit and self.fits[row.id].chi2_red < EXPLAINED
-            if is_whole and gained > 0.4 * proposal.gain:
-                kept = max(kept, proposal.promise)
+            if row.is_fit:
+                gained = row.log_posterior - self.rows[0].log_posterior
+                self.found = max(self.found, min(gained, proposal.promise))
+                if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
+                    kept = max(kept, proposal.promise)
             if row.is_fit and (source, proposal) not in controls:
                 above = row.log_posterior - proposal.promise
                 offsets[source] = max(offsets.get(source, -math.inf), above)
@@ -304,22 +309,20 @@ class _Turn:
     def _fitted(self, source, proposal):
         """Fit a proposal and add its row."""
         self.run.says(f"fitting {proposal.text}")
-        hypothesis = proposal.hypothesis
-        names = {p.name for p in hypothesis.parameters}
-        bounds = {name: pair for name, pair in self.run.bounds.items() if name in names}
-        def fitted(hypothesis):
-            new = fit(
-                hypothesis, self.run.dataset, starts=proposal.starts,
-                bounds={**bounds, **proposal.bounds}, deadline=self.run.clock.left,
-                effort=self.run.criteria.effort,
+        run = self.run
+
+        def fitted(proposal):
+            new = proposal.fitted(
+                self.base, run.dataset, criteria=run.criteria, bounds=run.bounds,
+                deadline=run.clock.left,
             )  # fmt: skip
-            return new, log_evidence(new, hypothesis, self.run.criteria)
+            return new, log_evidence(new, proposal.hypothesis, run.criteria)
 
         try:
-            new, evidence = fitted(hypothesis)
+            new, evidence = fitted(proposal)
             best = new
             if proposal.judged is not None and not new.is_failed:
-                other, theirs = fitted(proposal.judged)
+                other, theirs = fitted(replace(proposal, hypothesis=proposal.judged))
                 if theirs > evidence:
                     best, evidence = other, theirs
                 self.judged[len(self.rows)] = best.chi2_red

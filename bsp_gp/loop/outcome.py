@@ -63,7 +63,12 @@ class Effect:
     equivalents : tuple of str
         What these data cannot tell from it, the likeliest first.
     is_fact : bool
-        Whether its form is told apart from all rivals.
+        Whether its form is told apart from all rivals, powers next to its own among them.
+    exponents : tuple of dict
+        ``{term, of, stated, value, low, high}``: powers of speed and distance in a law that was
+        found, as it has them and as the data have them.
+    varies_with : tuple of dict
+        ``{term, variable, p_value}``: in what its strength changes.
     formula : Formula or None
     details : dict
         What its proposer tells beyond the fit: of an unseen body draws from its posterior.
@@ -80,6 +85,8 @@ class Effect:
     probability: float
     equivalents: tuple[str, ...] = ()
     is_fact: bool = False
+    exponents: tuple = ()
+    varies_with: tuple = ()
     formula: object = field(default=None, repr=False, compare=False)
     details: dict = field(default_factory=dict, repr=False, compare=False)
 

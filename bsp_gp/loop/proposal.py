@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.render import to_text
@@ -86,6 +87,25 @@ class Proposal:
         return 0.5 * self.gain + self.log_prior
 
 
+    def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):
+        """Its fit, from the tracks of the fit that it extends.
+
+        Parameters
+        ----------
+        base : Fit
+        dataset : Dataset
+        criteria : Criteria
+        bounds : dict, optional
+            Of the constants of what is declared.
+        deadline : float, optional
+        """
+        near = None if self.kind == "constraint" else base  # it leads tracks far off the others
+        return fit(
+            self.hypothesis, dataset, starts=self.starts, near=near, effort=criteria.effort,
+            bounds={**self.hypothesis.own(bounds), **self.bounds}, deadline=deadline,
+        )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Family:
     """What one proposer found.
@@ -118,17 +138,17 @@ class Family:
     n_tried: int = 0
 
 
-def continued(hypothesis, fit):
+def continued(hypothesis, found):
     """The hypothesis with its constants where a fit found them."""
     parts = []
     for part in hypothesis.parts:
         if isinstance(part, Forces):
-            known = {**part.law.constants, **fit.law.constants}
+            known = {**part.law.constants, **found.law.constants}
             known = {name: known[name] for name in part.law.names}
             law = replace(part.law, constants=known)
-            part = replace(part, law=law, paper_steps=fit.paper_steps)
+            part = replace(part, law=law, paper_steps=found.paper_steps)
         elif part.kind != "noise" and part.parameters:
-            part = part.at(fit.law.constants)
+            part = part.at(found.law.constants)
             part = part.off_bounds() if part.kind == "world" else part
         parts.append(part)
     return Hypothesis(tuple(parts))

@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.tangent import INDEPENDENT
 
-__all__ = ["Channel", "Trace", "moments_of", "trace"]
+__all__ = ["Channel", "Trace", "moments_of", "smooth_variables", "trace"]
 
 COUNTS = (2, 4, 8)
 """Cosines beside a constant; that of the greatest evidence is told."""
@@ -94,6 +94,31 @@ def trace(view):
     found.sort(key=lambda entry: -entry[0].evidence)
     profile = _profile(*found[0][1]) if found else ()
     return Trace(tuple(channel for channel, _ in found), *map(tuple, profile))
+
+
+def smooth_variables(view, count=2):
+    """Variables that vary along the tracks, with smooth functions of each.
+
+    Parameters
+    ----------
+    view : View
+    count : int
+        Cosines of its rank.
+
+    Yields
+    ------
+    str, list of ndarray, shape (n, S, R, F)
+        By batch of the response.
+    """
+    fields = [_Field(batch) for batch in view.response.regression.batches]
+    for basis in _bases(fields, "along"):
+        if basis.variable and not basis.is_named:
+            made = [list(basis.functions(f.variables[basis.variable])) for f in fields]
+            yield basis.variable, [np.concatenate(m[1 : 1 + count], axis=3) for m in made]
+    ways = [_unit(f.velocity) for f in fields]
+    seen = np.concatenate([w[f.valid] for w, f in zip(ways, fields, strict=True)])
+    if len(seen) and np.ptp(seen, axis=0).max() > INDEPENDENT:
+        yield "direction", ways
 
 
 def moments_of(view, pushes):

@@ -13,6 +13,7 @@ from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.units import ACCELERATION, FORCE
 
@@ -25,7 +26,7 @@ MOST_OVERLAYS = 12
 TAIL = 0.05
 
 
-def record_of(done, scored, accounts, dataset, bounds, is_removed):
+def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, criteria):
     """The record of a round.
 
     Parameters
@@ -39,6 +40,9 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed):
     bounds : dict
     is_removed : bool
         Whether backward removal has taken back what it adopted.
+    constancy : Constancy or None
+        Of the final law; None where there was no time to ask.
+    criteria : Criteria
 
     Returns
     -------
@@ -46,15 +50,18 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed):
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
+    effect = None if decision.best is None else _effect(done, dataset, bounds, constancy, criteria)
     if is_removed:
         verdict, reason = "seen, not adopted", "superseded"
+    elif verdict == "effect adopted" and effect.varies_with:
+        verdict, reason = "effective law", "strength_varies"
     return RoundRecord(
         number=done.number,
         missing=Missing(
             done.entering.chi2_red, done.table.p_value, done.detectable,
             dataset.units.text(ACCELERATION),
         ),
-        effect=None if decision.best is None else _effect(done, dataset, bounds),
+        effect=effect,
         hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in done.table.rows),
         adopted=decision.is_adopted and not is_removed,
         verdict=verdict,
@@ -94,13 +101,19 @@ def _hypothesis(row, p_value):
     }  # fmt: skip
 
 
-def _effect(done, dataset, bounds):
+def _effect(done, dataset, bounds, constancy, criteria):
     """The likeliest cause of a round."""
     best, proposal = done.decision.best, done.proposals[done.decision.best.id]
     fit = done.fits[best.id]
     old = {name for name, _ in done.entering.parameters}
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
+    known = (constancy or Constancy()).of(added if done.decision.is_adopted else ())
+    varies = [
+        v for v in known.varies
+        if v.p_value <= criteria.alpha and v.share > criteria.constant_within
+    ]  # fmt: skip
+    is_apart = constancy is not None and all(e.is_as_stated(criteria) for e in known.exponents)
     return Effect(
         name=best.text,
         code=best.code,
@@ -117,10 +130,22 @@ def _effect(done, dataset, bounds):
         p_value=done.table.p_value,
         probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
-        is_fact=done.decision.is_fact,
+        is_fact=done.decision.is_fact and is_apart and not varies,
+        exponents=tuple(map(_exponent, known.exponents)),
+        varies_with=tuple(
+            {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value}
+            for v in varies
+        ),
         formula=proposal.formulas[0] if len(proposal.formulas) == 1 else None,
         details={**done.details, "p_value": done.table.p_value} if done.details else {},
     )  # fmt: skip
+
+
+def _exponent(one):
+    return {
+        "term": to_text(one.term), "of": to_text(one.of), "stated": one.stated,
+        "value": one.value, "low": one.low, "high": one.high,
+    }  # fmt: skip
 
 
 def _added(done, fit):

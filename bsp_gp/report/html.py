@@ -33,6 +33,7 @@ from bsp_gp.report.sentences import (
     noise_sentence,
     outcome_sentence,
     overturned_by,
+    powers_sentence,
     ratio_caution,
     verdict_parts,
 )
@@ -221,6 +222,7 @@ def _round(r, report):
         "state": _state(r),
         "missing": missing_sentence(r, report.alpha),
         "noise": noise_sentence(r),
+        "powers": powers_sentence(r),
         "hidden": hidden_sentence(r),
         "trace": trace_section(r),
         "outcome": outcome_sentence(r),

@@ -133,6 +133,7 @@ def _effect(effect, name, tied):
         name=name, kind=effect.kind, law=effect.law or effect.name, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,
+        exponents=effect.exponents, varies_with=effect.varies_with,
         equivalents=tied or effect.equivalents, details=getattr(effect, "details", None) or {},
     )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bsp_gp.report.codes import FINDINGS
+from bsp_gp.report.codes import FINDINGS, VARIABLES
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -28,6 +28,7 @@ __all__ = [
     "noise_sentence",
     "outcome_sentence",
     "overturned_by",
+    "powers_sentence",
     "ratio_caution",
     "verdict_parts",
     "verdict_sentence",
@@ -140,6 +141,25 @@ def hidden_sentence(round_):
     share = f" ({format_number(bound.percent, 2)} % of the declared force)"
     share = share if is_number(bound.percent) else ""
     return f"A constant force of up to {size}{share} is not excluded (95 %)."
+
+
+def powers_sentence(round_):
+    """Which powers of speed and distance the data allow in what a round found; "" if none."""
+    effect = round_.effect
+    told = [
+        f"{_SIZES.get(e['of'], e['of'])} to the {format_number(e['value'], 2)} "
+        f"({format_number(e['low'], 2)} to {format_number(e['high'], 2)}, 90 %), "
+        f"written as {format_number(e['stated'], 2)}"
+        for e in (effect.exponents if effect is not None else ())
+    ]
+    varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
+              for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
+    parts = [f"Powers that the data allow: {'; '.join(told)}."] if told else []
+    parts += [f"Its strength is not constant: it changes with {_joined(varies)}."] if varies else []
+    return " ".join(parts)
+
+
+_SIZES = {"norm(v_i)": "speed", "norm(p_i - p_j)": "distance"}
 
 
 def noise_sentence(round_):

@@ -14,6 +14,7 @@ from bsp_gp.report.sentences import (
     headline,
     hidden_sentence,
     noise_sentence,
+    powers_sentence,
     ratio_caution,
     verdict_sentence,
 )
@@ -53,6 +54,7 @@ def summary_text(report):
     lines += _constants(report)
     lines += _rounds(report)
     lines += _traced(report)
+    lines += _powers(report)
     lines += _ties(report)
     lines += _noise(report)
     notes = [note for note in notes if not note.startswith(CHECK)]
@@ -116,6 +118,12 @@ def _noise(report):
     """What is odd about the noise, and how much may be hidden, beside the last model."""
     last = report.rounds[-1]
     return _wrapped(noise_sentence(last), 2, "  ") + _wrapped(hidden_sentence(last), 2, "  ")
+
+
+def _powers(report):
+    """Of the last two laws that were adopted."""
+    kept = [r for r in report.rounds if r.adopted and not r.removed]
+    return [line for r in kept[-2:] for line in _wrapped(powers_sentence(r), 2, "  ")]
 
 
 def _ties(report):

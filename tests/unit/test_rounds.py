@@ -98,7 +98,7 @@ def test_number_scale_and_clock_are_told_together():
     codes = {h["code"] for h in done.hypotheses if h["probability"] > 0.05}
     assert {"number", "scale", "clock"} <= codes
     (c,) = done.effect.constants
-    assert done.effect.code == "scale"
+    assert done.effect.code in ("number", "scale"), "a clock's error would be half as large"
     assert c.low - 0.001 < 9.81 / 9 - 1 < c.high + 0.001
     assert done.ratio.high < 0.1
 

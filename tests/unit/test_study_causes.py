@@ -52,6 +52,12 @@ def test_a_freed_exponent_is_a_law_in_the_place_of_a_declared_term(causes):
     assert cause.law == "(norm(p_i - p_j))^n * (G * m_i * (p_j - p_i))"
 
 
+def test_a_term_with_its_exponent_freed_is_the_law_that_it_is_written_as(causes):
+    text = "(norm(p_i - p_j) / 2 [m])^n1 * (G * m_i * (p_j - p_i))"
+    assert causes.Cause("exponent", text).law == text
+    assert causes.Cause("number", "(1 + s1) * (m_i * down)").law == "(1 + s1) * (m_i * down)"
+
+
 def test_a_law_is_taken_for_what_has_its_form(causes, judge):
     terms, start = judge.terms(causes.Cause("law", "2 [kg/s] * v_i"))
     law = judge.declared.plus(terms[0], start)

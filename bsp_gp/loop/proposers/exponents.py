@@ -10,7 +10,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
-__all__ = ["Declared"]
+__all__ = ["Declared", "base_of", "is_size", "power_of", "typical_value"]
 
 MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
@@ -89,29 +89,51 @@ def _powers(view, term):
     """Factors of a term that change with the motion, without powers: (base, typical value)."""
     bases = {}
     for part in (part for parts in factors(term.formula) for part in parts):
-        base = _base(part)
+        base = base_of(part)
         is_scalar = part.type.shape == "scalar" and not part.constants
         if is_scalar and any(not property_of(name) for name in base.inputs):
             bases[base] = None
-    for base in bases:
-        if isinstance(base, Call) and base.operator in ("norm", "abs"):
-            typical = _typical(view, term, base)
-            if typical is not None:
-                yield base, typical
+    for base in filter(is_size, bases):
+        typical = typical_value(view, term, base)
+        if typical is not None:
+            yield base, typical
 
 
-def _base(part):
+def is_size(base):
+    """Whether a formula is a length, a speed or another size."""
+    return isinstance(base, Call) and base.operator in ("norm", "abs")
+
+
+def base_of(part):
     """What a factor is a power of."""
+    return _split_power(part)[0]
+
+
+def _split_power(part):
+    power = 1.0
     while isinstance(part, Call):
-        is_power = part.operator == "pow" and isinstance(part.args[1], Number)
-        if not is_power and part.operator not in ("square", "inverse"):
+        if part.operator == "pow" and isinstance(part.args[1], Number):
+            power *= part.args[1].value
+        elif part.operator in ("square", "inverse"):
+            power *= 2.0 if part.operator == "square" else -1.0
+        else:
             break
         part = part.args[0]
-    return part
+    return part, power
 
 
-def _typical(view, term, base):
-    """Typical value of a factor where the term acts, to three digits; None if it hardly varies."""
+def power_of(base, formula):
+    """The power of a quantity among the factors of a formula; 0 where it is none of them."""
+    total = 0.0
+    for sign, side in zip((1, -1), factors(formula), strict=True):
+        for part in side:
+            found, power = _split_power(part)
+            total += sign * power if found == base else 0.0
+    return total
+
+
+def typical_value(view, term, base):
+    """Typical value of a quantity where a term acts, to three digits; None if it hardly varies."""
     regression, constants = view.response.regression, view.fit.law.constants
     ratios = []
     with_base = Term(Call("mul", base, term.formula), term.kind, True)

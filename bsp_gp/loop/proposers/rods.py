@@ -24,7 +24,7 @@ BENT = 10.0
 """Deviations from a line, in the same, from which a track is one about a point."""
 UNEVEN = 0.2
 """Standard deviation of a speed, in its mean, that no round orbit has."""
-MISFIT = 1.5
+MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
 LEAST_ROWS = 12
 EXACT = 1e-7
