@@ -78,9 +78,9 @@ def unit_of_length(dataset):
 
 
 def read_laws(args):
-    """Texts of --declare, or those of the model file."""
+    """Texts of --declare, or those of the model file, and equations of --constrain."""
     if not args.model:
-        return tuple(args.declare or ())
+        return (*(args.declare or ()), *args.constrain)
     from bsp_gp.data.toml import TomlError, parse_toml
 
     try:
@@ -96,7 +96,7 @@ def read_laws(args):
         raise LawError(
             f'{args.model}: declare must be a list of laws: declare = ["9.81 [m/s^2] * m_i * down"]'
         )
-    return tuple(laws)
+    return (*laws, *args.constrain)
 
 
 def read_constants(pairs, option="--set"):

@@ -14,7 +14,7 @@ MAX_LEVELS, MAX_COUNTED_LEVELS, MAX_ROUNDS, MAX_WORKERS = 20, 16, 100, 256
 MAX_SCENES, MAX_SCORED = 100_000, 10**9
 MIN_ALPHA = 1e-4
 _OPTION = re.compile(r"-h|--|--[a-z][a-z-]*(=.*)?", re.DOTALL)
-_TAKES_DASH = ("--declare", "--law", "--up", "--set")
+_TAKES_DASH = ("--declare", "--law", "--up", "--set", "--constrain")
 _TIME = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(s|m|min|h)?")
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 _LAW_HELP = """\
@@ -504,6 +504,11 @@ def _model(parser, *names, help_, required):
     model = parser.add_mutually_exclusive_group(required=required)
     model.add_argument(*names, dest="declare", action="append", metavar="LAW", help=help_)
     model.add_argument("--model", metavar="FILE", help='TOML file with declare = ["LAW", ...]')
+    parser.add_argument(
+        "--constrain", action="append", default=[], metavar="EQUATION",
+        help='what bodies keep to: "norm(p_i - (0, 1.2)) = 0.8" (a rod to a point; names in place '
+        'of numbers are fitted), "norm(p_bob - p_hand) = L", "y_i = 0.3 * x_i" (an incline)',
+    )  # fmt: skip
 
 
 def _time(text):

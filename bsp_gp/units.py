@@ -8,6 +8,7 @@ of the grammar.
 from __future__ import annotations
 
 import functools
+import math
 import re
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -15,7 +16,9 @@ from types import MappingProxyType
 
 from bsp_gp.errors import UnitError
 
-__all__ = ["ACCELERATION", "BASE", "DIMENSIONLESS", "FORCE", "Unit", "UnitSystem", "parse_unit"]
+__all__ = [
+    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "Unit", "UnitSystem", "parse_unit",
+]  # fmt: skip
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 _DIMENSION = {
@@ -206,6 +209,8 @@ def _in_base_units(text):
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 
 
+ANGLES = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
+"""Units of angles in the place of lengths, in rad."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -238,7 +243,14 @@ class UnitSystem:
                 symbols[base] = kind
             elif text is not None and text.strip().lower() in ("px", "pixel", "pixels"):
                 symbols[base] = "px"
+            elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
+                symbols[base] = "rad"
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))
+
+    @property
+    def is_angle(self):
+        """Whether angles stand in the place of places: rad for m."""
+        return self.symbols.get("m") == "rad"
 
     def is_calibrated(self, unit):
         """Whether every base unit that occurs in `unit` is known in SI."""

@@ -358,6 +358,15 @@ def _scene(rows, part, entities, row, local, is_new, shape):
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error
 
 
+def unwrapped(scene):
+    """A scene of angles without jumps by a whole turn, rad."""
+    places = np.array(scene.positions)
+    for track in np.moveaxis(places, 0, -1).reshape(-1, len(places)):
+        seen = np.isfinite(track)
+        track[seen] = np.unwrap(track[seen])
+    return replace(scene, positions=places)
+
+
 def _unused(roster, used):
     if roster is None:
         return ()

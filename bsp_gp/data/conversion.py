@@ -7,7 +7,7 @@ import tokenize
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
-from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem, parse_unit
+from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit, UnitSystem, parse_unit
 
 __all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
@@ -144,6 +144,8 @@ class Conversion:
                 self._fail(
                     f"column {column!r} has no unit while x has", column, 'add length = "..."'
                 )
+        if self.system.is_angle and text is not None and text.strip().lower() in ANGLES:
+            return ANGLES[text.strip().lower()]
         return 1.0 if text is None else self._read(column, text, _LENGTH)[0]
 
     def velocity(self, column):

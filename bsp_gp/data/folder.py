@@ -178,8 +178,8 @@ def _units(dataset):
     """Numbers in memory are SI, so these are SI units, or px, or nothing."""
     symbols = dataset.units.symbols
     units = {}
-    if symbols.get("m") == "px" or "m" not in symbols:
-        units["length"] = "px" if "m" in symbols else "m"
+    if symbols.get("m") in ("px", "rad") or "m" not in symbols:
+        units["length"] = {"px": "px", "rad": "rad"}.get(symbols.get("m"), "m")
     for kind, base in (("time", "s"), ("mass", "kg")):
         if base not in symbols:
             units[kind] = base

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.assembly import axes_of, build_rows, build_scenes
+from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, unwrapped
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
@@ -232,6 +232,8 @@ def _assemble(table, roster, declaration, default_name):
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
     scenes, idle = build_scenes(rows, roster)
+    if conversion.system.is_angle:
+        scenes = tuple(map(unwrapped, scenes))
     has_times = "t" in table.frame.columns
     clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
     clock += clock_jumps(rows, scenes, conversion.time())

@@ -160,7 +160,10 @@ class Chains:
 
 def is_coupled(law, batch):
     """Whether a force of the law passes between moving bodies of the batch."""
-    return len(batch.bodies.receivers) > 1 and any(term.kind == "pair" for term in law.terms)
+    passes = any(term.kind == "pair" for term in law.terms) or any(
+        part.is_coupling for part in law.frame if part.kind == "constraint"
+    )
+    return len(batch.bodies.receivers) > 1 and passes
 
 
 def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None):

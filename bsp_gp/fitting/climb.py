@@ -37,6 +37,8 @@ TURN = 0.5
 """Change of velocity from row to row, in velocities, from which they are."""
 KEPT = 4
 """Starts that go on beyond the first level."""
+KEPT_WIDTH = 0.02
+"""Extents that constants of a constraint may move while pieces of tracks do not determine them."""
 JOININGS = 6
 GROWN = 4
 """Trials from which whole tracks are grown."""
@@ -136,7 +138,9 @@ class Climb:
         width = self.run.tolerances.prior_width * np.where(known, size, 1.0)
         has_prior = np.isfinite(self.run.width)
         width = np.where(has_prior, self.run.width, np.where(known, width, np.inf))
-        return np.where(has_prior, point.values, 0.0), 1.0 / width
+        is_kept = np.array([role == "kept" for role in roles], dtype=bool)
+        width = np.where(is_kept, KEPT_WIDTH * self.scales.extent, width)
+        return np.where(has_prior | is_kept, point.values, 0.0), 1.0 / width
 
     def _shootings(self, rows):
         return [
@@ -150,7 +154,9 @@ class Climb:
         if end is not None:
             return self._finish(replace(end, n_starts=1, n_agree=1))
         points = self.first_points()
-        may_grow = not self.paper_steps and (self.is_coarse or not self.run.is_aside)
+        # Where rows are dense and no constant is free, starts cannot differ.
+        is_open = self.run.parameters and not self.run.is_aside
+        may_grow = not self.paper_steps and (self.is_coarse or is_open)
         may_grow = may_grow and not self.run.law.unseen
         ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
@@ -198,6 +204,10 @@ class Climb:
         """
         best = min(ends, key=_height)
         if self.run.is_noise_estimated:  # misfit or noise: starts that agree must do
+            # Where every constant was told, what neighbouring rows tell of the noise does as well.
+            if all(pair in self.run.starts for pair in self.run.parameters):
+                if best.linearised is not None and self._is_allowed(best):
+                    return True
             return best.linearised is not None and sum(_agree(m, best) for m in ends) >= AGREE
         return self._is_allowed(best)
 
@@ -335,7 +345,7 @@ class Climb:
         and it stalls.
         """
         low, high = self.box
-        point = TrackPoint(np.clip(start.values, low, high), start.nodes)
+        point = problem.upon(np.clip(start.values, low, high), start.nodes)
         count = 0
         for _ in range(JOININGS):
             found = minimise(

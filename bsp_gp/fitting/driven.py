@@ -61,3 +61,11 @@ class Driven:
             out[0, k][:, mine] = (curve(inside) + velocity * (times[mine] - inside)[:, None]).T
             out[1, k][:, mine] = velocity.T
         return out
+
+    def pull(self, times, chain):
+        """Accelerations, shape (D, d, M)."""
+        out = np.zeros(self.first[..., chain].shape)
+        for (s, k), (_, slope, begin, end) in self.curves.items():
+            mine = np.flatnonzero((chain == s) & (times >= begin) & (times <= end))
+            out[k][:, mine] = slope.derivative()(times[mine]).T
+        return out

@@ -216,6 +216,9 @@ def _through(flow, scheme, points, h, slopes):
             total[open_] = chained(total[open_], moved, flow.n_state)
             before = flow.points(state, there.times, chain, start.modes)
             _jumped(flow, total, open_, changes, is_held, (start, before, behind))
+            if flow.motion.constraints:  # a body that creeps feels the least way off them
+                kept = flow.motion.constraints.tangent(behind)
+                total[open_] = chained(total[open_], kept, flow.n_state)
         ends[..., open_], times[open_] = there.state, there.times
         ends[..., open_[is_lost]] = np.nan
         for mode, held in zip(modes, new, strict=True):
@@ -436,6 +439,10 @@ def _stop_jump(flow, start, before, behind, change):
     # Just before the stop the body creeps as it came.
     creep = before.state.copy()
     came = start.state[1, body, axes, 0]
+    if flow.motion.constraints:
+        creep[1] = start.state[1]
+        creep = flow.motion.constraints.along(before.at(creep))
+        came = creep[1, body, axes, 0]
     way = came / np.sqrt(np.square(came).sum())
     creep[1, body, axes, 0] = CREEP * way
     here = flow.points(creep, before.times, before.chain, before.modes)

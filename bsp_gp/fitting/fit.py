@@ -19,6 +19,7 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
+from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.noise_estimate import estimate
@@ -326,7 +327,7 @@ class _Run:
         said = self.hypothesis.paper_steps
         if said is not None:
             return (said,)
-        if not self.is_exact:
+        if not self.is_exact or constraints_of(self.law):
             return (False,)
         has_sizes = any(np.any(chains.code != POINT) for chains in self.groups)
         return (True, False) if has_sizes else (False, True)
@@ -463,7 +464,7 @@ class _Run:
         """The law with probes beside it, of unknown strength."""
         law = self.law
         is_moving = np.isfinite(self.hypothesis.noise.levels)
-        for term in probe_terms(self.groups, is_moving):
+        for term in probe_terms(self.groups, is_moving, bool(constraints_of(law))):
             law = law.plus(term, {term.formula.constants[0]: np.nan})
         return law
 

@@ -169,6 +169,23 @@ class Flow:
             return found
         return Points(state, times, chain, found.driven, self.motion.modes_at(found))
 
+    def held(self, nodes):
+        """Nodes (2, R, d, T, S) put on the constraints of the law."""
+        if not self.motion.constraints:
+            return nodes
+        row, chain = np.nonzero(np.isfinite(self.chains.times))
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
+        nodes = nodes.copy()
+        nodes[..., row, chain] = self.motion.constraints.held(points)
+        return nodes
+
+    def tangent(self, nodes, row, chain):
+        """Derivatives of nodes that are put on the constraints, (M, n, n + k); None if none are."""
+        if not self.motion.constraints:
+            return None
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
+        return self.motion.constraints.tangent(points)
+
     def step(self, scheme, points, h):
         """One step of a scheme with the modes frozen.
 
@@ -358,10 +375,14 @@ class Flow:
         """
         leg = object.__new__(Flow)
         leg.__dict__.update(self.__dict__)
-        leg.row, leg.chain = np.zeros(len(chain), dtype=int), chain
+        # A chain may be asked for at several times: each has a row of its own.
+        order = np.argsort(chain, kind="stable")
+        row = np.empty(len(chain), dtype=int)
+        row[order] = np.arange(len(chain)) - np.searchsorted(chain[order], chain[order])
+        leg.row, leg.chain = row, chain
         leg.start, leg.length = begin, end - begin
-        nodes = np.zeros((*state.shape[:-1], 1, self.chains.n_chains))
-        nodes[..., 0, chain] = state
+        nodes = np.zeros((*state.shape[:-1], row.max(initial=0) + 1, self.chains.n_chains))
+        nodes[..., row, chain] = state
         mesh, ends = leg._mesh(nodes, "dop853")
         if not mesh.is_complete:
             gone = np.zeros(len(chain))

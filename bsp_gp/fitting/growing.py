@@ -249,8 +249,8 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
     low, high = (values, values) if is_held else climb.box
-    point = TrackPoint(np.clip(values, low, high), tuple(own))
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
+    point = problem.upon(np.clip(values, low, high), tuple(own))
     problem = problem.with_meshes(point)
     for _ in range(JOININGS):
         minimum = minimise(

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
-from bsp_gp.units import FORCE
+from bsp_gp.units import FORCE, Unit
 
 __all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
 
@@ -106,8 +109,12 @@ class Forces(Part):
         units = {}
         for term in self.law.terms:
             units.update(constant_units(term))
-        out = []
+        held = {p.name: p for part in self.law.frame for p in part.parameters}
+        at = {name: self.law.constants.get(name, math.nan) for name in held}
+        out = [p if math.isnan(at[p.name]) else replace(p, start=at[p.name]) for p in held.values()]
         for name in self.law.names:
+            if name in held:
+                continue
             value = self.law.constants.get(name, math.nan)
             table = value if hasattr(value, "items") else {"": math.nan}
             out += [Parameter(name, k, units.get(name), start=v) for k, v in table.items()]
@@ -208,7 +215,7 @@ class Hypothesis:
                 constants.update(part.law.constants)
                 frame += part.law.frame
                 unseen += part.law.unseen
-            elif part.kind != "noise" and part.parameters:
+            elif part.kind == "constraint" or part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))
@@ -267,17 +274,24 @@ def read_law(dataset, texts: Sequence[str]):
     ----------
     dataset : Dataset
     texts : str or sequence of str
-        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``. Named constants are fitted.
+        One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
+        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted.
 
     Returns
     -------
     ForceLaw
         Its terms are declared; constants are nan until they are fitted.
     """
+    from bsp_gp.fitting.parts.constraints import read_constraint  # a part itself
+
     types = dataset_types(dataset)
-    terms = []
+    is_angle, terms, frame = dataset.units.is_angle, [], []
     for text in (texts,) if isinstance(texts, str) else texts:
-        formula = parse_formula(text, types, units=dataset.units)
+        if "=" in text:
+            frame.append(read_constraint(dataset, text))
+            continue
+        formula = read_torque(text, types, dataset.units) if is_angle else None
+        formula = formula or parse_formula(text, types, units=dataset.units)
         unit = formula.type.unit
         if unit is not None and unit != FORCE:
             raise LawError(
@@ -285,8 +299,27 @@ def read_law(dataset, texts: Sequence[str]):
                 "give its number a unit, as in 9.81 [m/s^2]"
             )
         terms.append(Term(formula, is_declared=True))
-    law = ForceLaw(tuple(terms), {})
+    law = ForceLaw(tuple(terms), {}, tuple(frame))
     return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
+
+
+def read_torque(text, types, units):
+    """A law of an angle: ``theta_i`` and ``omega_i`` are it and its rate, and scalars are torques.
+
+    What stands for a mass is the moment of inertia.
+    """
+    radian = Number(1.0, Unit.of(m=1), "1 [rad]")
+    units_of = {
+        Constant("radian"): radian, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
+    }  # fmt: skip
+    text = re.sub(r"\bsign\(\s*omega_i\s*\)", "sign(omega_i / hertz)", text)
+    for name, shown in (("theta", "(p_i - origin)"), ("omega", "v_i")):
+        text = re.sub(rf"\b{name}_i\b", f"(dot({shown}, e_x) / radian)", text)
+    types = {**types, "origin": STATE_INPUTS["origin"]}
+    formula = substitute(parse_formula(text, types, units=units), units_of)
+    if formula.type.shape == "scalar":
+        formula = Call("mul", formula, Call("mul", radian, Input("e_x", types["e_x"])))
+    return formula
 
 
 def declared_law(dataset, texts: Sequence[str]):

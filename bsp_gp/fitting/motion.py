@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.fitting.constrained import Constraints, constraints_of
 from bsp_gp.fitting.graph import Graph, Tape
 from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.fitting.owners import Owners, fitted_properties
@@ -44,6 +45,10 @@ class Points:
     chain: object
     driven: np.ndarray | None
     modes: list
+
+    def at(self, state):
+        """The same points with other states."""
+        return replace(self, state=state)
 
     def pick(self, index):
         """Some of the points."""
@@ -180,6 +185,10 @@ class Motion:
             {name: owners.parameter(name, program.kind) for name in program.constants}
             for program in self.programs
         ]
+        is_held = bool(constraints_of(self.law))
+        self.constraints = (
+            Constraints(self.law, self.chains, self.parameters, owners) if is_held else None
+        )
 
     # --- what does not change along a track ------------------------------------------------------
 
@@ -250,6 +259,8 @@ class Motion:
                 ]
             )  # fmt: skip
         self.values = known
+        if self.constraints:
+            self.constraints.set_constants(known)
 
     # --- at points -------------------------------------------------------------------------------
 
@@ -367,7 +378,8 @@ class Motion:
         creeping = self._acceleration(moved)
         return still, still & ((creeping * way).sum(axis=1, keepdims=True) <= 0), creeping
 
-    def _acceleration(self, points):
+    def _free_acceleration(self, points):
+        """Accelerations without constraints."""
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
         for number, program, outputs in self._run(0, points):
@@ -378,6 +390,15 @@ class Motion:
                 else:
                     total[:, axis] = value
         return total
+
+    def _acceleration(self, points):
+        if not self.constraints:
+            return self._free_acceleration(points)
+        return self.constraints.accelerations(self._free_acceleration(self._along(points)), points)
+
+    def _along(self, points):
+        """Points at which forces are asked: friction turns with the least way off constraints."""
+        return points.at(self.constraints.along(points)) if self.stops else points
 
     def _summed(self, program, value, n_points):
         """A term's values summed over the sources, (R, M)."""
@@ -402,7 +423,9 @@ class Motion:
     def slope_rows(self, points, holds=True):
         """The same with the points on the last axis."""
         _, n_own, n_dims, n_points = points.state.shape
-        n = n_own * n_dims
+        n, asked = n_own * n_dims, points
+        if self.constraints:
+            points = self._along(points)
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
         held = self.is_held(points) if self.has_stops and holds else None
@@ -413,6 +436,16 @@ class Motion:
             for (row, name), value in zip(program.constant_of, rest, strict=True):
                 parameter = self._parameter_of[k][name]
                 self._add_constant(by_constant[:, row], program, parameter, value, points.chain)
+        if self.constraints:
+            free = self._free_acceleration(points)
+            flat = by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
+            if points is not asked:
+                moved = self.constraints.tangent_rows(points, is_there=True)
+                moved = np.einsum("nzm,zym->nym", flat[0], moved)
+                flat = moved[:, : 2 * n], flat[1] + moved[:, 2 * n :]
+            by_state, by_constant = self.constraints.slopes(free, *flat, asked)
+            by_state = by_state.reshape(n_own, n_dims, 2, n_own, n_dims, n_points)
+            by_constant = by_constant.reshape(n_own, n_dims, -1, n_points)
         if held is not None:
             by_state[np.broadcast_to(held[:, :, None, None, None], by_state.shape)] = 0.0
             by_constant[np.broadcast_to(held[:, :, None], by_constant.shape)] = 0.0
@@ -421,6 +454,8 @@ class Motion:
     def slope_pattern(self):
         """Which derivatives by the state may differ from zero: a list of (row, column)."""
         n_own, n_dims = self.chains.n_moving, self.chains.n_dims
+        if self.constraints:
+            return list(np.ndindex(n_own * n_dims, 2 * n_own * n_dims))
         found = np.zeros((n_own, n_dims, 2, n_own, n_dims, 1))
         for program in self.programs:
             for row, name, axis in program.slope_of:

@@ -28,7 +28,7 @@ WAVES = (0, 1, 2)
 """Half waves over a recording by which a force varies."""
 
 
-def probe_terms(groups, is_moving):
+def probe_terms(groups, is_moving, is_held=False):
     """As many probes as the shortest tracks can bear, the slowest first.
 
     Parameters
@@ -36,6 +36,8 @@ def probe_terms(groups, is_moving):
     groups : sequence of Chains
     is_moving : ndarray of bool, shape (d,)
         Axes along which something moves.
+    is_held : bool
+        Whether constraints hold bodies: then forces along and across a radius are too much alike.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def probe_terms(groups, is_moving):
     """
     begin = min(float(np.nanmin(c.times)) for c in groups)
     span = max(float(np.nanmax(c.times)) for c in groups) - begin
-    shapes = _shapes(is_moving)
+    shapes = _shapes(is_moving, is_held)
     count = int(min(_room(chains) for chains in groups) / ROWS_PER_PROBE)
     waves = WAVES[: count // len(shapes)]  # all shapes of a wave or none
     return [
@@ -54,17 +56,19 @@ def probe_terms(groups, is_moving):
     ]
 
 
-def _shapes(is_moving):
+def _shapes(is_moving, is_held):
     """Vectors of the common shapes."""
     velocity = Input("v_i", STATE_INPUTS["v_i"])
     place = Input("p_i", STATE_INPUTS["p_i"])
-    shapes = [velocity, Call("sub", place, Input(ORIGIN, STATE_INPUTS["p_i"]))]
+    shapes = [velocity]
+    if not is_held:
+        shapes.append(Call("sub", place, Input(ORIGIN, STATE_INPUTS["p_i"])))
     shapes += [
         Input(f"e_{axis}", Type("vector"))
         for axis, moves in zip("xyz", is_moving, strict=False)
         if moves
     ]
-    if len(is_moving) == 2 and all(is_moving):
+    if len(is_moving) == 2 and all(is_moving) and not is_held:
         shapes.append(Call("perp", velocity))
     return shapes
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import cut_pieces
@@ -38,6 +39,8 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 """Chi-squared that moments may lose which are left out, where forces show so much at least."""
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
+NOTHING = 1e-10
+"""Part of what a force could show up to which it shows nothing."""
 PASSES = 3
 STRENGTHS = np.logspace(-4, 6, 41)
 """Of the free force that smooths tracks, squared, in units of what one moment would show."""
@@ -65,7 +68,13 @@ class ResponseBatch(RegressionBatch):
         n, s, r, d = (*values.shape[:3], values.shape[-1])
         flat = np.moveaxis(values, (1, -1), (0, 3)).reshape(s, n * r * d, -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            out = self.whitener.reshape(s, -1, n * r * d) @ flat
+            whitener = self.whitener.reshape(s, -1, n * r * d)
+            out = whitener @ flat
+            # Of a force that acts along a rod rounding is left, which must not pass for a trace.
+            most = np.linalg.norm(whitener, axis=2).max(axis=1, initial=0.0)[:, None, None]
+            most = most * np.linalg.norm(flat, axis=1, keepdims=True)
+            size = np.abs(out).max(axis=1, keepdims=True, initial=0.0)
+            out = np.where(size > NOTHING * most, out, 0.0)
         return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
 
     def whitened_target(self):
@@ -197,9 +206,11 @@ class _Group:
         self.per_row = 1 if fit.paper_steps else self._instants_per_row()
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
-        self.nodes = self._between()
+        self.nodes = self._flow(self.fine).held(self._between())
         self.level = 1.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
+        held = {name for part in constraints_of(fit.law) for name in part.names}
+        self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
 
     def _flow(self, chains):
         motion = self.motion.on(chains, self.fit.law)
@@ -263,24 +274,36 @@ class _Group:
         n_forces = n_fine * half
         before, after_ = self._kicks()
         changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
-        changes[0, :, np.arange(n), n_forces + np.arange(n)] = 1.0
+        kept = self._kept_states(flow)
+        changes[0, :, :, n_forces : n_forces + n + k] = kept[0]
         number = np.full((n_fine, n_pieces), -1)
         number[flow.row, flow.chain] = np.arange(flow.n_intervals)
-        own = half + np.arange(half)
         for row in range(n_fine):
-            at = row * half + np.arange(half)
-            changes[row, :, own, at] += before[row]
+            at = slice(row * half, (row + 1) * half)
+            pushed = kept[row, :, :, half:n]  # of a force what constraints leave
+            changes[row, :, :, at] += before[row, :, None, None] * pushed
             open_ = np.flatnonzero(number[row] >= 0)
             if row + 1 == n_fine or not len(open_):
                 break
             kicked = changes[row, open_]
-            kicked[:, own, at] += after_[row, open_, None]
+            kicked[:, :, at] += after_[row, open_, None, None] * pushed[open_]
             moved = transitions[number[row, open_]]
             later = moved[:, :, :n] @ kicked
             later[:, :, n_forces + n : n_forces + n + k] += moved[:, :, n:]
             later[:, :, -1] += gaps[number[row, open_]]
             changes[row + 1, open_] = later
         return changes
+
+    def _kept_states(self, flow):
+        """What constraints leave of changes of states and constants, (L, W, n, n + k)."""
+        n, k = flow.n_state, flow.n_constants
+        out = np.broadcast_to(np.eye(n, n + k), (*self.fine.times.shape, n, n + k))
+        row, chain = np.nonzero(np.isfinite(self.fine.times))
+        kept = flow.tangent(self.nodes, row, chain)
+        if kept is not None:
+            out = out.copy()
+            out[row, chain] = kept
+        return out
 
     def _kicks(self):
         """Change of velocity by an acceleration of one, up to and from every instant, (L, W)."""
@@ -333,10 +356,17 @@ class _Group:
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
         vectors = vectors[:, :, -count:] * keep[:, None, -count:]
-        turned = np.swapaxes(vectors, 1, 2)
-        shape = (len(by_force), count, -1, self.n_own, self.n_dims)
-        moments = (turned @ left[..., None])[..., 0]
-        return (turned @ by_force).reshape(shape), moments, keep[:, -count:]
+        turned, keep = np.swapaxes(vectors, 1, 2), keep[:, -count:]
+        by_constant, force = beyond[:, :, n_forces + n : -1], turned @ by_force
+        if self.held.any():  # what bodies are held by shows where no force does, too
+            rest = by_constant[:, :, self.held]
+            more = np.swapaxes(_orthonormal(rest - vectors @ (turned @ rest)), 1, 2)
+            turned = np.concatenate([turned, more], axis=1)
+            keep = np.concatenate([keep, more.any(axis=2)], axis=1)
+            force = np.concatenate([force, np.zeros((*more.shape[:2], n_forces))], axis=1)
+        self.by_constant = np.swapaxes(turned @ by_constant, 0, 1)
+        shape = (*turned.shape[:2], -1, self.n_own, self.n_dims)
+        return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
 
     def _kept(self, values, left):
         """Moments without which less than `LOST` is lost of what a force white in time may show."""
@@ -377,6 +407,7 @@ class _Group:
         change = np.einsum("lwij,wj->lwi", changes, weights)
         shape = (*change.shape[:2], 2, self.n_own, self.n_dims)
         self.nodes = self.nodes + np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
+        self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
     def _level(self, turned, scaled, height):
@@ -421,7 +452,10 @@ class _Group:
         slopes = np.zeros((*self.fine.times.shape, self.n_own, k, self.n_dims))
         shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, k)
         slopes[row, chain] = np.swapaxes(shaped, 2, 3)
-        return batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
+        out = batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
+        # What constants of constraints change is more than forces: where bodies can be.
+        out[:, self.held] = self.by_constant.reshape(out.shape)[:, self.held]
+        return out
 
 
 def _orthonormal(matrices):

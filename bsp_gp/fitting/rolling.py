@@ -46,6 +46,7 @@ def roll(law, chains, first, tolerance, paper_steps=False):
     flow = flow_of(law, chains, tolerance, paper_steps)
     nodes = first_nodes(chains)
     nodes[..., 0, :] = first
+    nodes = flow.held(nodes)
     last = chains.times.shape[0] - 1
     row, length = 0, 1 if paper_steps else max(last, 1)
     while row < last:
@@ -123,6 +124,7 @@ def _joined(leg, nodes, row, stop, tolerance):
             return None
         shaped = np.moveaxis(change, -1, 0).reshape(*nodes.shape[:3], stop - row + 1, -1)
         nodes[..., row : stop + 1, :] += shaped
+        nodes = leg.held(nodes)
         size = float((np.abs(shaped[0]).max(axis=(0, 1)) / tolerance).max())
         if size <= JOINED:
             return nodes

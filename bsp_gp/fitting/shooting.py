@@ -209,6 +209,9 @@ class Shooting:
         begun = np.zeros((len(group), n, n + k + 1))
         begun[:, np.arange(n), np.arange(n)] = 1.0
         first, chain = self.windows.first[group], self.windows.chain[group]
+        kept = self.flow.tangent(nodes, first, chain)
+        if kept is not None:
+            begun[..., : n + k] = kept
         for state, number in self._tied:
             begun[:, state] = 0.0
             begun[:, state, n + number] = 1.0

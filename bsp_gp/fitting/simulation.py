@@ -8,8 +8,11 @@ import numpy as np
 
 from bsp_gp.data.noise import checked_noise
 from bsp_gp.errors import EvaluationError, LawError, SettingsError
+from bsp_gp.fitting.chains import build_chains
+from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.held_out import initial_states
 from bsp_gp.fitting.hypothesis import declared_law
+from bsp_gp.fitting.rolling import roll
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import INTEGRATORS, rollout
 from bsp_gp.physics.force import ForceLaw
@@ -105,7 +108,7 @@ def _valued(dataset, law, constants):
             "write a number in its place"
         )
     law = law.with_constants(constants)
-    return ForceLaw(law.terms, {name: law.constants[name] for name in law.names})
+    return ForceLaw(law.terms, {name: law.constants[name] for name in law.names}, law.frame)
 
 
 def _touches(law):
@@ -114,6 +117,8 @@ def _touches(law):
 
 def _paths(dataset, law, integrator, substeps):
     """Predicted positions of the receivers of every scene, list of (T, R, d)."""
+    if constraints_of(law):
+        return _held_paths(dataset, law)
     is_paper = integrator == "euler" and (substeps or 1) == 1
     states = initial_states(dataset, law, paper_steps=is_paper)
 
@@ -136,6 +141,25 @@ def _paths(dataset, law, integrator, substeps):
             return fine
         coarse = fine
     return coarse
+
+
+def _held_paths(dataset, law):
+    """The same under constraints, whose motion is integrated with its error under control."""
+    states = initial_states(dataset, law, paper_steps=False)
+    tracks = {s.name: np.full(s.positions[:, s.dynamic].shape, np.nan) for s in dataset.scenes}
+    place = {s.name: [s.names[k] for k in s.dynamic] for s in dataset.scenes}
+    for chains in build_chains(law, dataset.scenes, dataset.up):
+        rows = [
+            [place[scene].index(name) for name in own]
+            for scene, own in zip(chains.scenes, chains.bodies, strict=True)
+        ]
+        first = np.stack([states[s][:, k] for s, k in zip(chains.scenes, rows, strict=True)], -1)
+        size = np.nanmax(np.abs(chains.observed), axis=(0, 2, 3))
+        nodes = roll(law, chains, first, STEP_TOLERANCE * size)
+        for s, (scene, own) in enumerate(zip(chains.scenes, rows, strict=True)):
+            path = np.moveaxis(nodes[0, ..., s], -1, 0)[: len(tracks[scene])]
+            tracks[scene][:, own] = path
+    return [tracks[scene.name] for scene in dataset.scenes]
 
 
 def _greatest_change(coarse, fine):

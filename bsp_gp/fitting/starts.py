@@ -182,7 +182,10 @@ def _curvatures(groups, noises, size):
 
 
 def roles_of(law):
-    """What each constant does: "exponent", "rate", "phase", "inner" or "linear"."""
+    """What each constant does: "exponent", "rate", "phase", "inner", "linear" or "kept".
+
+    What is kept belongs to a constraint, and begins where the rows have it.
+    """
     roles = {}
     for term in law.terms:
         for _, name, _ in powers_of(term.formula):
@@ -195,6 +198,9 @@ def roles_of(law):
                     roles.setdefault(name, "exponent")
             if node.operator in ("sin", "cos"):
                 _angle_roles(node.args[0], roles)
+    for part in law.frame:
+        if part.kind == "constraint":
+            roles |= dict.fromkeys(part.names, "kept")
     for name in law.names:
         if name not in roles:
             is_linear = all(_is_linear(term.formula, name) for term in law.terms)
@@ -250,7 +256,8 @@ def candidates(law, parameters, scales, rates, most):
         Of the constants that do not enter linearly; the others are found from these.
     """
     roles = roles_of(law)
-    names = [n for n in dict.fromkeys(name for name, _ in parameters) if roles[n] != "linear"]
+    names = dict.fromkeys(name for name, _ in parameters)
+    names = [n for n in names if roles[n] not in ("linear", "kept")]
     grids = {
         "exponent": EXPONENTS,
         "rate": tuple(rates) or tuple(2 * np.pi / scales.span * np.array([1.0, 3.0, 10.0])),

@@ -146,7 +146,16 @@ class TrackProblem:
                 self.shootings, point.nodes, linearised.condensed, strict=True
             )
         )
-        return TrackPoint(values, nodes)
+        return self.upon(values, nodes)
+
+    def upon(self, values, nodes):
+        """A point with its nodes put on the constraints of the law."""
+        constants, _ = self.coordinates.constants(values)
+        out = []
+        for shooting, own in zip(self.shootings, nodes, strict=True):
+            shooting.flow.motion.set_constants(constants)
+            out.append(shooting.flow.held(own))
+        return TrackPoint(values, tuple(out))
 
     def settled(self, point, times=1):
         """The point after steps of the initial states alone."""

@@ -24,6 +24,11 @@ __all__ = ["Round", "run_rounds"]
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
+EXPLAINED = 1.5
+"""Reduced chi-squared below which a cause beside free forces explains the tracks."""
+FAR_BEHIND = 100.0
+"""Nats, or a fiftieth, by which a promise is behind one that was kept and explained all there is:
+what explains as much is told from the same moments as it."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 SAME_MINIMUM = 1e-3
@@ -222,6 +227,7 @@ class _Turn:
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
+        self.judged = {}  # reduced chi-squared of what was judged by more than itself
         self.found = 0.0  # nats that a fit has promised and kept
 
     def note_time(self, code):
@@ -264,15 +270,21 @@ class _Turn:
         clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
         chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
         above = {}  # posteriors and likelihoods above what was promised, by family and rank
+        kept = 0.0  # the greatest promise that was kept by what leaves no misfit
         for source, proposal in [*controls, *chosen]:
             if self.note_time("fits"):
                 break
-            if REACH * (proposal.promise + criteria.class_nats) < self.found:
+            is_behind = kept - proposal.promise > max(FAR_BEHIND, kept / 50)
+            if is_behind or REACH * (proposal.promise + criteria.class_nats) < self.found:
                 continue
             row = self._fitted(source, proposal)
+            if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
+                break
             if row.is_fit:
                 gained = row.log_posterior - self.rows[0].log_posterior
                 self.found = max(self.found, min(gained, proposal.promise))
+                if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
+                    kept = max(kept, proposal.promise)
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
@@ -300,19 +312,29 @@ class _Turn:
         """Fit a proposal and add its row."""
         self.run.says(f"fitting {proposal.text}")
         run = self.run
-        try:
+
+        def fitted(proposal):
             new = proposal.fitted(
                 self.base, run.dataset, criteria=run.criteria, bounds=run.bounds,
                 deadline=run.clock.left,
             )  # fmt: skip
+            return new, log_evidence(new, proposal.hypothesis, run.criteria)
+
+        try:
+            new, evidence = fitted(proposal)
+            best = new
+            if proposal.judged is not None and not new.is_failed:
+                other, theirs = fitted(replace(proposal, hypothesis=proposal.judged))
+                if theirs > evidence:
+                    best, evidence = other, theirs
+                self.judged[len(self.rows)] = best.chi2_red
         except FAULTS:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
         self.fits[len(self.rows)] = new
         return self._add(
-            source, proposal, new.status, log_evidence(new, proposal.hypothesis, run.criteria),
-            new.log_likelihood, new.n_free, held_out_gain(self.base, new),
-            self._twin(source, proposal, new),
+            source, proposal, new.status, evidence, best.log_likelihood, best.n_free,
+            held_out_gain(self.base, best), self._twin(source, proposal, best),
         )  # fmt: skip
 
     def _twin(self, source, proposal, new):
@@ -361,4 +383,4 @@ def _chosen(every, clear, criteria):
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             keys.add(proposal.key)
-    return chosen
+    return sorted(chosen, key=lambda pair: not pair[1].is_sole)

@@ -47,6 +47,11 @@ class Proposal:
         Logarithm of the part of its inner constants' range that the data leave.
     is_wide : bool
         Whether other forms are special cases of it: it is wider than they, and no other form.
+    judged : Hypothesis or None
+        By which it is judged, if not by itself alone: beside forces that know no physics, where
+        more may be missing than one cause explains.
+    is_sole : bool
+        Whether nothing else is asked for where it leaves no misfit when it is judged so.
     """
 
     code: str
@@ -63,6 +68,8 @@ class Proposal:
     kind: str = "force"
     volume: float = 0.0
     is_wide: bool = False
+    judged: object = None
+    is_sole: bool = False
 
     @cached_property
     def key(self):
@@ -98,8 +105,9 @@ class Proposal:
             Of the constants of what is declared.
         deadline : float, optional
         """
+        near = None if self.kind == "constraint" else base  # it leads tracks far off the others
         return fit(
-            self.hypothesis, dataset, starts=self.starts, near=base, effort=criteria.effort,
+            self.hypothesis, dataset, starts=self.starts, near=near, effort=criteria.effort,
             bounds={**self.hypothesis.own(bounds), **self.bounds}, deadline=deadline,
         )  # fmt: skip
 

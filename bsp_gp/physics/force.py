@@ -282,7 +282,8 @@ class ForceLaw:
         values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
-        return " + ".join(parts).replace("+ -", "- ") if parts else "0"
+        total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
+        return ", ".join([total, *(p.describe() for p in self.frame if p.kind == "constraint")])
 
     def latex(self, digits=True, units=None):
         """The law typeset as LaTeX."""
@@ -395,13 +396,19 @@ def constant_units(term):
         The linear constant turns the rest into a force; it is not among them if the rest has other
         constants with open units.
     """
-    units = {}
-    for node in walk(term.formula):
-        if isinstance(node, Call) and node.operator in ("add", "sub"):
-            for one, other in (node.args, node.args[::-1]):
-                if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
-                    units[one.name] = other.type.unit
+    units = added_units(term.formula)
     name, rest = split_linear(term.formula)
     if name is None or rest.type.unit is None:
         return units
     return {**units, name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
+
+
+def added_units(formula):
+    """Units of constants that are added to a quantity, by name."""
+    units = {}
+    for node in walk(formula):
+        if isinstance(node, Call) and node.operator in ("add", "sub"):
+            for one, other in (node.args, node.args[::-1]):
+                if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
+                    units[one.name] = other.type.unit
+    return units

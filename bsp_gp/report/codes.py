@@ -18,15 +18,18 @@ CAUSES = {
     "lens": "a lens that distorts", "perspective": "perspective",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
     "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
+    "rod": "a distance that stays constant: a string or rod",
+    "wire": "a line or plane that is kept to: a wire or rail",
     "noise": "noise that is not as assumed",
 }  # fmt: skip
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
-    "hidden_body": "unseen body", "measurement": "measurement",
+    "hidden_body": "unseen body", "measurement": "measurement", "constraint": "constraint",
     "declared_term_change": "change of a declared term", "noise": "noise",
 }  # fmt: skip
 FINDINGS = {
     "hidden_body": "an unseen body acts on these ({})",
+    "constraint": "what moves is held ({})",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",
     "noise": "the noise is not as it was assumed ({})",

@@ -8,9 +8,9 @@ from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
-from bsp_gp.report.numbers import pretty_unit
+from bsp_gp.report.numbers import format_number, pretty_unit, with_unit
 
-__all__ = ["describe"]
+__all__ = ["constant_distance", "describe"]
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -68,6 +68,20 @@ def _inner_phrase(direction, formula, powers):
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     return ", ".join(dict.fromkeys([f"force {along}{_scaling(powers)}", *words]))
+
+
+def constant_distance(effect):
+    """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
+    unit, (between, length) = effect.constants[-1].unit, effect.name.rsplit(" = ", 1)
+    place = re.search(r"\(([^()]*,[^()]*)\)", between)
+    if place:
+        point = ", ".join(format_number(float(x), 3) for x in place[1].split(","))
+        to = f"to ({point}) {unit}"
+    else:
+        first, second = re.findall(r"p_(\w+)", between)
+        to = f"of {first} and {second}"
+    size = with_unit(format_number(float(length), 3), unit)
+    return f"distance {to} is constant, {size}: a string or rod"
 
 
 def _parts(formula):

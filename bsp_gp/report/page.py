@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
-from bsp_gp.report.naming import describe
+from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
 
 __all__ = ["page_of"]
@@ -69,7 +69,7 @@ def _notes(report):
     yield from report.dataset["notes"]
     if report.dataset["split"]:
         yield report.dataset["split"]
-    symbols = report.dataset["symbols"]
+    symbols = {k: v for k, v in report.dataset["symbols"].items() if v != "rad"}
     if symbols:
         listed = ", ".join(f"{v} stands for {k}" for k, v in symbols.items())
         yield f"not calibrated: {listed}; constants are in the data's own units"
@@ -138,6 +138,8 @@ def _name(effect, parts, other):
         return describe(effect.formula, value, other)
     if effect.kind == "declared_term_change":
         return effect.name
+    if effect.code == "rod":
+        return constant_distance(effect)
     return CAUSES.get(effect.code, effect.name)
 
 

@@ -12,6 +12,7 @@ from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
 
 __all__ = ["standard"]
@@ -31,5 +32,5 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Hidden(),
-        Companions(), Contacts(), Measurement(), Defects(), Noise(),
+        Companions(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

@@ -1,0 +1,302 @@
+"""Constraints: a rod to a point or a body, a wire, a plane; what bodies keep to whatever pulls."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from bsp_gp.data.conversion import Conversion
+from bsp_gp.errors import LawError, UnitError
+from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.language.formula import Call, Constant, Number, evaluate, substitute
+from bsp_gp.language.inputs import STATE_INPUTS, property_of
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import added_units
+from bsp_gp.units import Unit
+
+__all__ = ["Constraint", "extent_of", "read_constraint"]
+
+LENGTH = Unit.of(m=1)
+MOST_ROWS, MOST_STARTS = 400, 36
+"""Rows of a body that constants are first guessed from, and from how many values."""
+_POINT = re.compile(r"(?<![A-Za-z0-9_])\(([^()]*,[^()]*)\)")
+_STATE = re.compile(r"\b([pxyz])_([A-Za-z]\w*)\b")
+_KEPT = ("p_i", "p_j", "t", "e_x", "e_y", "e_z", "up", "down", "origin")
+
+
+@dataclass(frozen=True)
+class Constraint(Part):
+    """A quantity that bodies keep at zero.
+
+    Attributes
+    ----------
+    text : str
+        As typed.
+    formula : Formula
+        The quantity, of places p_i, p_j and the time.
+    pairs : tuple of (str, str)
+        The bodies that keep to it: i, a body that forces move, and j or "".
+    numbers : tuple of Parameter
+        Its constants.
+    is_coupling : bool
+        Whether it passes forces between bodies that forces move.
+    """
+
+    text: str
+    formula: object
+    pairs: tuple
+    numbers: tuple = ()
+    is_coupling: bool = False
+    kind = "constraint"
+
+    @property
+    def names(self):
+        """Of its constants."""
+        return tuple(p.name for p in self.numbers)
+
+    @property
+    def parameters(self):
+        return self.numbers
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        return replace(
+            self, numbers=tuple(replace(p, start=float(values[p.name])) for p in self.numbers)
+        )
+
+    def describe(self):
+        return self.text
+
+
+def read_constraint(dataset, text, pairs=None):
+    """Read a typed constraint, ``norm(p_i - (0, 1.2)) = L``.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    text : str
+        An equation between places. Points are written as their coordinates, in the unit of the
+        data; names in them, and elsewhere, are fitted. ``x_i, y_i, z_i`` are coordinates;
+        ``p_NAME`` is the place of a body by name.
+    pairs : sequence of (str, str), optional
+        The bodies i and j ("" = none) that it is on, where the text does not say it.
+
+    Returns
+    -------
+    Constraint
+
+    Raises
+    ------
+    LawError
+        If it is none, or does not say which bodies it is on.
+    """
+    sides = text.split("=")
+    if len(sides) != 2 or "<" in text or ">" in text:
+        raise LawError(
+            f"a constraint must be one equation such as 'norm(p_i - (0, 1.2)) = 0.8', got {text!r}"
+            "; a string is one while it is taut"
+        )
+    moving, fixed = _names(dataset)
+    sides, roles = _with_roles(text, sides, moving, fixed)
+    formula, axes = _difference(dataset, text, sides)
+    pairs = tuple(pairs or _pairs(dataset, text, formula, roles))
+    coupling = tuple(pair for pair in pairs if pair[1] in moving)
+    lone = [e.name for s in dataset.scenes for e in s.entities if not np.isfinite(e.mass)]
+    if any(set(pair) & set(lone) for pair in coupling):
+        raise LawError(
+            f"constraint {text!r} passes forces between moving bodies, whose masses must be known; "
+            "give them a column mass in entities.csv"
+        )
+    numbers = _numbers(dataset, formula, pairs, axes)
+    return Constraint(text.strip(), formula, pairs, numbers, bool(coupling))
+
+
+def _names(dataset):
+    """Names of bodies that forces move, and of the others."""
+    moving, fixed = {}, {}
+    for scene in dataset.scenes:
+        for k, name in enumerate(scene.names):
+            (moving if k in scene.dynamic else fixed)[name] = None
+    return tuple(moving), tuple(name for name in fixed if name not in moving)
+
+
+def _with_roles(text, sides, moving, fixed):
+    """The sides with i and j in the place of names of bodies, and who these are."""
+    known = (*moving, *fixed)
+    found = dict.fromkeys(
+        m[2] for side in sides for m in _STATE.finditer(side) if m[2] in known and m[2] not in "ij"
+    )
+    found = sorted(found, key=lambda name: name in fixed)
+    if len(found) > 2 or (found and found[0] in fixed):
+        raise LawError(
+            f"constraint {text!r} must name one or two bodies, one of which forces move; "
+            f"it names {', '.join(found)}"
+        )
+    role = dict(zip(found, "ij", strict=False))
+
+    def shown(match):
+        letter, name = match[1], role.get(match[2], match[2])
+        if name not in ("i", "j"):
+            return match[0]
+        return f"p_{name}" if letter == "p" else f"dot(p_{name} - origin, e_{letter})"
+
+    sides = [_STATE.sub(shown, side) for side in sides]
+    return sides, (found[0], found[1] if len(found) > 1 else "") if found else None
+
+
+def _difference(dataset, text, sides):
+    """What the equation keeps at zero, and which of its constants are coordinates, by axis.
+
+    Bare coordinates and lengths are in the unit of the data.
+    """
+    types, literals, axes = dataset_types(dataset), {}, {}
+    if any(len(scene.entities) > 1 for scene in dataset.scenes):
+        types |= {"p_j": STATE_INPUTS["p_j"]}
+    types |= {"origin": STATE_INPUTS["origin"]}
+    declared = dict(dataset.units.declared)
+    metres = Conversion(declared, declared).length("x")
+
+    def length(digits):
+        name = f"literal{len(literals)}"
+        literals[Constant(name)] = Number(float(digits) * metres, LENGTH, digits)
+        return name
+
+    def point(match):
+        parts = [part.strip() for part in match[1].split(",")]
+        if len(parts) != dataset.n_dims:
+            raise LawError(
+                f"constraint {text!r}: a point has {dataset.n_dims} coordinates here, got "
+                f"({match[1]})"
+            )
+        axes.update((part, k) for k, part in enumerate(parts) if part.isidentifier())
+        parts = [length(part) if _is_number(part) else part for part in parts]
+        each = [f"({c}) * e_{axis}" for c, axis in zip(parts, "xyz", strict=False)]
+        return f"(origin + {' + '.join(each)})"
+
+    formulas = []
+    for side in sides:
+        side = _POINT.sub(point, side)
+        bare = side.strip()
+        formulas.append(
+            parse_formula(length(bare) if _is_number(bare) and float(bare) else side, types,
+                          units=dataset.units)
+        )  # fmt: skip
+    try:
+        formula = substitute(Call("sub", *formulas), literals)
+    except UnitError as error:
+        if not (isinstance(formulas[1], Number) and formulas[1].value == 0):
+            raise LawError(f"constraint {text!r}: {error}") from None
+        formula = substitute(formulas[0], literals)
+    if formula.type.shape != "scalar":
+        raise LawError(
+            f"constraint {text!r} must be between numbers, got {formula.type.shape}s; write a "
+            "distance norm(p_i - p_j) or a coordinate x_i, y_i"
+        )
+    strange = sorted(n for n in formula.inputs if n not in _KEPT and property_of(n) is None)
+    if strange or "p_i" not in formula.inputs:
+        raise LawError(
+            f"constraint {text!r} must be on the place p_i of a body"
+            + (f", and cannot name {strange[0]}" if strange else "")
+        )
+    if any("[" in name for name in formula.constants):
+        raise LawError(
+            f"constraint {text!r}: a constant for each body or scene is not there yet; give it as "
+            "a column of entities.csv, and write its name with _i"
+        )
+    return formula, axes
+
+
+def _is_number(text):
+    return re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", text) is not None
+
+
+def _pairs(dataset, text, formula, roles):
+    """Which bodies keep to it, by name."""
+    if roles is not None:
+        return (roles,)
+    has_other = any(name == "p_j" or name.endswith("_j") for name in formula.inputs)
+    found = {}
+    for scene in dataset.scenes:
+        moving = [scene.names[k] for k in scene.dynamic]
+        fixed = [name for name in scene.names if name not in moving]
+        if not has_other:
+            found |= dict.fromkeys((name, "") for name in moving)
+        elif len(fixed) == 1:
+            found |= dict.fromkeys((name, fixed[0]) for name in moving)
+        elif not fixed and len(moving) == 2:
+            found[tuple(moving)] = None
+        elif moving:
+            raise LawError(
+                f"constraint {text!r} does not say which bodies of scene {scene.name!r} it is "
+                f"between: name them, as in p_{moving[0]} - p_{(fixed or moving[1:])[0]}"
+            )
+    return tuple(found)
+
+
+# --- where constants begin ------------------------------------------------------------------------
+
+
+def extent_of(dataset):
+    """Middle of all places of a data set, and the largest of their extents, m."""
+    places = np.concatenate([s.positions.reshape(-1, s.n_dims) for s in dataset.scenes])
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    return (low + high) / 2, float(np.max(high - low)) or 1.0
+
+
+def _numbers(dataset, formula, pairs, axes):
+    """Constants, begun where the rows keep to it best; those of `axes` are coordinates."""
+    from scipy.optimize import least_squares  # a slow import
+
+    names = formula.constants
+    if not names:
+        return ()
+    rows = [_inputs(dataset, formula, scene, pair) for scene in dataset.scenes for pair in pairs]
+    rows = [row for row in rows if row is not None]
+    middle, size = extent_of(dataset)
+
+    def left(values):
+        known = dict(zip(names, values, strict=True))
+        parts = [np.broadcast_to(evaluate(formula, r, known), r["t"].shape) for r in rows]
+        return np.nan_to_num(np.concatenate(parts), nan=1e6, posinf=1e6, neginf=-1e6)
+
+    choices = [
+        [middle[axes[n]] + k * size for k in (0, 1, -1)] if n in axes else
+        [k * size for k in (1, 0.1, -1, 10)]
+        for n in names
+    ]  # fmt: skip
+    best = None
+    for start in list(product(*choices))[:MOST_STARTS]:
+        found = least_squares(left, start, x_scale=size)
+        if best is None or found.cost < best.cost * (1 - 1e-9):
+            best = found
+    units = added_units(formula)
+    return tuple(
+        Parameter(
+            name, "", LENGTH if name in axes else units.get(name), start=float(value),
+            prior=(float(middle[axes[name]]) if name in axes else size, size),
+        )
+        for name, value in zip(names, best.x, strict=True)
+    )  # fmt: skip
+
+
+def _inputs(dataset, formula, scene, pair):
+    """Inputs of the rows of a pair of bodies; None where the scene does not have it."""
+    if any(name and name not in scene.names for name in pair):
+        return None
+    index = {role: scene.names.index(name) for role, name in zip("ij", pair, strict=True) if name}
+    places = {role: scene.positions[:, k] for role, k in index.items()}
+    seen = np.flatnonzero(np.all([np.isfinite(p).all(axis=1) for p in places.values()], axis=0))
+    if len(seen) > MOST_ROWS:
+        seen = seen[np.linspace(0, len(seen) - 1, MOST_ROWS).astype(int)]
+    out = {"t": scene.times[seen], "origin": np.zeros(scene.n_dims)}
+    out |= {f"e_{axis}": unit for axis, unit in zip("xyz", np.eye(scene.n_dims), strict=False)}
+    out |= {f"p_{role}": p[seen] for role, p in places.items()}
+    for name in formula.inputs:
+        if property_of(name):
+            column, role = property_of(name)
+            out[name] = scene.entities[index[role]].properties.get(column, np.nan)
+    return out

@@ -1,0 +1,236 @@
+"""Constraints that tracks betray: a distance, a line or a plane that stays what it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.constrained import constraints_of
+from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.parts.constraints import read_constraint
+from bsp_gp.fitting.probes import probe_terms
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.physics.force import ForceLaw, fresh_name
+
+__all__ = ["Rods"]
+
+CONSTANT = 3.0
+"""Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
+BENT = 10.0
+"""Deviations from a line, in the same, from which a track is one about a point."""
+UNEVEN = 0.2
+"""Standard deviation of a speed, in its mean, that no round orbit has."""
+MISFIT = 9.0
+"""Mean square of what the law leaves, in the same, from which bodies may be held."""
+LEAST_ROWS = 12
+EXACT = 1e-7
+"""Part of the extent below which deviations are rounding."""
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A quantity that stays constant.
+
+    Attributes
+    ----------
+    code : str
+        Of `CAUSES`.
+    text : str
+        The constraint, with places for names in it.
+    pair : tuple of (str, str)
+    stems : tuple of str
+        Of the names of its constants.
+    values : tuple of float
+        Of the constants, SI.
+    level : float, m
+        Of the noise, told by changes from row to row.
+    is_sole : bool
+        Whether nothing else would keep the quantity: an orbit may be round, at an even speed.
+    normal : tuple of float or None
+        Across a line or plane.
+    """
+
+    code: str
+    text: str
+    pair: tuple
+    stems: tuple
+    values: tuple
+    level: float
+    is_sole: bool = False
+    normal: tuple | None = None
+
+
+class Rods:
+    """Constraints as a proposer."""
+
+    name = "constraints"
+
+    def propose(self, view):
+        """The family of all distances and lines of bodies that are not held already.
+
+        Parameters
+        ----------
+        view : View
+        """
+        pairs = [pair for part in constraints_of(view.fit.law) for pair in part.pairs]
+        held = {name for pair in pairs for name in pair}
+        tracks = _tracks(view.dataset)
+        names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
+        free = [name for name in names if name in tracks and name not in held]
+        found = [kept for name in free for kept in (_alone(name, tracks[name]),)]
+        found += [
+            _together(one, other, tracks)
+            for k, one in enumerate(free) for other in (*free[k + 1 :], *(set(tracks) - set(names)))
+        ]  # fmt: skip
+        found = [kept for kept in found if kept is not None]
+        proposals = [p for kept in found for p in (_proposal(view, kept, len(found)),) if p]
+        proposals.sort(key=lambda p: -p.promise)
+        best = max(proposals, key=lambda p: p.gain, default=None)
+        return Family(
+            self.name, tuple(proposals), best.gain if best else 0.0, best.rank if best else 0,
+            np.zeros(1), n_tried=len(found),
+        )  # fmt: skip
+
+
+def _tracks(dataset):
+    """Seen places of every body, one array (T, d) per scene, nan where it is not seen."""
+    out = {}
+    for scene in dataset.scenes:
+        for k, name in enumerate(scene.names):
+            out.setdefault(name, {})[scene.name] = scene.positions[:, k]
+    return out
+
+
+def _alone(name, tracks):
+    """The point or the line about which a body moves; None where there is none."""
+    places = np.concatenate(list(tracks.values()))
+    seen = np.isfinite(places).all(axis=1)
+    if seen.sum() < LEAST_ROWS:
+        return None
+    middle = places[seen].mean(axis=0)
+    axes = np.linalg.svd(places[seen] - middle, full_matrices=False)[2]
+    line = {key: (p - middle) @ axes[-1] for key, p in tracks.items()}
+    bend, level = _deviation(line)
+    if _is_constant(bend, level, places[seen]):
+        names = "xyz"[: len(middle)]
+        text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
+        values = (float(middle @ axes[-1]),)
+        return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
+    centre, radius = _sphere(places[seen])
+    spread, level = _deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
+    if bend < BENT * level or not _is_constant(spread, level, places[seen]):
+        return None
+    stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
+    point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
+    text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
+    values = (*centre.tolist(), radius)
+    return _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks))
+
+
+def _together(one, other, tracks):
+    """The distance of two bodies, if it stays constant."""
+    shared = [key for key in tracks[one] if key in tracks[other]]
+    if not shared:
+        return None
+    gaps = {key: np.linalg.norm(tracks[one][key] - tracks[other][key], axis=1) for key in shared}
+    moves = np.concatenate([tracks[one][key] - tracks[other][key] for key in shared])
+    moves = moves[np.isfinite(moves).all(axis=1)]
+    if len(moves) < LEAST_ROWS:
+        return None
+    spread, level = _deviation(gaps)
+    if np.ptp(moves, axis=0).max() < BENT * level or not _is_constant(spread, level, moves):
+        return None
+    ways = {key: tracks[one][key] - tracks[other][key] for key in shared}
+    values = (float(np.linalg.norm(moves, axis=1).mean()),)
+    return _Kept(
+        "rod", "norm(p_i - p_j) = {0}", (one, other), ("L",), values, level, _is_uneven(ways)
+    )
+
+
+def _sphere(places):
+    """Centre and radius of the circle or sphere that places lie on best."""
+    matrix = np.column_stack([2 * places, np.ones(len(places))])
+    start = np.linalg.lstsq(matrix, np.square(places).sum(axis=1), rcond=None)[0][:-1]
+
+    def left(centre):
+        distance = np.linalg.norm(places - centre, axis=1)
+        return distance - distance.mean()
+
+    centre = least_squares(left, start).x
+    return centre, float(np.linalg.norm(places - centre, axis=1).mean())
+
+
+def _deviation(series):
+    """Root mean square of deviations from the mean, and what noise makes of it."""
+    rows = [values[np.isfinite(values)] for values in series.values()]
+    mean = np.concatenate(rows).mean()
+    spread = np.sqrt(np.mean(np.square(np.concatenate(rows) - mean)))
+    steps = np.concatenate([np.diff(values, 3) for values in rows])
+    level = np.sqrt(np.mean(np.square(steps)) / 20) if len(steps) else spread
+    return float(spread), float(level)
+
+
+def _is_constant(spread, level, places):
+    return spread <= max(CONSTANT * level, EXACT * float(np.ptp(places, axis=0).max()))
+
+
+def _proposal(view, kept, n_tried):
+    """The constraint beside the law; None where the law leaves nothing that it could explain."""
+    fit = view.fit
+    names = [fresh_name(fit.law, stem) for stem in kept.stems]
+    levels = np.array(fit.noise.levels)
+    if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
+        return None
+    level = max(kept.level, float(np.max(fit.noise.lowest)))
+    gain, n_rows = _misfit(fit, kept, levels, level)
+    if gain < (MISFIT - 1) * n_rows:
+        return None
+    try:
+        part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,))
+    except LawError:  # masses that a rod would need are not known
+        return None
+    part = part.at(dict(zip(names, kept.values, strict=True)))
+    log_prior = -view.criteria.cause_nats - math.log(n_tried)
+    text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
+    for letter, name in zip("ij", kept.pair, strict=True):
+        text = text.replace(f"_{letter}", f"_{name}") if name else text
+    hypothesis = view.hypothesis + part
+    terms = tuple(probe_terms(fit.groups, np.isfinite(levels), is_held=True))
+    strengths = {name: math.nan for term in terms for name in term.formula.constants}
+    judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
+    return Proposal(
+        kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
+        judged=judged, is_sole=kept.is_sole,
+    )  # fmt: skip
+
+
+def _misfit(fit, kept, levels, level):
+    """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
+
+    A body that moves along a line is no body on a wire, unless the law would have it leave it.
+    """
+    if kept.normal is None:
+        size = 2 * float(np.log(levels / level).mean()) - 1
+        return float(np.square(fit.whitened).sum()) + fit.n_rows * size, fit.n_rows
+    channels, mine = fit.channels, fit.channels.body_names.index(kept.pair[0])
+    across = []
+    for chain in np.unique(channels.chain):
+        own = (channels.chain == chain) & (channels.body == mine)
+        at = [np.flatnonzero(own & (channels.axis == k)) for k in range(len(kept.normal))]
+        if all(len(k) for k in at):
+            rows = [fit.residual[:, k[0]] for k in at]
+            across.append(np.array(kept.normal) @ rows)
+    left = np.concatenate(across) / level
+    left = left[np.isfinite(left)]
+    return float(np.square(left).sum()) - len(left), len(left)
+
+
+def _is_uneven(series):
+    """Whether a body goes about a point at anything but a constant speed, as an orbit might."""
+    steps = np.concatenate([np.diff(p, axis=0) for p in series.values()])
+    speed = np.linalg.norm(steps[np.isfinite(steps).all(axis=1)], axis=1)
+    return bool(speed.std() > UNEVEN * speed.mean())

@@ -1,0 +1,58 @@
+"""Angles in the place of places: read, unwrapped, with laws that are torques, told in rad."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bsp_gp
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.hypothesis import read_law
+from tests.swings import LENGTH, PIVOT, WEIGHT, G, bob, swing
+
+SWINGS = "-k * m_i * sin(theta_i)"
+
+
+def angles(force=lambda v: 0.0, unit="rad", turns=0.0):
+    frame = swing(force)
+    angle = np.arctan2(frame["x"] - PIVOT[0], PIVOT[1] - frame["y"])
+    size = {"rad": 1.0, "deg": np.pi / 180}[unit]
+    table = pd.DataFrame({"t": frame["t"], "x": (angle + turns) / size})
+    return bsp_gp.Dataset.from_frames(table, units={"length": unit, "time": "s"})
+
+
+def test_degrees_become_radians_without_jumps():
+    frame = pd.DataFrame({"t": np.arange(20) * 0.1, "x": (25.0 * np.arange(20)) % 360})
+    data = bsp_gp.Dataset.from_frames(frame, units={"length": "deg", "time": "s"})
+    places = data.scenes[0].positions[:, 0, 0]
+    np.testing.assert_allclose(np.diff(places), np.radians(25.0))
+    assert data.units.is_angle
+
+
+def test_an_angle_and_places_on_a_rod_give_the_same_answer():
+    def force(v):
+        return -0.15 * v
+
+    laws = [WEIGHT, "norm(p_i - (0.02, 1.61)) = 0.8", "-c * m_i * v_i"]
+    by_place = bsp_gp.fit_law(bob(force), laws).constants[0]
+    found = bsp_gp.fit_law(angles(force, "deg"), [SWINGS, "-c * m_i * omega_i"])
+    by_angle = {c.name: c for c in found.constants}
+    assert by_angle["c"].unit == by_place.unit == "1/s"
+    assert abs(by_angle["k"].value - G / LENGTH) < by_angle["k"].high - by_angle["k"].low
+    # Noise along the rod tells nothing: both see the same.
+    assert abs(by_angle["c"].value - by_place.value) < 0.2 * (by_place.high - by_place.low)
+    wide, narrow = (c.high - c.low for c in (by_angle["c"], by_place))
+    assert abs(wide / narrow - 1) < 0.2
+    assert found.errors.unit == "rad"
+
+
+def test_dry_friction_in_a_joint_is_a_torque():
+    data = angles(lambda v: -0.1 * np.tanh(v / 1e-4))
+    found = bsp_gp.fit_law(data, [SWINGS, "-c * m_i * sign(omega_i)"])
+    (c,) = (c for c in found.constants if c.name == "c")
+    assert abs(c.value - 0.1 / LENGTH) < c.high - c.low
+    assert c.unit.startswith("rad") or c.unit == "1/s^2"
+
+
+def test_forces_in_newtons_are_refused_for_angles():
+    with pytest.raises(LawError):
+        read_law(angles(), ["9.81 [m/s^2] * m_i"])

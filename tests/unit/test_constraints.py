@@ -1,0 +1,196 @@
+"""Constraints: read, kept by tracks, with exact derivatives, and fitted."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import bsp_gp
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.chains import build_chains
+from bsp_gp.fitting.flow import Flow
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.motion import Motion
+from bsp_gp.fitting.parts.constraints import read_constraint
+from bsp_gp.fitting.rolling import roll
+from bsp_gp.fitting.starts import first_nodes
+from tests.swings import LENGTH, PIVOT, ROD, WEIGHT, G, bob, swing
+
+
+def double_pendulum(t, lengths=(0.5, 0.4), masses=(0.3, 0.2), start=(1.2, 0.5, 0.0, 0.0)):
+    """Places of both bobs by the mass matrix, (T, 2, 2), and their velocities at first."""
+    (a, b), (m, k) = lengths, masses
+
+    def rate(_, z):
+        one, two, p, q = z
+        d = one - two
+        matrix = [[(m + k) * a * a, k * a * b * np.cos(d)], [k * a * b * np.cos(d), k * b * b]]
+        right = [
+            -k * a * b * np.sin(d) * q * q - (m + k) * G * a * np.sin(one),
+            k * a * b * np.sin(d) * p * p - k * G * b * np.sin(two),
+        ]
+        return [p, q, *np.linalg.solve(matrix, right)]
+
+    angles = solve_ivp(rate, (0, t[-1]), start, t_eval=t, rtol=1e-11, atol=1e-12).y[:2]
+    first = a * np.stack([np.sin(angles[0]), -np.cos(angles[0])], axis=1)
+    second = first + b * np.stack([np.sin(angles[1]), -np.cos(angles[1])], axis=1)
+    return np.stack([first, second], axis=1)
+
+
+def two_bobs(t, places, **entities):
+    frame = pd.concat([
+        pd.DataFrame({"t": t, "entity": name, "x": places[:, k, 0], "y": places[:, k, 1]})
+        for k, name in enumerate(("upper", "lower"))
+    ])  # fmt: skip
+    crew = pd.DataFrame({"entity": ["upper", "lower"], **entities})
+    return bsp_gp.Dataset.from_frames(
+        frame, crew, units={"length": "m", "time": "s", "mass": "kg"}, up="y"
+    )
+
+
+def test_two_rods_move_as_a_double_pendulum():
+    t = np.arange(100) * 0.02
+    places = double_pendulum(t)
+    data = two_bobs(t, places, mass=[0.3, 0.2])
+    law = read_law(
+        data, [WEIGHT, "norm(p_upper - (0, 0)) = 0.5", "norm(p_lower - p_upper) = 0.4"]
+    )
+    (chains,) = build_chains(law, data.scenes, data.up)
+    assert chains.n_moving == 2  # a rod couples them
+    first = np.stack([places[0], np.zeros((2, 2))])[..., None]
+    nodes = roll(law, chains, first, np.array([1e-9]))
+    assert np.abs(np.moveaxis(nodes[0, ..., 0], -1, 0) - places).max() < 1e-6
+
+
+def test_a_spherical_pendulum_keeps_its_length_and_energy():
+    t = np.arange(80) * 0.02
+    turn = np.stack([0.3 * np.cos(t), 0.3 * np.sin(t), -0.5 + 0 * t], axis=1)
+    frame = pd.DataFrame(dict(zip("txyz", (t, *turn.T), strict=True)))
+    data = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"}, up="z")
+    law = read_law(data, [WEIGHT, "norm(p_i - (0, 0, 0)) = 0.5830951894845300"])
+    (chains,) = build_chains(law, data.scenes, data.up)
+    first = np.array([[[0.3, 0.0, -0.5]], [[0.0, 1.1, 0.0]]])[..., None]
+    nodes = roll(law, chains, first, np.array([1e-10]))[:, 0, :, :, 0]
+    assert np.abs(np.linalg.norm(nodes[0], axis=0) - 0.58309518948453).max() < 1e-9
+    energy = np.square(nodes[1]).sum(axis=0) / 2 + G * nodes[0, 2]
+    assert np.ptp(energy) < 1e-7
+
+
+@pytest.mark.parametrize("drag", ["-c * m_i * v_i", "-c * m_i * normalize(v_i)"])
+def test_derivatives_are_exact_also_across_a_stop(drag):
+    data = bob(lambda v: -0.1 * np.sign(v), n=40)
+    law = read_law(data, [WEIGHT, "norm(p_i - (0.02, 1.61)) = L", drag])
+    (chains,) = build_chains(law, data.scenes, data.up)
+    motion = Motion(law, chains, [("L", ""), ("c", "")])
+    flow, values = Flow(motion, np.array([1e-12])), np.array([LENGTH, 0.1])
+    motion.set_constants(values)
+    nodes = flow.held(first_nodes(chains))
+    _, moved = flow.run(nodes, flow.mesh(nodes))
+    kept = flow.tangent(nodes, flow.row, flow.chain)
+    total = moved[:, :, :4] @ kept
+    total[:, :, 4:] += moved[:, :, 4:]
+
+    def ends(column, by):
+        near, constants = nodes.copy(), values.copy()
+        if column < 4:
+            near.reshape(4, *near.shape[3:])[column] += by
+        else:
+            constants[column - 4] += by
+        motion.set_constants(constants)
+        near = flow.held(near)
+        return flow.run(near, flow.mesh(near), slopes=False)[0].reshape(4, -1).T
+
+    for column in range(6):
+        measured = (ends(column, 1e-6) - ends(column, -1e-6)) / 2e-6
+        np.testing.assert_allclose(total[:, :, column], measured, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "force"),
+    [
+        ("-c * m_i * v_i", lambda v: -0.15 * v),
+        ("-c * m_i * normalize(v_i)", lambda v: -0.15 * np.tanh(v / 1e-4)),
+    ],
+)
+def test_rod_and_friction_are_fitted_together(law, force):
+    found = bsp_gp.fit_law(bob(force), [WEIGHT, "norm(p_i - (a, b)) = L", law])
+    assert found.status == "converged"
+    truth = {"a": PIVOT[0], "b": PIVOT[1], "L": LENGTH, "c": 0.15}
+    for constant in found.constants:
+        assert abs(constant.value - truth[constant.name]) < 3 * (constant.high - constant.low) / 2
+    units = {c.name: c.unit for c in found.constants}
+    assert units["L"] == units["a"] == "m"
+    assert found.errors.rollout_rmse < 3e-3
+    # A rod takes a place and a velocity from the two axes.
+    assert found.n_free == 4 + 2
+
+
+def test_units_of_the_data_are_those_of_bare_numbers():
+    frame = swing()
+    frame[["x", "y"]] *= 100
+    data = bsp_gp.Dataset.from_frames(frame, units={"length": "cm", "time": "s"}, up="y")
+    found = bsp_gp.fit_law(data, ["g * m_i * down", "norm(p_i - (2, 161)) = 80"])
+    (g,) = found.constants
+    assert g.unit.startswith("cm") or g.low < G < g.high
+    assert found.status == "converged"
+
+
+def test_an_incline_leaves_what_acts_along_it():
+    t = np.arange(60) * 0.02
+    slope = np.arctan(0.5)
+    way = 0.5 * G * np.sin(slope) * t**2
+    noise = 1e-3 * np.random.default_rng(1).standard_normal((2, 60))
+    frame = pd.DataFrame({
+        "t": t, "x": -np.cos(slope) * way + noise[0], "y": -np.sin(slope) * way + noise[1]
+    })  # fmt: skip
+    data = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"}, up="y")
+    found = bsp_gp.fit_law(data, ["g * m_i * down", "y_i = 0.5 * x_i"])
+    (g,) = found.constants
+    assert abs(g.value - G) < 3 * (g.high - g.low) / 2
+    assert found.n_free == 3
+
+
+def test_law_tells_its_constraints():
+    law = Hypothesis.from_laws(bob(n=20), [WEIGHT, ROD]).law
+    assert law.text().endswith(f"down, {ROD}")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("norm(p_i - (0, 1)) <= 0.8", "taut"),
+        ("norm(p_i - (0, 1, 2)) = 0.8", "2 coordinates"),
+        ("norm(v_i) = 1 [m/s]", "place p_i"),
+        ("p_i - (0, 1) = v_i", "constraint"),
+        ("norm(p_i - (0, 1)) = 2 [s]", "constraint"),
+        ("norm(p_i - (0, 1)) = L[scene]", "not there yet"),
+        ("1 = 2 = 3", "one equation"),
+    ],
+)
+def test_what_is_no_constraint_is_refused(text, said):
+    with pytest.raises(LawError, match=said):
+        read_constraint(bob(n=20), text)
+
+
+def test_bodies_must_be_named_and_have_masses():
+    t = np.arange(10) * 0.02
+    places = double_pendulum(t)
+    with pytest.raises(LawError, match="masses must be known"):
+        read_constraint(two_bobs(t, places), "norm(p_i - p_j) = 0.4")
+    data = two_bobs(t, places, mass=[0.3, 0.2])
+    assert read_constraint(data, "norm(p_i - p_j) = 0.4").pairs == (("upper", "lower"),)
+    with pytest.raises(LawError, match="name them"):
+        third = pd.DataFrame({"t": t, "entity": "third", "x": t, "y": t})
+        frame = pd.concat([third] + [
+            pd.DataFrame({"t": t, "entity": n, "x": places[:, k, 0], "y": places[:, k, 1]})
+            for k, n in enumerate(("upper", "lower"))
+        ])  # fmt: skip
+        more = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"}, up="y")
+        read_constraint(more, "norm(p_i - p_j) = 0.4")
+
+
+def test_simulated_tracks_stay_on_the_rod():
+    data = bob(n=60)
+    made = bsp_gp.simulate_law(data, [WEIGHT, ROD])
+    away = made.scenes[0].positions[:, 0] - np.array(PIVOT)
+    assert np.abs(np.linalg.norm(away, axis=1) - LENGTH).max() < 1e-8

@@ -1,0 +1,61 @@
+"""Constraints that tracks betray are proposed, adopted, and told in plain words."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bsp_gp
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.proposers.rods import Rods
+from bsp_gp.loop.view import View
+from bsp_gp.report.page import page_of
+from tests.swings import LENGTH, PIVOT, WEIGHT, bob
+
+
+def looked_at(data, laws):
+    hypothesis = Hypothesis.from_laws(data, laws)
+    return View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(0))
+
+
+def track(t, x, y, sigma=1e-3):
+    noise = sigma * np.random.default_rng(0).standard_normal((2, len(t)))
+    return bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t": t, "x": x + noise[0], "y": y + noise[1]}),
+        units={"length": "m", "time": "s"}, up="y",
+    )  # fmt: skip
+
+
+def test_a_rod_and_then_the_drag_are_found_from_the_weight_alone():
+    data = bob(lambda v: -0.15 * v, n=150)
+    report = bsp_gp.close_loop(data, [WEIGHT], rng=np.random.default_rng(0), n_bootstrap=0)
+    rod, drag = (done.effect for done in report.rounds if done.adopted)
+    assert (rod.code, drag.code) == ("rod", "law")
+    names = [drag.name, *drag.equivalents]
+    assert any("norm(v_i) * normalize(v_i)" in name for name in names)
+    found = {c.name: c for c in report.constants}
+    length = found["L1"]
+    assert abs(length.value - LENGTH) < 2 * (length.high - length.low)
+    assert 0 < length.high - length.low < 2e-3
+    assert abs(found["pivot_y1"].value - PIVOT[1]) < 3e-3
+    told = page_of(report).rounds[0].effect.name
+    assert told == "distance to (0.0203, 1.61) m is constant, 0.800 m: a string or rod"
+
+
+def test_what_is_held_already_is_not_proposed_again():
+    view = looked_at(bob(n=60), [WEIGHT, "norm(p_i - (0.02, 1.61)) = 0.8"])
+    assert Rods().propose(view).proposals == ()
+
+
+def test_a_wire_is_proposed_where_the_weight_would_have_the_body_leave_it():
+    t = np.arange(80) * 0.02
+    way = 0.5 * 2.0 * t**2
+    (proposal,) = Rods().propose(looked_at(track(t, -0.8 * way, -0.6 * way), [WEIGHT])).proposals
+    assert proposal.code == "wire"
+
+
+@pytest.mark.parametrize("rate", [9.0, 6.0])
+def test_a_fall_along_a_line_is_on_no_wire(rate):
+    t = np.arange(60) * 0.02
+    family = Rods().propose(looked_at(track(t, 0.1 * t, -0.5 * rate * t**2), [WEIGHT]))
+    assert family.proposals == ()
