@@ -57,7 +57,8 @@ def main(argv=None):
     try:
         if any("\0" in word for word in argv):
             raise SettingsError("an argument holds a NUL character; leave it out")
-        args = build_parser().parse_args(joined(argv))
+        with on_command_line():
+            args = build_parser().parse_args(joined(argv))
         args.argv, args.written = argv, written
         is_quiet = getattr(args, "quiet", False)
         with _ended_like_ctrl_c(), _unwarned(is_quiet), _without_notes(is_quiet):

@@ -254,6 +254,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
         )
         for done in rounds
     ]
+    records = writing_up.judged_together(records)
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
     effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
@@ -263,7 +264,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
-        "rounds": tuple(records), "law": last.law, "law_text": last.law.text(units=units),
+        "rounds": records, "law": last.law, "law_text": last.law.text(units=units),
         "law_latex": last.law.latex(units=units), "constants": constants,
         "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,

@@ -17,10 +17,11 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
-    "superseded", "not_tested", "strength_varies",
+    "superseded", "not_tested", "strength_varies", "beside_description",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
-"strength_varies": adopted as a description, since its constant is not the same everywhere."""
+"strength_varies": adopted as a description, since its constant is not the same everywhere;
+"beside_description": found beside such a one."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")

@@ -18,7 +18,8 @@ from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
-    "about_data", "dataset_digest", "overlays", "record_of", "residual_table", "told", "versions",
+    "about_data", "dataset_digest", "judged_together", "overlays", "record_of", "residual_table",
+    "told", "versions",
 ]  # fmt: skip
 
 HEAVIEST = 10
@@ -80,6 +81,27 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
         seconds=done.seconds,
         trace=done.trace,
     )  # fmt: skip
+
+
+def judged_together(records):
+    """Records of all rounds, none of them more certain than what stands beside it.
+
+    Beside a law that only describes the tracks, whatever else is found makes up for it; and where
+    something is left that nothing explains, no form is a fact.
+    """
+    is_description = any(r.adopted and r.reason == "strength_varies" for r in records)
+    last = records[-1]
+    is_left = not last.adopted and last.verdict != "nothing missing"
+    if not (is_description or is_left):
+        return tuple(records)
+    out = []
+    for r in records:
+        if r.adopted and r.effect is not None:
+            r = replace(r, effect=replace(r.effect, is_fact=False))
+            if is_description and r.verdict == "effect adopted":
+                r = replace(r, verdict="effective law", reason="beside_description")
+        out.append(r)
+    return tuple(out)
 
 
 def _bound(bound, units):

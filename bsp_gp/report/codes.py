@@ -47,6 +47,7 @@ REASONS = {
     "noise_explains": "noise of another kind explains it as well as any force",
     "time_is_up": "the time was up before everything was looked at",
     "superseded": "what was found later made it superfluous",
+    "beside_description": "it makes up for a law beside it that only describes these tracks",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
 }
 STOPS = {

@@ -47,7 +47,7 @@ def proposed(data, grammar, search):
 
 
 def test_what_a_search_cannot_take_is_said_before_it_begins():
-    with pytest.raises(GrammarError, match="--search auto, cross_entropy and genetic take"):
+    with pytest.raises(GrammarError, match="search auto, cross_entropy and genetic take"):
         searches_for("exhaustive", read_grammar(UPWARD), ["field"], 6)
     with pytest.raises(SettingsError, match="search must be one of"):
         searches_for("greedy", read_grammar(UPWARD), ["field"], 6)

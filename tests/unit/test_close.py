@@ -62,7 +62,7 @@ def report(noisy):
         ({"max_rounds": 0}, "max_rounds must be at least 1, got 0"),
         ({"max_levels": 0}, "max_levels must be at least 1"),
         ({"n_bootstrap": -1}, "n_bootstrap must be at least 0"),
-        ({"search": "luck"}, "search must be one of exhaustive, auto"),
+        ({"search": "luck"}, "search must be one of exhaustive, cross_entropy"),
         ({"exclude": ("t", "v_k")}, r"exclude names \['v_k'\], which are no inputs of grammar"),
         ({"grammar": "phsyics"}, "phsyics"),
     ],

@@ -95,7 +95,7 @@ def test_the_variable_in_which_a_strength_changes_is_named(drag, variable):
 
 
 def test_a_law_that_is_not_constant_is_a_description_only():
-    data = thrown(lambda t, p, v: 0.15 * v**0.5, n_scenes=8)
+    data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
     report = close_loop(
         data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=1
     )
@@ -115,3 +115,12 @@ def test_a_power_is_as_stated_where_its_neighbours_are_excluded():
     assert not replace(speed, value=1.5).is_as_stated(Criteria())
     near = replace(speed, value=1.002, error=1e-4)
     assert near.is_as_stated(Criteria()), "some weaker effect always shows"
+
+
+def test_what_stands_beside_a_description_is_none_the_surer():
+    data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
+    report = close_loop(data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)
+    adopted = [done for done in report.rounds if done.adopted]
+    assert report.verdict == "effective law" and len(adopted) == 2
+    assert {done.reason for done in adopted} == {"strength_varies", "beside_description"}
+    assert not any(done.effect.is_fact for done in adopted)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import bsp_gp.loop.loop as loop
+import bsp_gp.loop.proposal as proposal
 from bsp_gp.cli import main
 from bsp_gp.errors import DataError, EvaluationError, FitError
 from bsp_gp.fitting.law_fit import _correlation as correlation_of
@@ -40,8 +40,8 @@ def test_a_cause_whose_fit_fails_is_told_and_ends_no_run(fault, monkeypatch):
             raise fault
         return fit(hypothesis, *args, **kwargs)
 
-    fit = loop.fit
-    monkeypatch.setattr(loop, "fit", fails)
+    fit = proposal.fit
+    monkeypatch.setattr(proposal, "fit", fails)
     report = close_loop(throws(sigma=0.01), [GRAVITY], rng=rng(), **SHORT)
     rows = {h["code"]: h["status"] for h in report.rounds[0].hypotheses}
     assert rows["noise"] == "nonfinite"
@@ -54,8 +54,8 @@ def test_bugs_are_no_faults_of_a_cause(monkeypatch):
             raise ZeroDivisionError
         return fit(hypothesis, *args, **kwargs)
 
-    fit = loop.fit
-    monkeypatch.setattr(loop, "fit", fails)
+    fit = proposal.fit
+    monkeypatch.setattr(proposal, "fit", fails)
     with pytest.raises(ZeroDivisionError):
         close_loop(throws(sigma=0.01), [GRAVITY], rng=rng(), **SHORT)
 

@@ -89,7 +89,8 @@ def test_a_bound_that_fits_is_proposed(problem, levels, monkeypatch):
     with pytest.raises(ResourceError) as caught:
         search_exhaustive(*problem, kind="pair", max_levels=levels)
     words = str(caught.value).split()
-    proposed = int(words[words.index("--max-levels") + 1])
+    (word,) = (word for word in words if word.startswith("max_levels="))
+    proposed = int("".join(filter(str.isdigit, word)))
     assert 5 <= proposed < levels
     assert search_exhaustive(*problem, kind="pair", max_levels=proposed).best is not None
     with pytest.raises(ResourceError):  # nor does a level more
