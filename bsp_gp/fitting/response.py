@@ -124,12 +124,15 @@ class Response:
     level : float
         Level of the noise beside a force that knows no physics, in that of the fit; 1 where the
         data do not ask for another.
+    free_gain : float, nats
+        Log-evidence of such a force beside white noise alone, the level of both estimated.
     """
 
     regression: ResponseRegression
     columns: np.ndarray
     share: float
     level: float = 1.0
+    free_gain: float = 0.0
 
     def left(self):
         """Residual and columns, as searches take them."""
@@ -161,7 +164,7 @@ def respond(fit, dataset, scenes=None):
     """
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, columns, levels, used, total = [], [], [], 0, 0
+        batches, columns, levels, free, used, total = [], [], [], 0.0, 0, 0
         first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
@@ -174,13 +177,14 @@ def respond(fit, dataset, scenes=None):
             batches.append(group.batch())
             columns.append(group.columns(batches[-1]))
             levels.append(group.level)
+            free += group.free_gain
             used += pieces.n_rows
             total += int(chains.lengths.sum())
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
     level = float(np.exp(np.mean(np.log(levels))))
-    return Response(regression, np.concatenate(columns), used / max(total, 1), level)
+    return Response(regression, np.concatenate(columns), used / max(total, 1), level, free)
 
 
 def _noise(fit, chains, part):
@@ -207,7 +211,7 @@ class _Group:
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
-        self.level = 1.0
+        self.level, self.free_gain = 1.0, 0.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
         held = {name for part in constraints_of(fit.law) for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
@@ -389,7 +393,7 @@ class _Group:
             for s in (0.0, *STRENGTHS)
         ]
         best = int(np.argmax(height))
-        self.level = self._level(turned, scaled, height[best])
+        self._weigh(turned, scaled, height[best])
         if best == 0 or height[best] < height[0] + 1.0:
             return False
         strength = STRENGTHS[best - 1] / np.where(top > 0, top, 1.0)
@@ -410,8 +414,8 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _level(self, turned, scaled, height):
-        """Level of the noise beside a free force, in that of the fit.
+    def _weigh(self, turned, scaled, height):
+        """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
         What a law leaves may have been taken for noise: its level is that of the pure error.
         """
@@ -424,7 +428,8 @@ class _Group:
             found.append((-0.5 * (count * (np.log(square) + 1) + np.log(size).sum()), square))
         best, square = max(found)
         is_lower = square < MUCH_LOWER**2 and best > height + SURELY
-        return float(np.sqrt(square)) if is_lower else 1.0
+        self.level = float(np.sqrt(square)) if is_lower else 1.0
+        self.free_gain = best - found[0][0]
 
     # --- a batch of the regression ---------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposal import FAULTS, continued
 
 __all__ = ["Pruned", "prune"]
 
@@ -72,11 +72,14 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
             if progress is not None:
                 progress(f"without {done.decision.best.text}")
             smaller = continued(smaller, found)
-            other = fit(
-                smaller, dataset, bounds=smaller.own(bounds), deadline=clock.left, near=found,
-                effort=criteria.effort,
-            )
             n_fits += 1
+            try:
+                other = fit(
+                    smaller, dataset, bounds=smaller.own(bounds), deadline=clock.left, near=found,
+                    effort=criteria.effort,
+                )
+            except FAULTS:  # it cannot be done without
+                continue
             if clock.is_over:  # it may have been cut short
                 return Pruned(found, hypothesis, frozenset(removed), n_fits, False)
             loss = whole - log_evidence(other, smaller, criteria) + done.decision.best.log_prior

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposal import FAULTS, PATIENT, continued
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
@@ -22,8 +21,6 @@ from bsp_gp.loop.view import View, selected
 
 __all__ = ["Round", "run_rounds"]
 
-FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
-"""By which one cause cannot be fitted, and others may."""
 EXPLAINED = 1.5
 """Reduced chi-squared below which a cause beside free forces explains the tracks."""
 FAR_BEHIND = 100.0
@@ -31,6 +28,8 @@ FAR_BEHIND = 100.0
 what explains as much is told from the same moments as it."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
+MOST_AGAIN = 3
+"""Fits that did not converge and are tried again, with patience, at the end of a round."""
 SAME_MINIMUM = 1e-3
 """Nats within which two descents of one cause have come to one minimum."""
 MOST_TOLD = 10
@@ -271,13 +270,18 @@ class _Turn:
         chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
         above = {}  # posteriors and likelihoods above what was promised, by family and rank
         kept = 0.0  # the greatest promise that was kept by what leaves no misfit
-        for source, proposal in [*controls, *chosen]:
+        queue = [*controls, *chosen]
+        n_first = len(queue)
+        for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
             is_behind = kept - proposal.promise > max(FAR_BEHIND, kept / 50)
+            is_behind |= k >= n_first and proposal.promise < self.found
             if is_behind or REACH * (proposal.promise + criteria.class_nats) < self.found:
                 continue
             row = self._fitted(source, proposal)
+            if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
+                queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:

@@ -7,13 +7,19 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Family", "Proposal", "continued", "with_term", "with_term_at"]
+__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "continued", "with_term", "with_term_at"]
+
+FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
+"""By which one cause cannot be fitted, and others may."""
+PATIENT = 5
+"""Times the usual effort that a fit may take which is not given up so soon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +56,8 @@ class Proposal:
     judged : Hypothesis or None
         By which it is judged, if not by itself alone: beside forces that know no physics, where
         more may be missing than one cause explains.
+    patience : int
+        Times the usual effort that its fit may take.
     is_sole : bool
         Whether nothing else is asked for where it leaves no misfit when it is judged so.
     """
@@ -70,6 +78,7 @@ class Proposal:
     is_wide: bool = False
     judged: object = None
     is_sole: bool = False
+    patience: int = 1
 
     @cached_property
     def key(self):
@@ -107,7 +116,8 @@ class Proposal:
         """
         near = None if self.kind == "constraint" else base  # it leads tracks far off the others
         return fit(
-            self.hypothesis, dataset, starts=self.starts, near=near, effort=criteria.effort,
+            self.hypothesis, dataset, starts=self.starts, near=near,
+            effort=self.patience * criteria.effort,
             bounds={**self.hypothesis.own(bounds), **self.bounds}, deadline=deadline,
         )  # fmt: skip
 

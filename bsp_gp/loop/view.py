@@ -54,6 +54,7 @@ class View:
     def _found(self):
         """The fit, under the noise that a free force leaves if it is estimated; its response."""
         response = respond(self._fit, self.dataset)
+        self._free_gain = response.free_gain
         noise = self._fit.noise
         if response.level == 1.0 or not noise.is_free.all():
             return self._fit, response
@@ -68,6 +69,11 @@ class View:
     @property
     def response(self):
         return self._found[1]
+
+    @property
+    def free_gain(self):
+        """Log-evidence of a force that knows no physics beside white noise, nats."""
+        return self._found and self._free_gain
 
     @cached_property
     def tangent(self):

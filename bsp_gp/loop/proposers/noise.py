@@ -19,7 +19,8 @@ class Noise:
     """A memory of the noise as a proposer: a rival, not a finding of its own.
 
     Memory is asked for in every fit, on what is left beside forces that know no physics; on few
-    rows there is not enough of that. Here it stands beside the forces that would do as well.
+    rows there is not enough of that. Here it stands beside the forces that would do as well, unless
+    a force that knows no physics does better than any memory.
     """
 
     name = "noise"
@@ -42,6 +43,8 @@ class Noise:
         ]  # fmt: skip
         gains = [_gain(view, remembered) for remembered in models]
         best = int(np.argmax(gains))
+        if 0.5 * gains[best] < view.free_gain:  # smooth as what forces do, and noise is not
+            return Family(self.name)
         noise = TrackNoise(models[best], is_given=True)
         proposal = Proposal(
             "noise", "a memory of the noise", view.hypothesis + noise, 0.0, gains[best], 2,

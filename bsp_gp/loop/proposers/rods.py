@@ -13,7 +13,7 @@ from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
 from bsp_gp.fitting.probes import probe_terms
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
 __all__ = ["Rods"]
@@ -204,7 +204,7 @@ def _proposal(view, kept, n_tried):
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=judged, is_sole=kept.is_sole,
+        judged=judged, is_sole=kept.is_sole, patience=PATIENT,
     )  # fmt: skip
 
 
