@@ -42,6 +42,8 @@ MUCH_LOWER, SURELY = 0.7, 10.0
 NOTHING = 1e-10
 """Part of what a force could show up to which it shows nothing."""
 PASSES = 3
+NOTHING = 1e-12
+"""Part of what a force shows best, below which a moment is rounding."""
 STRENGTHS = np.logspace(-4, 6, 41)
 """Of the free force that smooths tracks, squared, in units of what one moment would show."""
 
@@ -419,7 +421,7 @@ class _Group:
 
         What a law leaves may have been taken for noise: its level is that of the pure error.
         """
-        known = scaled > 0
+        known = scaled > NOTHING  # noise shows nothing in what states and the like take up
         count = max(int(known.sum()), 1)
         found = []
         for s in (0.0, *STRENGTHS):

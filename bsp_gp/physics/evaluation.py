@@ -202,7 +202,7 @@ class Settling:
             with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused
                 force = _summed(force)  # by the caller
         if self._mass is not None:
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
                 force = force / self._mass
         if self._lost is not None:
             force = np.where(self._lost, 0.0, force)

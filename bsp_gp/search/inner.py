@@ -341,7 +341,8 @@ class InnerSearch:
             lookup = law_inputs(
                 term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
             )
-            force = evaluate(term.acceleration_formula, lookup, constants)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                force = evaluate(term.acceleration_formula, lookup, constants)
             count = len(next(iter(values.values())))
             value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
             moments = batch.whiten(np.moveaxis(value, 0, 3))
