@@ -36,7 +36,7 @@ def rng():
 )  # fmt: skip
 def test_a_cause_whose_fit_fails_is_told_and_ends_no_run(fault, monkeypatch):
     def fails(hypothesis, *args, **kwargs):
-        if any(part.kind == "noise" and part.is_given for part in hypothesis.parts):
+        if hypothesis.parts[-1].kind == "instrument":
             raise fault
         return fit(hypothesis, *args, **kwargs)
 
@@ -44,13 +44,13 @@ def test_a_cause_whose_fit_fails_is_told_and_ends_no_run(fault, monkeypatch):
     monkeypatch.setattr(proposal, "fit", fails)
     report = close_loop(throws(sigma=0.01), [GRAVITY], rng=rng(), **SHORT)
     rows = {h["code"]: h["status"] for h in report.rounds[0].hypotheses}
-    assert rows["noise"] == "nonfinite"
+    assert rows["perspective"] == "nonfinite"
     assert report.verdict == "effect adopted"
 
 
 def test_bugs_are_no_faults_of_a_cause(monkeypatch):
     def fails(hypothesis, *args, **kwargs):
-        if any(part.kind == "noise" and part.is_given for part in hypothesis.parts):
+        if hypothesis.parts[-1].kind == "instrument":
             raise ZeroDivisionError
         return fit(hypothesis, *args, **kwargs)
 
