@@ -26,8 +26,6 @@ __all__ = ["Constancy", "Exponent", "Varies", "constancy"]
 BASES = {"field": ("norm(v_i)",), "pair": ("norm(p_i - p_j)",)}
 """Whose power is told of every term of a kind, beside those that it names."""
 Z_90 = 1.6448536269514722
-NEIGHBOUR = 0.5
-"""Step between powers that are told apart."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Exponent:
         least = np.sqrt(criteria.separation)
         away = abs(self.value - self.stated)
         is_it = away <= max(least * self.error, criteria.constant_within)
-        return bool(is_it and least * self.error <= NEIGHBOUR)
+        return bool(is_it and least * self.error <= criteria.power_step)
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,8 @@ class Criteria:
     constant_within : float
         Part of its strength by which a law that was found may change from place to place, surely,
         and be a law: some weaker effect beside it always shows where the noise is low.
+    power_step : float
+        Powers of speed and distance so far from the one that is stated must be excluded.
     cause_nats : float
         Log odds, beforehand, against a cause that is no law of the grammar: as likely as the
         simplest laws.
@@ -90,6 +92,7 @@ class Criteria:
     noise_nats: float = 3.0
     promise: float = 0.3
     constant_within: float = 0.05
+    power_step: float = 0.5
     cause_nats: float = 3.0
     decades: float = 3.0
     exponent_width: float = 2.0

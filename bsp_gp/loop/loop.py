@@ -228,6 +228,7 @@ class _Turn:
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
         self.found = 0.0  # nats that a fit has promised and kept
+        self.kept = 0.0  # the greatest promise that was kept by what leaves no misfit
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -260,24 +261,19 @@ class _Turn:
 
     def fit_best(self):
         """Fit the likeliest proposals of all families; what lies near gets rows without a fit."""
-        criteria = self.run.criteria
         every = sorted(
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
-        clear = [name for name, chance in self.chances.items() if chance <= criteria.alpha]
-        chosen = [pair for pair in _chosen(every, clear, criteria) if pair not in controls]
-        above = {}  # posteriors and likelihoods above what was promised, by family and rank
-        kept = 0.0  # the greatest promise that was kept by what leaves no misfit
+        clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
+        chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first = len(queue)
+        n_first, above = len(queue), {}
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
-            is_behind = kept - proposal.promise > max(FAR_BEHIND, kept / 50)
-            is_behind |= k >= n_first and proposal.promise < self.found
-            if is_behind or REACH * (proposal.promise + criteria.class_nats) < self.found:
+            if self._is_behind(proposal, is_again=k >= n_first):
                 continue
             row = self._fitted(source, proposal)
             if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
@@ -285,15 +281,38 @@ class _Turn:
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:
-                gained = row.log_posterior - self.rows[0].log_posterior
-                self.found = max(self.found, min(gained, proposal.promise))
-                if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
-                    kept = max(kept, proposal.promise)
+                self._note_gain(row, proposal)
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
-        # What was scored only is told in the terms of what was fitted of its family.
+        self._tell_near(every, above)
+
+    def _is_behind(self, proposal, is_again):
+        """Whether a proposal promises too little beside what was found to be worth a fit."""
+        if self.kept - proposal.promise > max(FAR_BEHIND, self.kept / 50):
+            return True
+        if is_again and proposal.promise < self.found:
+            return True
+        return REACH * (proposal.promise + self.run.criteria.class_nats) < self.found
+
+    def _note_gain(self, row, proposal):
+        """Remember what a fit has gained of what it promised."""
+        gained = row.log_posterior - self.rows[0].log_posterior
+        self.found = max(self.found, min(gained, proposal.promise))
+        if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
+            self.kept = max(self.kept, proposal.promise)
+
+    def _tell_near(self, every, above):
+        """Rows of what was scored only, in the terms of what was fitted of its family.
+
+        Parameters
+        ----------
+        every : list of (str, Proposal)
+        above : dict of str to dict of int to (float, float)
+            By family and rank, posteriors and likelihoods above what was promised.
+        """
+        criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
         highest = max(row.log_evidence for row in self.rows)
         equal = highest - criteria.equal_nats
@@ -343,7 +362,8 @@ class _Turn:
 
     def _twin(self, source, proposal, new):
         """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""
-        for row in self.rows[1:] if proposal.starts and not new.is_failed else ():
+        may_be = proposal.starts and not proposal.formulas and not new.is_failed
+        for row in self.rows[1:] if may_be else ():  # laws know their forms, and tie
             is_like = (row.source, row.code, row.n_free) == (source, proposal.code, new.n_free)
             if is_like and abs(row.log_likelihood - new.log_likelihood) < SAME_MINIMUM:
                 return row.key

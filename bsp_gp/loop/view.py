@@ -51,10 +51,13 @@ class View:
         (self.search_rng,) = self._moments_rng.spawn(1)
 
     @cached_property
+    def _as_fitted(self):
+        return respond(self._fit, self.dataset)
+
+    @cached_property
     def _found(self):
         """The fit, under the noise that a free force leaves if it is estimated; its response."""
-        response = respond(self._fit, self.dataset)
-        self._free_gain = response.free_gain
+        response = self._as_fitted
         noise = self._fit.noise
         if response.level == 1.0 or not noise.is_free.all():
             return self._fit, response
@@ -73,7 +76,7 @@ class View:
     @property
     def free_gain(self):
         """Log-evidence of a force that knows no physics beside white noise, nats."""
-        return self._found and self._free_gain
+        return self._as_fitted.free_gain
 
     @cached_property
     def tangent(self):

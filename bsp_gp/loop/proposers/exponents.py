@@ -65,24 +65,24 @@ class Declared:
         name = fresh_name(law, "n")
         unit = Number(typical, base.type.unit, f"{typical:.3g} [{base.type.unit}]")
         factor = Call("pow", Call("div", base, unit), Constant(name))
-        freed = Call("mul", factor, term.formula)
-        return Proposal(
-            "exponent", f"exponent of {to_text(base)} in {to_text(term.formula)}",
-            with_term_at(view.hypothesis, index, freed, {name: 0.0}),
-            -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
-        )  # fmt: skip
+        text = f"exponent of {to_text(base)} in {to_text(term.formula)}"
+        return _freed(view, index, "exponent", text, factor, name, score)
 
     def _number(self, view, index, score):
         law = view.fit.law
-        term = law.terms[index]
         name = fresh_name(law, "s")
         factor = Call("add", Number(1.0), Constant(name))
-        freed = Call("mul", factor, term.formula)
-        return Proposal(
-            "number", f"number of {to_text(term.formula)}",
-            with_term_at(view.hypothesis, index, freed, {name: 0.0}),
-            -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
-        )  # fmt: skip
+        text = f"number of {to_text(law.terms[index].formula)}"
+        return _freed(view, index, "number", text, factor, name, score)
+
+
+def _freed(view, index, code, text, factor, name, score):
+    """A term times a factor that is 1 where its number is 0, as a cause that may be missing."""
+    formula = Call("mul", factor, view.fit.law.terms[index].formula)
+    return Proposal(
+        code, text, with_term_at(view.hypothesis, index, formula, {name: 0.0}),
+        -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
+    )  # fmt: skip
 
 
 def _powers(view, term):
