@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from scipy import stats
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
-from bsp_gp.loop.clock import Clock
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import FAULTS, continued
@@ -24,6 +27,9 @@ class Pruned:
     hypothesis : Hypothesis
     removed : frozenset of int
         Numbers of the rounds whose cause was taken back.
+    displaced : tuple of str
+        Declared terms in whose place an adopted one stands: the declared model asked for them, the
+        final one does not.
     n_fits : int
     is_complete : bool
         False where the time was up before everything was looked at.
@@ -32,6 +38,7 @@ class Pruned:
     fit: object
     hypothesis: object
     removed: frozenset = frozenset()
+    displaced: tuple = ()
     n_fits: int = 0
     is_complete: bool = True
 
@@ -56,39 +63,101 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
     -------
     Pruned
     """
-    clock, criteria = clock or Clock(), criteria or Criteria()
-    found, hypothesis = rounds[-1].after, rounds[-1].continuing
-    adopted = [done for done in rounds if done.decision.is_adopted]
-    removed, n_fits = set(), 0
-    while True:
-        weakest, least = None, 0.0
-        whole = log_evidence(found, hypothesis, criteria)
-        for done in adopted[:-1]:
-            smaller = None if done.number in removed else _without(hypothesis, done)
-            if smaller is None:
-                continue
-            if clock.is_over:
-                return Pruned(found, hypothesis, frozenset(removed), n_fits, False)
-            if progress is not None:
-                progress(f"without {done.decision.best.text}")
-            smaller = continued(smaller, found)
-            n_fits += 1
-            try:
-                other = fit(
-                    smaller, dataset, bounds=smaller.own(bounds), deadline=clock.left, near=found,
-                    effort=criteria.effort,
-                )
-            except FAULTS:  # it cannot be done without
-                continue
-            if clock.is_over:  # it may have been cut short
-                return Pruned(found, hypothesis, frozenset(removed), n_fits, False)
-            loss = whole - log_evidence(other, smaller, criteria) + done.decision.best.log_prior
-            if loss <= least:
-                weakest, least = (done.number, other, smaller), loss
-        if weakest is None:
-            return Pruned(found, hypothesis, frozenset(removed), n_fits)
-        removed.add(weakest[0])
-        found, hypothesis = weakest[1:]
+    run = _Pruning(rounds, dataset, criteria or Criteria(), bounds, clock or Clock(), progress)
+    try:
+        run.take_back()
+        run.displace()
+    except TimeIsUp:
+        run.is_complete = False
+    return Pruned(
+        run.found, run.hypothesis, frozenset(run.removed), tuple(run.displaced), run.n_fits,
+        run.is_complete,
+    )  # fmt: skip
+
+
+class _Pruning:
+    """The hypothesis, and what was removed from it, while it shrinks."""
+
+    def __init__(self, rounds, dataset, criteria, bounds, clock, progress):
+        self.dataset, self.criteria, self.bounds, self.clock = dataset, criteria, bounds, clock
+        self.says = progress or (lambda text: None)
+        self.first = rounds[0].entering
+        self.adopted = [done for done in rounds if done.decision.is_adopted]
+        self.found, self.hypothesis = rounds[-1].after, rounds[-1].continuing
+        self.removed, self.displaced, self.n_fits, self.is_complete = set(), [], 0, True
+
+    def take_back(self):
+        """Remove causes of earlier rounds while the evidence does not ask for them."""
+        while True:
+            weakest, least = None, 0.0
+            for done in self.adopted[:-1]:
+                known = done.number in self.removed
+                smaller = None if known else _without(self.hypothesis, done)
+                best = done.decision.best
+                fitted = smaller and self.fitted(smaller, f"without {best.text}")
+                if fitted and fitted[2] + best.log_prior <= least:
+                    weakest, least = (done.number, *fitted[:2]), fitted[2] + best.log_prior
+            if weakest is None:
+                return
+            number, self.found, self.hypothesis = weakest
+            self.removed.add(number)
+
+    def displace(self):
+        """Remove declared terms in whose place adopted ones stand."""
+        kept = [done for done in self.adopted if done.number not in self.removed]
+        for formula in [t.formula for t in self.first.law.terms] if kept else ():
+            smaller = self._asked_for(formula) and _without_term(self.hypothesis, formula)
+            fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
+            if fitted and fitted[2] <= 0.0:
+                self.found, self.hypothesis, _ = fitted
+                self.displaced.append(to_text(formula))
+
+    def _asked_for(self, formula):
+        """Whether the declared model has numbers of its own in a term, one of them not zero."""
+        least = stats.norm.isf(self.criteria.alpha / 2)
+        others = {c for t in self.first.law.terms if t.formula != formula
+                  for c in t.formula.constants}  # fmt: skip
+        numbers = zip(self.first.parameters, self.first.values, self.first.errors, strict=True)
+        return any(
+            abs(value) > least * error
+            for (name, _), value, error in numbers
+            if name in formula.constants and name not in others
+        )
+
+    def fitted(self, smaller, text):
+        """A smaller hypothesis fitted: (fit, hypothesis, evidence that is lost), or None."""
+        if self.clock.is_over:
+            raise TimeIsUp
+        self.says(text)
+        smaller = continued(smaller, self.found)
+        self.n_fits += 1
+        try:
+            other = fit(
+                smaller, self.dataset, bounds=smaller.own(self.bounds), deadline=self.clock.left,
+                near=self.found, effort=self.criteria.effort,
+            )  # fmt: skip
+        except FAULTS:  # it cannot be done without
+            return None
+        if self.clock.is_over:  # it may have been cut short
+            raise TimeIsUp
+        whole, theirs = (
+            log_evidence(f, h, self.criteria)
+            for f, h in ((self.found, self.hypothesis), (other, smaller))
+        )
+        return other, smaller, whole - theirs
+
+
+def _without_term(hypothesis, formula):
+    """The hypothesis without a declared term; None where it has none such, or no other force."""
+    for k, part in enumerate(hypothesis.parts):
+        terms = part.law.terms if isinstance(part, Forces) else ()
+        at = [i for i, term in enumerate(terms) if term.is_declared and term.formula == formula]
+        if at:
+            less = [replace(part, law=part.law.without(at[0]))] if len(terms) > 1 else []
+            parts = (*hypothesis.parts[:k], *less, *hypothesis.parts[k + 1 :])
+            has_forces = any(isinstance(part, Forces) for part in parts)
+            return Hypothesis(parts) if has_forces else None
+    return None
 
 
 def _without(hypothesis, done):

@@ -166,7 +166,11 @@ def close_loop(
     left_out += written.pop("left_out")
     return LoopReport(
         declared=tuple(
-            {"law": to_text(t.formula), "latex": to_latex(t.formula)} for t in ready.law.terms
+            {
+                "law": to_text(t.formula), "latex": to_latex(t.formula),
+                "is_displaced": to_text(t.formula) in pruned.displaced,
+            }
+            for t in ready.law.terms
         ),
         grammar={"name": grammar.name, "fingerprint": grammar.fingerprint},
         search=search, seed=seed, criteria=asdict(criteria),

@@ -195,7 +195,8 @@ class LoopReport:
         name, n_scenes, n_rows, n_entities, n_dims, train, test, split, units, up, provenance,
         fingerprint, notes.
     declared : tuple of dict
-        ``{"law", "latex"}`` of every declared term.
+        ``{"law", "latex", "is_displaced"}`` of every declared term; a displaced one is in the final
+        law no more, since what was found stands in its place.
     grammar : dict
         name, fingerprint.
     search : str

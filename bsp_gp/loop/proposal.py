@@ -60,6 +60,9 @@ class Proposal:
         Times the usual effort that its fit may take.
     is_sole : bool
         Whether nothing else is asked for where it leaves no misfit when it is judged so.
+    is_afresh : bool
+        Whether it leads tracks so far from those of the fit that it extends that its fit begins
+        at the data.
     """
 
     code: str
@@ -79,6 +82,7 @@ class Proposal:
     judged: object = None
     is_sole: bool = False
     patience: int = 1
+    is_afresh: bool = False
 
     @cached_property
     def key(self):
@@ -114,7 +118,7 @@ class Proposal:
             Of the constants of what is declared.
         deadline : float, optional
         """
-        near = None if self.kind == "constraint" else base  # it leads tracks far off the others
+        near = None if self.is_afresh else base
         return fit(
             self.hypothesis, dataset, starts=self.starts, near=near,
             effort=self.patience * criteria.effort,

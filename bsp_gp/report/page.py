@@ -66,6 +66,12 @@ def _notes(report):
             "what was adopted still leaves more than noise: its form and constants hold for this "
             "recording and are no discovery about nature"
         )
+    for entry in report.declared:
+        if entry.get("is_displaced"):
+            yield (
+                f"Beside what was found the data do not ask for the declared {entry['law']}: "
+                "it was taken out of the law."
+            )
     yield from report.dataset["notes"]
     if report.dataset["split"]:
         yield report.dataset["split"]

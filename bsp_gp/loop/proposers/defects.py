@@ -14,6 +14,7 @@ from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.stuck import LEAST_KEPT, stuck
 from bsp_gp.loop.proposers.swaps import swaps
 
 __all__ = ["Defects"]
@@ -22,10 +23,10 @@ MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
 MOST_NUMBERS = 2_000_000
 """In one work array."""
-LEAST_KEPT = 0.25
-"""Part of a track that is its body's if the rest is not."""
 MOST_FRAMES = 4
 """That are missing or repeated at once."""
+FAR = ("swapped_tracks", "lost_track")
+"""Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
 """Least eigenvalue of what rows say of initial states, in that of all rows."""
 
@@ -53,16 +54,18 @@ class Defects:
         for *_, gains in moved:
             even = np.maximum(even, gains)
         n_tried = sum(len(w.first) for w, _ in windows) + sum(len(m[0].times) for m in moved)
-        parts, excess, gain, n_swaps = swaps(view)
+        parts, excess, swapped, n_swaps = swaps(view)
+        still, theirs, stands = stuck(view)
         kinds = [
             ("swapped_tracks", parts, excess, n_swaps),
+            ("lost_track", still, theirs, n_tried),
             ("bad_row", *_rows(windows, n_tried), n_tried),
             ("lost_track", *_lost(windows), n_tried),
             ("bad_row", *_frames(moved), n_tried),
         ]
         proposals = [_proposal(view, *kind) for kind in kinds if kind[1]]
         proposals.sort(key=lambda p: -p.promise)
-        gain = max(float(even[0]), gain)
+        gain = max(float(even[0]), swapped, stands)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_tried)
 
 
@@ -223,8 +226,9 @@ def _proposal(view, code, parts, gain, n_tried):
     log_prior = -view.criteria.cause_nats - len(parts) * float(np.log(n_tried))
     text = "; ".join(part.describe() for part in parts)
     return Proposal(
-        code, text, hypothesis, log_prior, float(gain), len(parts), kind="measurement"
-    )
+        code, text, hypothesis, log_prior, float(gain), len(parts), kind="measurement",
+        is_afresh=code in FAR,
+    )  # fmt: skip
 
 
 def _paid(window, gains):

@@ -13,7 +13,7 @@ import numpy as np
 from bsp_gp.fitting.parts.defects import Swapped
 from bsp_gp.fitting.tangent import as_pair
 
-__all__ = ["swaps"]
+__all__ = ["smooth_levels", "swaps", "unexplained"]
 
 WINDOW = 4
 """Rows before and after a swap through which a cubic is put."""
@@ -25,12 +25,14 @@ MOST_SWAPS = 4
 
 def swaps(view):
     """Every swap that pays: parts, their gain, the greatest one as of two numbers, choices."""
-    levels, scenes = np.array(view.fit.noise.levels), view.dataset.scenes
+    scenes = view.dataset.scenes
+    share, levels = smooth_levels(view)
     n_tried = sum(len(s.times) * len(s.dynamic) * (len(s.dynamic) - 1) // 2 for s in scenes)
     choice, parts, excess, best = float(np.log(max(n_tried, 1))), [], 0.0, 0.0
     for scene in scenes:
         found = list(_swaps(scene, levels, choice))
-        left, dof = _left(view.fit, scene.name) if found else (0.0, 1)
+        left, dof = unexplained(view.fit, scene.name) if found else (0.0, 1)
+        left /= share**2
         if left > dof:
             gain = min(max(g for g, _ in found), float(as_pair(left, dof)))
             best = max(best, gain - 2 * choice)  # chance of a wrong name: exp(-gain / 2) each
@@ -39,7 +41,26 @@ def swaps(view):
     return parts, excess, best, n_tried
 
 
-def _left(fit, name):
+def smooth_levels(view):
+    """What tracks are rough by in levels of the fit, at most 1, and levels so small, (d,).
+
+    What is estimated beside tracks that their names mislead is no level of the noise.
+    """
+    levels = np.array(view.fit.noise.levels)
+    if not view.fit.noise.is_free.any():
+        return 1.0, levels
+    rough = []
+    for scene in view.dataset.scenes:
+        places = (scene.positions / levels)[:, scene.dynamic][..., np.isfinite(levels)]
+        for k in range(places.shape[1]):
+            numbers = (2 * WINDOW - 4) * places.shape[2]
+            rough.append(_roughness(scene.times, places[:, [k]]) / numbers)
+    rough = np.concatenate(rough) if rough else np.ones(1)
+    share = float(np.sqrt(np.median(rough))) if len(rough) and np.median(rough) > 0 else 1.0
+    return min(share, 1.0), min(share, 1.0) * levels
+
+
+def unexplained(fit, name):
     """Chi-squared of a scene and its degrees of freedom."""
     channels = fit.channels
     mine = channels.scene == channels.scene_names.index(name)

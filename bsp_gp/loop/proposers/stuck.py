@@ -1,0 +1,79 @@
+"""Tracks that stand still to their beginning or end: what was followed there was not the body.
+
+Standing still shows in the places whatever the law. It counts as far as the fit leaves the track
+unexplained, since what comes to rest looks the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.fitting.parts.defects import LeftOut
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
+
+__all__ = ["LEAST_KEPT", "stuck"]
+
+LEAST_ROWS = 4
+"""That stand still."""
+LEAST_KEPT = 0.25
+"""Part of a track that is its body's if the rest is not."""
+STILL = 3.0
+"""Standard deviations by which the scatter of rows that stand still may pass what is expected."""
+
+
+def stuck(view):
+    """Every track that stands still from or up to some row: parts, gain less price, gain as pair.
+
+    Parameters
+    ----------
+    view : View
+    """
+    share, levels = smooth_levels(view)
+    axes, parts, excess, best = np.isfinite(levels), [], 0.0, 0.0
+    for scene in view.dataset.scenes:
+        found = [part for k in scene.dynamic for part in _ends(scene, k, levels, axes)]
+        left, dof = unexplained(view.fit, scene.name) if found else (0.0, 1)
+        left /= share**2
+        if left <= dof:
+            continue
+        best = max(best, min(max(g for _, g, _ in found), float(as_pair(left, dof))))
+        parts += [part for part, *_ in found]
+        excess += left - dof - sum(price for *_, price in found)
+    return parts, excess, best
+
+
+def _ends(scene, k, levels, axes):
+    """The head and the tail of a track that stand still beside the rest: (LeftOut, gain, price).
+
+    The gain is what as many steps as elsewhere would have been; leaving them out costs less.
+    """
+    places = scene.positions[:, k][:, axes] / levels[axes]
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    low, high = np.nanmin(scene.positions, axis=(0, 1)), np.nanmax(scene.positions, axis=(0, 1))
+    for is_tail in (True, False):
+        rows = seen[::-1] if is_tail else seen
+        n = _still(places[rows])
+        if n < LEAST_ROWS or n > (1 - LEAST_KEPT) * len(rows):
+            continue
+        steps = np.square(np.diff(places[rows[n - 1 :]], axis=0)).sum(axis=1)
+        bounds = (int(rows[n - 1]), len(scene.times)) if is_tail else (0, int(rows[n - 1]) + 1)
+        count = n * int(axes.sum())
+        part = LeftOut(
+            scene.name, *bounds, scene.names[k],
+            n_left_out=count, extent=float((high - low).max()),
+        )  # fmt: skip
+        level = np.sqrt(2 * np.pi) * levels[axes].mean()
+        price = 2 * count * max(float(np.log(part.extent / level)), 0.0)
+        gain = n * float(np.median(steps) - 2 * axes.sum())
+        if gain > price:
+            yield part, gain, price
+
+
+def _still(places):
+    """How many rows of (T, d) from the first on scatter about one place as noise does."""
+    count = np.arange(1, len(places) + 1)
+    mean = np.cumsum(places, axis=0) / count[:, None]
+    scatter = (np.cumsum(np.square(places), axis=0) - count[:, None] * mean**2).sum(axis=1)
+    dof = (count - 1) * places.shape[1]
+    return int(count[scatter <= dof + STILL * np.sqrt(2 * np.maximum(dof, 1))].max(initial=0))
