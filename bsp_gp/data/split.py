@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -110,14 +111,7 @@ def _in_time(dataset):
 
 
 def _renamed(scene, suffix):
-    return Scene(
-        f"{scene.name} ({suffix})",
-        scene.times,
-        scene.positions,
-        scene.entities,
-        scene.velocities,
-        scene.sigma,
-    )
+    return replace(scene, name=f"{scene.name} ({suffix})")
 
 
 def _correlation_rows(scene, memory):
