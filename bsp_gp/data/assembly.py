@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import re
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.conversion import KINDS, unit_of
 from bsp_gp.data.headings import NUMBER_COLUMNS, TEXT_COLUMNS, is_acceleration, is_error
-from bsp_gp.data.roster import ABSURD, require_columns
-from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
+from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import Unit
 
@@ -35,6 +36,8 @@ class Rows:
         Line numbers in `file`.
     notes : tuple of str
         What was taken for granted.
+    inputs : dict of str to (ndarray, Unit)
+        Measured inputs, (n,) or (n, d), SI.
     """
 
     scene: np.ndarray
@@ -48,6 +51,7 @@ class Rows:
     lines: np.ndarray
     file: str | None
     notes: tuple[str, ...] = ()
+    inputs: dict = field(default_factory=dict)
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -71,7 +75,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
     scene_name : str
         Name of the scene where the table has no such column.
     """
-    axes, line_notes = axes_of(table)
+    axes, line_notes = axes_of(table, declaration)
     table, gap_notes = _without_gaps(table)
     known = [axis for axis in axes if axis in table.frame.columns]
     still = np.zeros(len(table.frame))
@@ -99,10 +103,38 @@ def build_rows(table, declaration, conversion, *, scene_name):
         table.frame.index.to_numpy(),
         table.file,
         (*line_notes, *gap_notes),
+        _inputs(table, declaration, conversion),
     )
 
 
-def axes_of(table):
+def inputs_of(table, declaration):
+    """Further columns of a trajectory table whose unit is declared: inputs that were measured."""
+    taken = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *KINDS, *PROPERTY_UNITS}
+    return [c for c in table.frame.columns if c in declaration.units and c not in taken]
+
+
+def _inputs(table, declaration, conversion):
+    """Measured inputs with their units; ``wind_x`` and ``wind_y`` are one vector."""
+    columns = inputs_of(table, declaration)
+    stems = vector_stems(columns)
+    stems = {s: c for s, c in stems.items() if len(c) == len(axes_of(table, declaration)[0])}
+    parts = {column for each in stems.values() for column in each}
+    out = {}
+    for name in [c for c in columns if c not in parts] + list(stems):
+        if not re.fullmatch(r"[A-Za-z]\w*", name) or name[-2:] in ("_i", "_j"):
+            raise DataError(
+                f"the measured input {name!r} must be a name that laws can use",
+                file=table.file, column=name,
+                remedy="letters, digits and underscores, and no _i or _j at its end",
+            )  # fmt: skip
+        columns = stems.get(name, (name,))
+        values = [_numbers(table, column, can_be_blank=True) for column in columns]
+        scale, unit, _ = conversion.property(name, columns if name in stems else ())
+        out[name] = scale * (np.stack(values, axis=1) if name in stems else values[0]), unit
+    return out
+
+
+def axes_of(table, declaration):
     """Axes of the positions, and a note where one of x and y is not in the table.
 
     A table of x alone, or of y alone, is motion along a line; but a column that is not used and
@@ -118,7 +150,7 @@ def axes_of(table):
     doubtful = [
         column
         for column in columns
-        if column not in NUMBER_COLUMNS + TEXT_COLUMNS
+        if column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
         and not is_error(column)
     ]
@@ -340,7 +372,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
     def spread(values):
         if values is None or (values is not rows.positions and np.isnan(values[part]).all()):
             return None
-        full = np.full(shape, np.nan)
+        full = np.full((*shape[:2], *values.shape[1:]), np.nan)
         full[row, local] = values[part]
         return full
 
@@ -353,6 +385,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             entities,
             spread(rows.velocities),
             spread(rows.sigma),
+            {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
         )
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error

@@ -75,6 +75,12 @@ def _trajectories(dataset):
                 continue
             for k, axis in enumerate(axes):
                 piece[prefix + axis] = math.nan if block is None else block[row, column, k]
+        for name, values in scene.inputs.items():
+            here = values[row, column]
+            parts = {name: here} if here.ndim == 1 else dict(
+                zip((f"{name}_{axis}" for axis in axes), here.T, strict=True)
+            )  # fmt: skip
+            piece |= parts
         pieces.append(pd.DataFrame(piece))
     return pd.concat(pieces, ignore_index=True)
 
@@ -189,6 +195,12 @@ def _units(dataset):
     stored |= {latent.name for latent in dataset.latents}
     for name in sorted(stored - set(PROPERTY_UNITS)):
         units[name] = dataset.property_units[name].text() if name in dataset.property_units else "1"
+    inputs = {name: values for scene in dataset.scenes for name, values in scene.inputs.items()}
+    for name, values in inputs.items():
+        text = dataset.property_units[name].text()
+        units |= dict.fromkeys(
+            [name] if values.ndim == 2 else [f"{name}_{a}" for a in "xyz"[: values.shape[2]]], text
+        )  # fmt: skip
     return units
 
 

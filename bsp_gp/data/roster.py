@@ -204,7 +204,7 @@ class _RosterReader:
     def properties(self, coded):
         """Named arrays (n,) or (n, d) in SI, and their units."""
         further = [c for c in self.frame.columns if c not in OWN_COLUMNS]
-        stems = _vector_stems(further)
+        stems = vector_stems(further)
         components = {column for columns in stems.values() for column in columns}
         values, units = {}, {}
         for name in [c for c in further if c not in components] + list(stems):
@@ -256,7 +256,7 @@ def _float(cell):
         return None
 
 
-def _vector_stems(columns):
+def vector_stems(columns):
     """Stem -> component columns for every ``_x, _y[, _z]`` set."""
     stems = {}
     for column in columns:

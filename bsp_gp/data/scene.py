@@ -120,6 +120,8 @@ class Scene:
         Only if they were *measured* (not differences of positions).
     sigma : ndarray, shape (T, N, d) or None, metres
         Quoted standard errors per point; nan where none is quoted.
+    inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
+        What was logged beside the tracks, SI, for laws to name; nan = not logged there.
     """
 
     name: str
@@ -128,8 +130,11 @@ class Scene:
     entities: tuple[Entity, ...]
     velocities: np.ndarray | None = None
     sigma: np.ndarray | None = None
+    inputs: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
+        inputs = {name: _readonly(values) for name, values in self.inputs.items()}
+        object.__setattr__(self, "inputs", inputs)
         for attribute in ("times", "positions", "velocities", "sigma"):
             value = getattr(self, attribute)
             if value is not None:
@@ -229,6 +234,7 @@ class Scene:
             self.entities,
             None if self.velocities is None else self.velocities[cut],
             None if self.sigma is None else self.sigma[cut],
+            {name: values[cut] for name, values in self.inputs.items()},
         )
 
 

@@ -218,7 +218,7 @@ def _assemble(table, roster, declaration, default_name):
         table, declaration.units, start=declaration.angle_from, sense=declaration.angle_turns
     )
     tables = [t for t in (table, roster) if isinstance(t, Table)]
-    axes_of(table)  # what is missing is told before its unit is
+    axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
     known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
     for each in tables:
@@ -269,7 +269,10 @@ def _assemble(table, roster, declaration, default_name):
         train=train,
         test=test,
         units=conversion.system,
-        property_units={**latent_units, **(roster.units if roster else {})},
+        property_units={
+            **latent_units, **(roster.units if roster else {}),
+            **{name: unit for name, (_, unit) in rows.inputs.items()},
+        },
         up=_up(declaration, scenes[0].n_dims) or table.up,
         noise=_noise(declaration, conversion, scenes[0].n_dims),
         noise_memory=_noise_memory(declaration, conversion),

@@ -13,6 +13,7 @@ import numpy as np
 
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.geometry import DISC, MAT, WALL
+from bsp_gp.physics.series import Series
 
 __all__ = ["Chains", "build_chains", "is_coupled"]
 
@@ -45,6 +46,8 @@ class Chains:
     up : str or None
     direction : callable
         ``direction(name)`` gives the unit vector of a lab axis.
+    series : Series
+        Measured inputs.
     """
 
     scenes: tuple
@@ -63,6 +66,7 @@ class Chains:
     width: np.ndarray
     height: np.ndarray
     direction: object
+    series: Series
 
     @property
     def n_chains(self):
@@ -234,4 +238,5 @@ def _chains(batch, coupled):
         width=of_bodies(shapes.width),
         height=of_bodies(shapes.height),
         direction=batch.bodies.direction,
+        series=batch.bodies.series,
     )

@@ -554,7 +554,7 @@ class Climb:
 def _median_of(base, kind, run):
     """Median absolute value of a formula over the rows of the data."""
     from bsp_gp.fitting.graph import Graph, Tape
-    from bsp_gp.fitting.lowering import MOVING, Lowering
+    from bsp_gp.fitting.lowering import Lowering
 
     found = []
     for chains in run.groups:
@@ -566,7 +566,7 @@ def _median_of(base, kind, run):
                 continue
             graph = Graph()
             lowered = Lowering(graph, chains.n_dims, chains.direction).lower(base)
-            tape = Tape(graph, [lowered], MOVING)
+            tape = Tape(graph, [lowered], program.moving)
             driven = flow.driven.at(flow.start, flow.chain)
             points = Points(nodes, flow.start, flow.chain, driven, [])
             prepared = tape.prepare(static, dict.fromkeys(base.constants, np.float64(1.0)))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from bsp_gp.errors import LawError
+from bsp_gp.fitting.frames import expanded
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
@@ -290,6 +291,7 @@ def read_law(dataset, texts: Sequence[str]):
         if "=" in text:
             frame.append(read_constraint(dataset, text))
             continue
+        text = expanded(text, dataset.n_dims)
         formula = read_torque(text, types, dataset.units) if is_angle else None
         formula = formula or parse_formula(text, types, units=dataset.units)
         unit = formula.type.unit

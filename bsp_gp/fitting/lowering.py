@@ -57,6 +57,8 @@ class Lowering:
         Names of property inputs that are vectors.
     unknown : collection of str
         Columns of properties that are fitted: these are constants.
+    moving : collection of str
+        Inputs that differ from instant to instant.
 
     Attributes
     ----------
@@ -65,9 +67,9 @@ class Lowering:
         Axes along which a force acts against a body's own velocity and may bring it to rest.
     """
 
-    def __init__(self, graph, n_dims, direction, vectors=(), unknown=()):
+    def __init__(self, graph, n_dims, direction, vectors=(), unknown=(), moving=MOVING):
         self.graph = graph
-        self.n_dims = n_dims
+        self.n_dims, self.moving = n_dims, moving
         self.direction = direction
         self.vectors, self.unknown = frozenset(vectors), frozenset(unknown)
         self.modes, self.stops = [], []
@@ -243,7 +245,7 @@ class Lowering:
         """Whether a node differs from instant to instant."""
         op, *args = self.graph.nodes[node]
         if op in LEAVES:
-            return op == "input" and args[0][0] in MOVING
+            return op == "input" and args[0][0] in self.moving
         return any(map(self._moves, args))
 
     def _stop(self, axes):

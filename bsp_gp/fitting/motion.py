@@ -71,7 +71,11 @@ class _Program:
         vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
         parts, unknown = _instruments(law), fitted_properties(law)
         frame = Frame(g, parts, chains.n_dims, kind) if parts else None
-        lowering = Lowering(frame or g, chains.n_dims, chains.direction, vectors, unknown)
+        self.series = chains.series.names
+        self.moving = (*MOVING, *self.series)
+        lowering = Lowering(
+            frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving
+        )
         total = [g.zero] * chains.n_dims
         for k, term in enumerate(self.terms):
             weight = g.input("weight", k)
@@ -88,7 +92,7 @@ class _Program:
         lasting = (t for t in self.terms if not fades_at_rest(t.formula))
         may_stop = any("v_i" in t.formula.inputs for t in lasting)
         self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
-        self.value = Tape(g, total, MOVING)
+        self.value = Tape(g, total, self.moving)
         self._add_slopes(total, chains.n_dims)
         self._add_margins(chains.n_dims)
 
@@ -110,14 +114,14 @@ class _Program:
                 if slope != g.zero:
                     self.constant_of.append((row, name))
                     nodes.append(slope)
-        self.slopes = Tape(g, nodes, MOVING)
+        self.slopes = Tape(g, nodes, self.moving)
 
     def _add_margins(self, n_dims):
         g = self.graph
         names = STATE if self.kind == "pair" else ("p_i", "v_i")
         leaves = [(name, axis) for name in names for axis in range(n_dims)]
         margins = [mode.margin for mode in self.modes]
-        self.margins = Tape(g, margins, MOVING)
+        self.margins = Tape(g, margins, self.moving)
         self.margin_slope_of, nodes = [], []
         for number, margin in enumerate(margins):
             keys = [*leaves, ("t", None), *((n, "constant") for n in self.constants)]
@@ -127,7 +131,7 @@ class _Program:
                 if slope != g.zero:
                     self.margin_slope_of.append((number, name, axis))
                     nodes.append(slope)
-        self.margin_slopes = Tape(g, nodes, MOVING)
+        self.margin_slopes = Tape(g, nodes, self.moving)
 
 
 class Motion:
@@ -280,10 +284,24 @@ class Motion:
                 if program.kind == "field":
                     held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
+            if name in program.series:
+                return self._series(name, axis, points, program.kind)
             part = 0 if name[0] == "p" else 1
             return (own if name[-1] == "i" else other)[part][..., axis, :]
 
         return value
+
+    def _series(self, name, axis, points, kind):
+        """A measured input of every receiver, (R, M), or (R, 1, M) where there are sources."""
+        chains = self.chains
+        chain = np.arange(chains.n_chains)[points.chain]
+        out = np.full((chains.n_moving, len(points.times)), np.nan)
+        for c in np.unique(chain):
+            at = chain == c
+            for r, body in enumerate(chains.bodies[c]):
+                values = chains.series.along(name, chains.scenes[c], body, points.times[at])
+                out[r, at] = values if axis is None else values[axis]
+        return out if kind == "field" else out[:, None]
 
     def _sources(self, state, driven):
         """Places and velocities of the sources of every receiver, (R, J, d, M) each."""

@@ -104,7 +104,7 @@ class Pieces:
         return whole[0], whole[1]
 
 
-def cut_pieces(chains, noise, batch):
+def cut_pieces(chains, noise, batch, n_held=0):
     """Cut chains into pieces.
 
     Parameters
@@ -113,10 +113,12 @@ def cut_pieces(chains, noise, batch):
     noise : ChainNoise
     batch : Batch
         Of the scenes that the chains are of.
+    n_held : int
+        Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
     """
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
-    per_row = chains.n_moving * chains.n_dims
+    per_row = max(chains.n_moving * chains.n_dims - n_held, 1)
     rows = max(MOST_COORDINATES // per_row, LEAST_ROWS)
     windows = cut_windows(chains.lengths[:n_scenes], rows)
     chosen = np.arange(len(windows.chain))

@@ -174,7 +174,9 @@ def respond(fit, dataset, scenes=None):
             count = int(np.prod(chains.observed.shape[1:]))
             noise = _noise(fit, chains, slice(first, first + count))
             first += count
-            pieces = cut_pieces(chains, noise, batch)
+            pairs = [pair for part in constraints_of(fit.law) for pair in part.pairs]
+            n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
+            pieces = cut_pieces(chains, noise, batch, n_held)
             group = _Group(fit, chains, nodes, noise, pieces)
             batches.append(group.batch())
             columns.append(group.columns(batches[-1]))

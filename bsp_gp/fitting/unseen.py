@@ -48,6 +48,7 @@ def with_entity(scene, entity, track=None, values=()):
     return Scene(
         scene.name, scene.times, more(scene.positions, track[0]), (*others, entity),
         more(scene.velocities, track[1]), more(scene.sigma, blank[0]),
+        {name: more(v, np.full_like(v[:, 0], np.nan)) for name, v in scene.inputs.items()},
     )  # fmt: skip
 
 

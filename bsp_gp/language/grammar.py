@@ -211,7 +211,7 @@ class Grammar:
             tuple(enabled),
         )
 
-    def for_properties(self, columns):
+    def for_properties(self, columns, inputs=None):
         """Repeat rules for further property columns of a data set.
 
         Those of ``[each_property]`` for every scalar, of ``[each_vector]`` for every vector, and of
@@ -221,11 +221,14 @@ class Grammar:
         ----------
         columns : mapping of str to Type
             Columns that no input of the grammar names are added as ``<column>_i``, ``_j``.
+        inputs : mapping of str to Type, optional
+            Measured inputs: the same rules for the receiver, under their own names.
         """
         known = {property_of(name)[0] for name in self.inputs if property_of(name)}
         source, is_changed = json.loads(json.dumps(dict(self.source))), False
-        for column in sorted(set(columns) - known):
-            type_ = columns[column]
+        inputs = inputs or {}
+        for column in [*sorted(set(columns) - known), *sorted(inputs)]:
+            type_ = inputs.get(column) or columns[column]
             is_velocity = type_ == Type("vector", VELOCITY)
             tables = ["each_property"] if type_.shape == "scalar" else ["each_vector"]
             tables += ["each_velocity"] if is_velocity else []
@@ -233,9 +236,13 @@ class Grammar:
             if not rules:
                 continue
             is_changed = True
-            for role in ("i", "j"):
-                source["inputs"][f"{column}_{role}"] = f"{type_.shape} {type_.unit.text()}"
+            roles = [""] if column in inputs else ["_i", "_j"]
+            for role in roles:
+                source["inputs"][f"{column}{role}"] = f"{type_.shape} {type_.unit.text()}"
             for nonterminal, bodies in rules:
+                if column in inputs:
+                    own = [b for b in bodies.split("|") if "{name}_j" not in b]
+                    bodies = "|".join(own).replace("{name}_i", "{name}")
                 source["rules"][nonterminal] += " | " + bodies.replace("{name}", column)
         return read_grammar(source) if is_changed else self
 

@@ -28,7 +28,8 @@ STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", 
 CAUSES = (
     "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period", "scale",
     "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective",
-    "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod", "wire", "noise",
+    "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod", "wire", "frame",
+    "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
 KINDS = ("force", "constraint", "measurement", "hidden_body", "noise")

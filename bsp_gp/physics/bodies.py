@@ -14,9 +14,15 @@ import numpy as np
 
 from bsp_gp.errors import LawError
 from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
+from bsp_gp.language.operators import Type
 from bsp_gp.physics.geometry import Shapes, contact_point
+from bsp_gp.physics.series import Series
+from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "law_inputs", "stack"]
+__all__ = [
+    "Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "input_types_of", "law_inputs",
+    "stack",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +41,8 @@ class Bodies:
     up : str or None
     scenes : tuple of str
         Their names; empty = of no matter.
+    series : Series
+        Measured inputs.
     """
 
     names: tuple
@@ -44,6 +52,7 @@ class Bodies:
     n_dims: int
     up: str | None = None
     scenes: tuple = ()
+    series: Series = field(default_factory=lambda: Series({}))
     others: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -115,10 +124,20 @@ class _Inputs(Mapping):
             return np.asarray(self.times)[(...,) + (None,) * self.tail]
         if name == "p_c":
             return contact_point(self["p_i"], self["s_j"], self["p_j"])
+        if name in self.bodies.series.names:
+            return self._series(name)
         known = property_of(name)
         if known is None:
             raise LawError(f"unknown input {name!r}")
         return self._property(self.bodies.column(known[0]), known[1])
+
+
+    def _series(self, name):
+        """A measured input of the receivers, the axis of sources being added behind them."""
+        bodies = self.bodies
+        value = bodies.series.at(name, bodies.scenes, bodies.receiver_names, self.times)
+        at = np.ndim(self.times) + 1
+        return value if self.tail == 1 else np.expand_dims(value, at)
 
 
 class PairInputs(_Inputs):
@@ -241,6 +260,7 @@ def _batch(scenes, key, up):
         n_dims=n_dims,
         up=up,
         scenes=tuple(scene.name for scene in scenes),
+        series=Series.of(scenes),
     )
     return Batch(scenes, bodies, times, positions, velocities, sigma)
 
@@ -259,6 +279,16 @@ def _columns(scenes, shapes, n_dims):
         )
     columns.setdefault("radius", shapes.radius)
     return columns
+
+
+def input_types_of(dataset):
+    """Types of the measured inputs of a data set, by name."""
+    found = {name: v.ndim for scene in dataset.scenes for name, v in scene.inputs.items()}
+    units = dataset.property_units
+    return {
+        name: Type("vector" if n == 3 else "scalar", units.get(name, DIMENSIONLESS))
+        for name, n in found.items()
+    }
 
 
 def dataset_types(dataset):
@@ -284,9 +314,8 @@ def dataset_types(dataset):
     if all(len(scene.entities) == 1 for scene in dataset.scenes):
         for name in [n for n in types if n.endswith("_j") or n in ("p_c", "s_i")]:
             del types[name]
+    types |= input_types_of(dataset)
     # A bare mass is always speakable: accelerations are what is fitted, and m_i may cancel.
-    from bsp_gp.units import Unit
-
     for name in ("m_i", "mass_i"):
         types.setdefault(name, input_types({"mass": Unit.of(kg=1)})[name])
     return types

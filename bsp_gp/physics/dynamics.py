@@ -16,6 +16,7 @@ from bsp_gp.errors import EvaluationError, SettingsError
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.evaluation import PreparedLaw
 from bsp_gp.physics.masses import with_unit_masses
+from bsp_gp.physics.series import Series
 
 __all__ = [
     "INTEGRATORS", "Tracks", "rollout", "simulated_scene", "step_euler", "step_leapfrog",
@@ -230,4 +231,9 @@ def _at_times(scene, places, times):
             positions[:, k, axis] = np.interp(times, scene.times[seen], track)
     # Only places that are overwritten are made up; bodies may not stand in one point meanwhile.
     positions[:, scene.dynamic] = places + np.zeros((len(times), 1, 1))
-    return replace(scene, times=times, positions=positions, velocities=None, sigma=None)
+    # Inputs at the new times are those of the old ones, as between rows everywhere.
+    series, names = Series.of([scene]), [scene.names]
+    inputs = {n: series.at(n, [scene.name], names, times[:, None])[:, 0] for n in scene.inputs}
+    return replace(
+        scene, times=times, positions=positions, velocities=None, sigma=None, inputs=inputs
+    )

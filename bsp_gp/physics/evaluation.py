@@ -107,7 +107,7 @@ class _Program:
             value = constants[node.name]
         elif not isinstance(node, Input):
             value = np.float64(node.value)
-        elif node.name not in CHANGING:
+        elif node.name not in (*CHANGING, *self.bodies.series.names):
             value = self._scene[node.name]
         number = self._numbers[node] = len(self.start)
         self.start.append(value)

@@ -20,6 +20,7 @@ CAUSES = {
     "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",
+    "frame": "a frame that turns: Coriolis and centrifugal forces",
     "noise": "noise that is not as assumed",
 }  # fmt: skip
 KINDS = {

@@ -137,6 +137,8 @@ def _parts(effect, law, other):
 
 def _name(effect, parts, other):
     """What was found, in plain words; `other` is the body that acts."""
+    if effect.code == "frame":
+        return CAUSES["frame"]
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} more forces"
     if effect.formula is not None:

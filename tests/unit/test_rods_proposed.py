@@ -9,8 +9,10 @@ import pytest
 import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.view import View
+from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.report.page import page_of
 from tests.swings import LENGTH, PIVOT, WEIGHT, bob
 
@@ -70,3 +72,14 @@ def test_a_fall_along_a_line_is_on_no_wire(rate):
     t = np.arange(60) * 0.02
     family = Rods().propose(looked_at(track(t, 0.1 * t, -0.5 * rate * t**2), [WEIGHT]))
     assert family.proposals == ()
+
+
+def test_moments_of_a_held_body_tell_all_that_a_fit_with_the_drag_gains():
+    data = bob(lambda v: -0.002 * v, n=280)
+    laws = [WEIGHT, f"norm(p_i - ({PIVOT[0]}, {PIVOT[1]})) = {LENGTH}"]
+    view = looked_at(data, laws)
+    drag = Hypothesis.from_laws(data, [*laws, "-c * m_i * v_i"])
+    gained = 2 * (fit(drag, data).log_likelihood - view.fit.log_likelihood)
+    formula = parse_formula("m_i * v_i", dataset_types(data))
+    assert gained > 25
+    assert view.score_forces(view.force_columns([formula])).statistic > 0.8 * gained

@@ -6,6 +6,7 @@ from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.exponents import Declared
+from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
@@ -31,6 +32,6 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Hidden(),
+        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Frames(), Hidden(),
         Companions(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

@@ -15,7 +15,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
-from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.bodies import dataset_types, input_types_of
 from bsp_gp.physics.force import Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
@@ -58,7 +58,8 @@ class Laws:
         columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
         scalars = [c for c, t in columns.items() if t.shape == "scalar"]
         self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
-        grammar = grammar.for_properties(columns)
+        inputs = input_types_of(dataset)
+        grammar = grammar.for_properties(columns, inputs)
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
         if not has_pairs and "field" not in self.grammar.start:
@@ -76,8 +77,11 @@ class Laws:
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
         self.properties = names
         vectors = [c for c, t in columns.items() if t.shape == "vector"]
-        lists = {"0": names, "vector": vectors}
-        self.common = list(_read(self.grammar.common, lists, self.available, types, dataset))
+        measured = [name for name, t in inputs.items() if t.shape == "vector"]
+        lists = {"0": names, "vector": vectors, "measured": measured}
+        common = [law.replace("{vector}_i", "{measured}") for law in self.grammar.common]
+        common = dict.fromkeys((*self.grammar.common, *common))
+        self.common = list(_read(common, lists, self.available, types, dataset))
 
     def propose(self, view):
         """The family of all laws.

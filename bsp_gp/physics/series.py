@@ -1,0 +1,85 @@
+"""Measured inputs of laws: numbers that were logged beside the tracks, at any instant.
+
+Between rows they are interpolated along straight lines; before the first and after the last row
+they keep their values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Series", "interpolated"]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The inputs of some scenes.
+
+    Attributes
+    ----------
+    curves : dict of (str, str, str) to (ndarray, ndarray)
+        Name of an input, scene and body -> times (n,) and values (n,) or (n, d).
+    """
+
+    curves: dict
+
+    @classmethod
+    def of(cls, scenes):
+        """Those of all bodies of some scenes."""
+        curves = {}
+        for scene in scenes:
+            for name, values in scene.inputs.items():
+                for k, body in enumerate(scene.names):
+                    seen = np.isfinite(values[:, k].reshape(len(scene.times), -1)).all(axis=1)
+                    curves[name, scene.name, body] = scene.times[seen], values[seen, k]
+        return cls(curves)
+
+    @property
+    def names(self):
+        """Of the inputs, tuple of str."""
+        return tuple(dict.fromkeys(name for name, _, _ in self.curves))
+
+    def at(self, name, scenes, bodies, times):
+        """Values of an input.
+
+        Parameters
+        ----------
+        name : str
+        scenes : sequence of str, length S
+        bodies : sequence of sequence of str, S x R
+        times : ndarray, shape (..., S), or (..., 1), s
+
+        Returns
+        -------
+        ndarray, shape (..., S, R) or (..., S, R, d)
+            nan of bodies that have none.
+        """
+        times = np.broadcast_to(times, (*np.shape(times)[:-1], len(scenes)))
+        columns = [
+            np.stack([self.along(name, scene, body, times[..., s]) for body in bodies[s]], axis=-1)
+            for s, scene in enumerate(scenes)
+        ]  # (d?, ..., R) each
+        out = np.stack(columns, axis=-2)
+        return out if self._size(name) == 0 else np.moveaxis(out, 0, -1)
+
+    def along(self, name, scene, body, times):
+        """Values of an input of one body, (...) or (d, ...)."""
+        size = self._size(name)
+        curve = self.curves.get((name, scene, body))
+        if curve is None or not len(curve[0]):
+            return np.full((*(size,) * (size > 0), *np.shape(times)), np.nan)
+        return interpolated(times, *curve)
+
+    def _size(self, name):
+        """Components of a vector; 0 of a number."""
+        values = next(v for (own, _, _), (_, v) in self.curves.items() if own == name)
+        return 0 if values.ndim == 1 else values.shape[1]
+
+
+def interpolated(times, known, values):
+    """Values at some times by straight lines, (...) or (d, ...)."""
+    if values.ndim == 1:
+        return np.interp(times, known, values)
+    return np.stack([np.interp(times, known, column) for column in values.T])

@@ -1,0 +1,98 @@
+"""Numbers that were logged beside the tracks, thrust and wind, are inputs of laws."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import bsp_gp
+from bsp_gp.errors import DataError
+
+MASS, DRAG = 0.5, 0.3
+UNITS = {"length": "m", "time": "s", "thrust": "N", "wind_x": "m/s", "wind_y": "m/s"}
+FALL, LIFT = "9.81 [m/s^2] * m_i * down", "thrust * up"
+WIND_DRAG = "c * (norm(v_i - wind) * (v_i - wind))"
+
+
+def thrust(t, phase):
+    return MASS * 9.81 + 1.5 * np.sin(2.1 * t + phase)
+
+
+def wind(t, phase):
+    return np.array([2.0 * np.cos(1.3 * t + phase), 0.6 * np.sin(0.9 * t + 2 * phase)])
+
+
+def flight(phase, drag=DRAG, sigma=1e-3, n=150, in_newtons=1.0):
+    """A body under thrust in a wind, as its log has it."""
+
+    def rate(t, state):
+        past = state[2:] - wind(t, phase)
+        push = np.array([0.0, thrust(t, phase) / MASS - 9.81])
+        return [*state[2:], *(push - drag / MASS * np.linalg.norm(past) * past)]
+
+    t = np.arange(n) * 0.02
+    track = solve_ivp(rate, (0, t[-1]), [0, 1, 0.5, 0], t_eval=t, rtol=1e-10, atol=1e-12).y[:2]
+    track = track + sigma * np.random.default_rng(int(10 * phase)).standard_normal(track.shape)
+    blown = wind(t, phase)
+    return pd.DataFrame({
+        "t": t, "x": track[0], "y": track[1], "thrust": thrust(t, phase) * in_newtons,
+        "wind_x": blown[0], "wind_y": blown[1],
+    })  # fmt: skip
+
+
+def flights(units=UNITS, **settings):
+    frames = {f"s{k}": flight(phase, **settings) for k, phase in enumerate((0.0, 0.7, 1.9))}
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [MASS]})
+    return bsp_gp.Dataset.from_frames(
+        frames, bodies, units=units | {"mass": "kg"}, up="y", train=["s0", "s1"]
+    )  # fmt: skip
+
+
+def test_a_law_names_a_thrust_and_a_wind():
+    found = bsp_gp.fit_law(flights(), [FALL, LIFT, WIND_DRAG])
+    (constant,) = found.constants
+    assert abs(constant.value + DRAG) < 2 * (constant.high - constant.low) < 0.02
+    assert found.noise["sigma"][0] == pytest.approx(1e-3, rel=0.1)
+    assert found.errors.rollout_rmse < 3e-3  # of the flight that is held out
+
+
+def test_simulated_flights_take_the_inputs_at_other_times():
+    data = flights(drag=0.0, sigma=0.0)
+    law = bsp_gp.fit_law(data, [FALL, LIFT]).law
+    scene = data.scenes[0]
+    later = law.simulate(scene, times=scene.times[:-1] + 0.01, up="y", states={
+        "object": (flight(0.0, 0.0, 0.0)[["x", "y"]].to_numpy()[0], [0.5, 0.0])
+    })  # fmt: skip
+    assert later.inputs["thrust"][0, 0] == pytest.approx(np.mean(scene.inputs["thrust"][:2, 0]))
+    expected = scene.positions[:, 0]
+    shift = later.positions[:, 0] - expected[:-1]  # started 0.01 s late at the same place
+    assert np.isfinite(shift).all()
+
+
+def test_units_are_those_declared_and_a_folder_keeps_them(tmp_path):
+    data = flights(UNITS | {"thrust": "mN"}, in_newtons=1000.0)
+    bsp_gp.save_dataset(data, tmp_path / "log")
+    again = bsp_gp.load_dataset(tmp_path / "log")
+    for one in (data, again):
+        assert one.scenes[0].inputs["thrust"][0, 0] == pytest.approx(MASS * 9.81)
+        assert one.scenes[0].inputs["wind"].shape == (150, 1, 2)
+
+
+def test_columns_without_a_declared_unit_are_no_inputs():
+    data = flights({"length": "m", "time": "s"})
+    assert data.scenes[0].inputs == {}
+
+
+def test_the_drag_against_the_wind_is_found_with_its_thrust():
+    data = flights(sigma=0.01)
+    report = bsp_gp.close_loop(data, [FALL, LIFT], rng=np.random.default_rng(0), n_bootstrap=0)
+    effect = next(done.effect for done in report.rounds if done.adopted)
+    assert "norm(v_i - wind)" in " ".join([effect.name, *effect.equivalents])
+    (constant,) = report.constants
+    assert constant.value == pytest.approx(-DRAG, rel=0.05)
+
+
+def test_a_name_that_laws_cannot_use_is_refused():
+    frame = flight(0.0).rename(columns={"thrust": "thrust_i"})
+    with pytest.raises(DataError, match="thrust_i.*name that laws can use"):
+        bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s", "thrust_i": "N"})
