@@ -35,7 +35,7 @@ from bsp_gp.report.tracks import (
     wants_errors,
 )
 
-__all__ = ["ReportFigure", "build_figures"]
+__all__ = ["ReportFigure", "build_figures", "units_of"]
 
 MAX_POINTS = 4000
 _NARROW = 4.8
@@ -112,7 +112,7 @@ def _hidden(done):
     return caption, draw_hidden_map(done.effect.details)
 
 
-def _units(report):
+def units_of(report):
     """Units of lengths, accelerations and times."""
     before = report.total.get("before")
     length = before.unit if before is not None else ""
@@ -133,7 +133,7 @@ def _headline(report):
     overlay = pick_headline(report.overlays)
     if overlay is None:
         return None
-    length, _, time = _units(report)
+    length, _, time = units_of(report)
     has_adopted = bool(adopted_rounds(report))
     as_errors = wants_errors([overlay])
     draw = draw_errors if as_errors else draw_tracks
@@ -145,7 +145,7 @@ def _tracks(report):
     picked = pick_overlays(report.overlays)
     if not picked:
         return None
-    length, _, time = _units(report)
+    length, _, time = units_of(report)
     has_adopted = bool(adopted_rounds(report))
     n_rows = math.ceil(len(picked) / 3)
     figure = new_figure(
@@ -165,7 +165,7 @@ def _track_errors(report):
     has_adopted = bool(adopted_rounds(report))
     if not picked or not wants_errors(picked):
         return None
-    length, _, time = _units(report)
+    length, _, time = units_of(report)
     n_rows = math.ceil(len(picked) / 3)
     figure = new_figure(
         lambda f: draw_errors(f, picked, length, time, has_adopted), 0.45 + 2.0 * n_rows
@@ -188,7 +188,7 @@ def _residuals(report):
     seen &= held_out if use_held_out else True
     if not seen.any():
         return None
-    length, acceleration, time = _units(report)
+    length, acceleration, time = units_of(report)
     against = []
     for name, values, unit in (
         ("time", table.t, time),

@@ -10,7 +10,8 @@ from html import escape
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsp_gp.report.codes import KINDS, TONES
-from bsp_gp.report.figures import build_figures
+from bsp_gp.report.explore import exploration, script, script_digest
+from bsp_gp.report.figures import build_figures, units_of
 from bsp_gp.report.first import (
     bound_sentence,
     else_sentence,
@@ -78,6 +79,7 @@ def render_html(report, run_info=None, figures=None):
     """
     figures = build_figures(report) if figures is None else figures
     report = page_of(report)
+    explored = exploration(report, units_of(report), bool(adopted_rounds(report)))
     sentence, detail = plain_sentence(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
@@ -113,6 +115,9 @@ def render_html(report, run_info=None, figures=None):
         bound=bound_sentence(report),
         drawing=_drawing(figures.get("headline")),
         contents=_contents(report, figures),
+        explored=explored,
+        script=script(),
+        script_digest=script_digest(),
         law_text=report.law_text,
         law_latex=report.law_latex,
         law_title=_law_title(report),

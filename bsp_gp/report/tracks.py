@@ -20,7 +20,10 @@ from bsp_gp.report.drawing import (
     time_scaled,
 )
 
-__all__ = ["GIDS", "draw_errors", "draw_tracks", "pick_headline", "pick_overlays", "wants_errors"]
+__all__ = [
+    "GIDS", "draw_errors", "draw_tracks", "drawn_axes", "pick_headline", "pick_overlays",
+    "wants_errors",
+]  # fmt: skip
 
 MAX_PANELS = 9
 GIDS = ("before", "after")
@@ -70,7 +73,7 @@ def _extents(overlay):
     return np.ptp(observed, axis=0)
 
 
-def _axes_to_draw(overlay):
+def drawn_axes(overlay):
     """The one or two axes along which the motion is."""
     extents = _extents(overlay)
     main = int(np.argmax(extents))
@@ -128,7 +131,7 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
     if has_adopted:
         models.append(("adopted law", AFTER, "-"))
     for panel, overlay in zip(panels, overlays, strict=True):
-        axes = _axes_to_draw(overlay)
+        axes = drawn_axes(overlay)
         observed, declared, adopted = _arrays(overlay)
         shown = observed[:, axes]
         factor, unit = scaled(length_unit, shown)

@@ -31,6 +31,7 @@ from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
+from bsp_gp.report.explore import script, script_digest
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.html import render_html
@@ -178,7 +179,10 @@ def test_small_helpers():
 def test_page_is_well_nested_and_fetches_nothing(pages, name):
     outline = Outline(pages[name])
     assert not outline.faults
-    assert not outline.tags & {"script", "iframe", "object", "link", "form", "base"}
+    assert not outline.tags & {"iframe", "object", "link", "form", "base"}
+    scripts = re.findall(r"<script[^>]*>(.*?)</script>", pages[name], re.DOTALL)
+    assert [text for text in scripts if not text.startswith("{")] in ([], [script()])
+    assert (len(scripts) == 2) == (f"script-src '{script_digest()}'" in pages[name])
     assert all(v.startswith("data:image/svg+xml;base64,") for v in outline.fetched)
     assert not re.search(r"url\((?!#)|@import", pages[name])
 
@@ -296,7 +300,7 @@ def test_page_of_every_other_verdict(pages):
 
 
 def test_text_of_users_is_escaped_everywhere(tmp_path, pages):
-    assert "<script" not in pages["hostile"] and "alert(&#34;x&#34;)" in pages["hostile"]
+    assert "<script>alert" not in pages["hostile"] and "alert(&#34;x&#34;)" in pages["hostile"]
     assert 'alert("x")' in Outline(pages["hostile"]).text
     out = write_report(sample.hostile(), tmp_path / "r")
     for file in out.glob("figures/*.svg"):

@@ -44,6 +44,25 @@ function faint(doc, view) {
   }
   return found;
 }
+function explored(doc, view) {
+  const out = {}, at = id => doc.getElementById("explore-" + id);
+  if (!at("path")) return null;
+  out.drawn = doc.getElementById("explore").offsetHeight > 300;
+  const change = (id, event, set, of) => {
+    const drawing = at(of), before = drawing.innerHTML;
+    set(at(id)); at(id).dispatchEvent(new view.Event(event));
+    out[id] = drawing.innerHTML !== before;
+  };
+  change("time", "input", node => { node.value = 3; }, "errors");
+  out.said = at("now").textContent;
+  change("track", "change", node => { node.selectedIndex = node.options.length - 1; }, "path");
+  if (at("before")) change("before", "change", node => { node.checked = false; }, "path");
+  if (at("left")) {
+    for (const id of ["against", "size"])
+      change(id, "change", node => { node.selectedIndex = 1; }, "left");
+  }
+  return out;
+}
 function look(frame, width) {
   const doc = frame.contentDocument, view = frame.contentWindow, out = {width};
   const wide = () => doc.documentElement.scrollWidth;
@@ -60,12 +79,13 @@ function look(frame, width) {
   out.opened = wide();
   out.faint = faint(doc, view);
   out.controls = [];
-  for (const box of doc.querySelectorAll("input[type=checkbox]")) {
+  for (const box of doc.querySelectorAll(".picture input")) {
     const line = doc.getElementById(box.id.slice("show-".length));
     const shown = () => view.getComputedStyle(line).display !== "none";
     const was = shown(); box.click(); const hidden = !shown(); box.click();
     out.controls.push(was && hidden && shown());
   }
+  out.explored = explored(doc, view);
   out.unnamed = [...doc.querySelectorAll("img:not([alt]), svg:not([aria-label])")].length;
   out.unscoped = doc.querySelectorAll("th:not([scope])").length;
   out.unlabelled = [...doc.querySelectorAll("input")].filter(i => !i.labels.length).length;
@@ -115,5 +135,11 @@ def test_a_page_in_a_browser(tmp_path, name, options):
         assert f["folds"] == 0, "a fold does not open"
         assert f["faint"] == []
         assert all(f["controls"]) and len(f["controls"]) == (0 if name == "cannot_tell" else 2)
+        assert (f["explored"] is None) == (name == "cannot_tell")
+        if f["explored"] and name == "adopted":
+            assert " off" in f["explored"].pop("said") and set(f["explored"]) == {
+                "drawn", "time", "track", "before", "against", "size"
+            }  # fmt: skip
+            assert all(f["explored"].values()), f["explored"]
         for fault in ("unnamed", "unscoped", "unlabelled", "lost", "broken"):
             assert f[fault] == 0, fault
