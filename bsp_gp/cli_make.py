@@ -20,13 +20,14 @@ def read_settings(args):
         Naming what is not there, or not allowed.
     """
     from bsp_gp.simulate.effects import parse_effect
-    from bsp_gp.simulate.synth import preset, read_numbers
+    from bsp_gp.simulate.synth import RECORDED, preset, read_numbers
 
     numbers = {
         "n_scenes": args.scenes, "n_frames": args.frames, "substeps": args.substeps,
         "noise": args.noise, "dt": 1 / args.fps if args.fps else args.dt,
     }  # fmt: skip
     numbers = {name: value for name, value in numbers.items() if value is not None}
+    recorded = RECORDED.get(args.preset, {})
     texts = {}
     for name, text in args.set:
         if name in texts or name in numbers:
@@ -45,7 +46,8 @@ def read_settings(args):
         for name, text in zip(names, args.effect, strict=True)
     ]
     plain = preset(args.preset)
-    settings = preset(args.preset, effects, **numbers, **read_numbers(plain, texts))
+    numbers = {**recorded, **numbers, **read_numbers(plain, texts)}
+    settings = preset(args.preset, effects, **numbers)
     if args.film > settings.n_scenes:
         raise SettingsError(f"--film {args.film}: there are only {settings.n_scenes} scenes")
     return settings
@@ -107,7 +109,7 @@ def make_data(args, settings, group, progress):
 
 def _contacts_note(settings):
     """That bodies hit each other, which no declared model of ours says."""
-    if not settings.contacts.has_contacts:
+    if not (settings.contacts.has_contacts and settings.declared):
         return []
     return [
         "Note: bodies that touch hit each other, and the declared model has no contacts; --set "

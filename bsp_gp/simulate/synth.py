@@ -7,6 +7,7 @@ them can be set. Motion is pymunk's (or another engine's), never that of our own
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -27,8 +28,11 @@ from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
 from bsp_gp.units import UnitSystem
 
-__all__ = ["PRESETS", "Settings", "configured", "make", "numbers_of", "preset", "read_numbers"]
+__all__ = [
+    "PRESETS", "RECORDED", "Settings", "configured", "make", "numbers_of", "preset", "read_numbers",
+]  # fmt: skip
 
+_DRAWS = 100
 _SI = {"length": "m", "time": "s", "mass": "kg"}
 
 
@@ -55,6 +59,9 @@ class Settings:
         Axis that points up, as the data set declares it.
     train_share : float
         The first so many scenes are declared for training, if there are at least five.
+    is_followed : bool
+        Where bodies have no contacts: scenes in which discs overlap, or a velocity changes by more
+        than its usual size between two frames, are drawn again. No law can be read off those.
     """
 
     name: str
@@ -69,6 +76,7 @@ class Settings:
     observation: Observation = Observation()
     up: str | None = None
     train_share: float = 0.8
+    is_followed: bool = False
 
     def __post_init__(self):
         if self.n_scenes < 1:
@@ -107,8 +115,9 @@ class Settings:
         for effect in self.effects:
             if effect.restitution is not None and not self.contacts.has_contacts:
                 raise SettingsError(
-                    f"effect {effect.name!r} changes contacts, and {self.name} has none"
-                    + ("; the effect dashpot damps its soft discs" if is_soft else "")
+                    f"effect {effect.name!r} changes contacts, and {self.name} has none; "
+                    + ("the effect dashpot damps its soft discs" if is_soft
+                       else "set has_contacts=yes (in a fall has_table=yes as well)")
                 )
             body = effect.body
             if is_soft and body and not body.is_hidden and not body.entity.radius > 0:
@@ -157,6 +166,18 @@ PRESETS = {
     "pucks": Settings("pucks", Pucks(), dt=1 / 25, contacts=Contacts(has_contacts=False)),
 }
 """The paper's scenes, with its one step of 0.02 per frame, and four more."""
+
+RECORDED = {
+    "nbody": {"has_contacts": False, "is_followed": True, "substeps": 50, "noise": 0.05},
+    "bounce": {"noise": 0.05},
+    "mat": {"has_contacts": False, "noise": 0.05},
+    "magnet": {"has_contacts": False, "is_followed": True, "noise": 0.01},
+    "fall": {"has_contacts": False, "has_table": False, "noise": 0.005},
+    "spring": {"noise": 0.003},
+    "pucks": {"noise": 0.01},
+}
+"""Numbers with which a preset is a recording: a camera's noise, and motion that follows the laws
+of its declared model, which know of no hard contacts."""
 
 
 def preset(name, effects=(), **numbers):
@@ -293,16 +314,12 @@ def make(settings, rng, engine=run_pymunk):
     truth : Truth
         What really happened.
     """
-    worlds, noise_rngs = [], []
-    for child in rng.spawn(settings.n_scenes):
-        layout_rng, noise_rng, *effect_rngs = child.spawn(2 + len(settings.effects))
-        world = settings.layout.draw(layout_rng)
-        for effect, effect_rng in zip(settings.effects, effect_rngs, strict=True):
-            for part in (effect.new_property, effect.body):
-                world = world if part is None else part.added_to(world, effect_rng)
-        worlds.append(world)
-        noise_rngs.append(noise_rng)
+    streams = [child.spawn(2 + len(settings.effects)) for child in rng.spawn(settings.n_scenes)]
+    noise_rngs = [stream.pop(1) for stream in streams]
+    worlds = [_drawn(settings, stream) for stream in streams]
     states = engine(worlds, settings.motion())
+    if settings.is_followed and not settings.contacts.has_contacts:
+        worlds, states = _followed(settings, streams, worlds, states, engine)
     names = tuple(str(k + 1) for k in range(settings.n_scenes))
     scenes = [
         _observed(name, world, states, k, settings.observation, noise_rng)
@@ -313,6 +330,55 @@ def make(settings, rng, engine=run_pymunk):
         tuple(worlds), names, states, settings,
     )  # fmt: skip
     return _dataset(settings, scenes, names), truth
+
+
+def _drawn(settings, stream):
+    """One world, of the generators of its layout and of every effect."""
+    layout_rng, *effect_rngs = stream
+    world = settings.layout.draw(layout_rng)
+    for effect, effect_rng in zip(settings.effects, effect_rngs, strict=True):
+        for part in (effect.new_property, effect.body):
+            world = world if part is None else part.added_to(world, effect_rng)
+    return world
+
+
+def _followed(settings, streams, worlds, states, engine):
+    """Worlds and states in which those whose frames do not tell the motion are drawn again."""
+    motion = settings.motion()
+    can_overlap = any(isinstance(force, SoftContact) for force in motion.forces)
+    for _ in range(_DRAWS):
+        lost = [k for k, world in enumerate(worlds) if _is_lost(world, states, k, can_overlap)]
+        if not lost:
+            return worlds, states
+        for k in lost:
+            worlds[k] = _drawn(settings, streams[k])
+        again = engine([worlds[k] for k in lost], motion)
+        for name in ("positions", "velocities", "touched"):
+            getattr(states, name)[lost] = getattr(again, name)
+    raise SettingsError(
+        f"scene {lost[0] + 1}: bodies met, or turned too fast for the frames, in all {_DRAWS} "
+        "draws; more frames a second help, more room, or is_followed=no"
+    )
+
+
+def _is_lost(world, states, k, can_overlap):
+    """Whether discs overlap between frames, or a velocity changes by more than its usual size."""
+    moving = [i for i, entity in enumerate(world.entities) if not entity.is_static]
+    p, v = states.positions[k][:, moving], states.velocities[k][:, moving]
+    usual = np.sqrt((v**2).sum(axis=-1).mean(axis=0))
+    if (np.linalg.norm(np.diff(v, axis=0), axis=-1) > usual).any():
+        return True
+    if can_overlap:
+        return False
+    radii = np.array([world.entities[i].radius or 0.0 for i in moving])
+    for i, j in combinations(range(len(moving)), 2):
+        apart = p[:, i] - p[:, j]
+        step = np.diff(apart, axis=0)  # straight between frames
+        along = -(apart[:-1] * step).sum(axis=-1) / np.maximum((step**2).sum(axis=-1), 1e-300)
+        nearest = apart[:-1] + np.clip(along, 0, 1)[:, None] * step
+        if (np.linalg.norm(nearest, axis=-1) < radii[i] + radii[j]).any():
+            return True
+    return False
 
 
 def _observed(name, world, states: States, k, observation, rng):

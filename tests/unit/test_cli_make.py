@@ -39,7 +39,7 @@ def test_data_truth_model_and_picture(capsys, tmp_path):
         "orbits", "orbits-model.toml", "orbits-scenes.png", "orbits-truth",
     ]  # fmt: skip
     assert text.splitlines()[0] == f"Data set: {out}"
-    assert "the declared model has no contacts; --set has_contacts=no" in text
+    assert "contacts" not in text
     dataset = load_dataset(out)
     assert len(dataset.scenes) == 6 and len(dataset.scenes[0].times) == 9
     truth = json.loads((tmp_path / "orbits-truth" / "truth.json").read_text())
@@ -51,10 +51,30 @@ def test_data_truth_model_and_picture(capsys, tmp_path):
     assert status == 0, err
 
 
-def test_bodies_that_pass_each_other_need_no_note(capsys, tmp_path):
-    words = ("nbody", "--frames", 9, "--set", "has_contacts=no", "--out", tmp_path / "orbits")
+def test_bodies_that_hit_each_other_are_told(capsys, tmp_path):
+    words = ("nbody", "--frames", 9, "--set", "has_contacts=yes", "--out", tmp_path / "orbits")
     status, text, _ = run(capsys, *words)
-    assert status == 0 and "contacts" not in text
+    assert status == 0 and "the declared model has no contacts; --set has_contacts=no" in text
+
+
+def test_scenes_that_frames_cannot_follow_are_drawn_again(capsys, tmp_path):
+    words = ("nbody", "--scenes", 30, "--seed", 1, "--effect", "drag=0.1", "--undeclared",
+             "--noise", 0)  # fmt: skip
+    assert run(capsys, *words, "--out", tmp_path / "orbits")[0] == 0
+    assert run(capsys, *words, "--set", "is_followed=no", "--out", tmp_path / "any")[0] == 0
+
+    def sharpest(name):
+        """Largest change of a velocity between frames, over its usual size, of every scene."""
+        states = []
+        for scene in load_dataset(tmp_path / name).scenes:
+            v = np.diff(scene.positions, axis=0)
+            usual = np.sqrt((v**2).sum(axis=-1).mean(axis=0))
+            states.append((np.linalg.norm(np.diff(v, axis=0), axis=-1) / usual).max())
+        return np.array(states)
+
+    followed, anyhow = sharpest("orbits"), sharpest("any")
+    assert followed.max() < 1.2 < anyhow.max()
+    assert not (followed == anyhow)[anyhow > 1.2].any() and (followed == anyhow).any()
 
 
 def test_same_seed_same_bits_in_two_processes(tmp_path):
