@@ -173,12 +173,13 @@ def _size(exact, seen):
 def learned_from(exact, report):
     """The part of exact data that the loop learned from; None where it does not say.
 
-    Of few scenes that is the beginning of each, which shows far less than the whole.
+    Of few scenes that is all, the part that is held out of each included.
     """
     if report.residuals is None:
         return None
-    rows = report.residuals[report.residuals["split"] == "train"]
-    names = rows["scene"].str.removesuffix(" (train)")
+    names = report.residuals["scene"].str.removesuffix(" (held out)")
+    is_used = (report.residuals["split"] == "train") | (names != report.residuals["scene"])
+    rows, names = report.residuals[is_used], names[is_used]
     out = []
     for scene in exact.scenes:
         seen = rows.loc[names == scene.name, "t"]

@@ -22,11 +22,34 @@ MIN_ROWS = 3
 
 
 class Split(NamedTuple):
-    """Scenes to train on, scenes held out, and a line for the report."""
+    """Scenes to train on, scenes held out, and a line for the report.
+
+    ``whole`` are the scenes that were cut in time, () where scenes are held out as they are.
+    """
 
     train: tuple[Scene, ...]
     test: tuple[Scene, ...]
     note: str
+    whole: tuple[Scene, ...] = ()
+
+    @property
+    def learned(self):
+        """Scenes from which the form of a law is learned.
+
+        Of a few recordings all rows: the end of a track tells most of a weak force. What is said
+        of held-out rows is then said by numbers that were fitted to `train` alone.
+        """
+        return self.whole or self.train
+
+    @property
+    def told(self):
+        """The line for the report, where laws are learned from `learned`."""
+        if not self.whole:
+            return self.note
+        return (
+            f"{self.note}; laws are found in all rows, and for errors on what is held out their "
+            "numbers are fitted to the rest"
+        )
 
     @property
     def swapped(self):
@@ -98,8 +121,8 @@ def _in_time(dataset):
         if stop < MIN_ROWS or start < MIN_ROWS:
             train.append(scene)
             continue
-        train.append(_renamed(scene.rows(0, stop), "train"))
-        test.append(_renamed(scene.rows(start, None), "held out"))
+        train.append(scene.rows(0, stop))
+        test.append(_held_out(scene.rows(start, None)))
         gaps.append(gap)
     if not test:
         return Split(tuple(train), (), "no split declared, and the scenes are too short for one")
@@ -107,11 +130,11 @@ def _in_time(dataset):
         f"no split declared and fewer than {MIN_SCENES} scenes: the last {HELD_OUT_TIME:.0%} of "
         f"the time held out after a gap of {max(gaps)} row(s)"
     )
-    return Split(tuple(train), tuple(test), note)
+    return Split(tuple(train), tuple(test), note, dataset.scenes)
 
 
-def _renamed(scene, suffix):
-    return replace(scene, name=f"{scene.name} ({suffix})")
+def _held_out(scene):
+    return replace(scene, name=f"{scene.name} (held out)")
 
 
 def _correlation_rows(scene, memory):

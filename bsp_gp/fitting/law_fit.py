@@ -194,16 +194,24 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     dataset = with_usable_masses(dataset)
     split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
-    train, far_off = training_part(dataset, split.train, said)
+    train, far_off = training_part(dataset, split.learned, said)
     check_properties(stack(train.scenes, dataset.up), law)
-    found = fit(
-        Hypothesis.from_laws(train, unset(law)), train, starts=starts, bounds=bounds,
-        deadline=time_limit,
-    )  # fmt: skip
-    left = None
-    if time_limit is not None:
-        left = max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
-    errors = held_out_errors(found, dataset, split.test, deadline=left)
+
+    def left():
+        """Seconds for what comes after the fit."""
+        if time_limit is None:
+            return None
+        return max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
+
+    def fitted(part, starts, deadline):
+        hypothesis = Hypothesis.from_laws(part, unset(law))
+        return fit(hypothesis, part, starts=starts, bounds=bounds, deadline=deadline)
+
+    found = blind = fitted(train, starts, time_limit)
+    if split.whole and split.test and not found.is_failed:
+        part, _ = training_part(dataset, split.train, said)
+        blind = fitted(part, {**(starts or {}), **_plain(found)}, left())
+    errors = held_out_errors(blind, dataset, split.test, deadline=left())
     wider = widening(found)
     constants = constant_estimates(found, dataset, bounds)
     noise_told = about_noise(found.noise, said, dataset.units)
@@ -214,10 +222,10 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
         message=in_python(how_it_ended(found, constants, time_limit)), chisqr=found.chisqr,
         chi2_red=found.chi2_red, bic=_bic(found), log_evidence=found.log_evidence,
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
-        gradient=float(found.gradient), split=split.note,
+        gradient=float(found.gradient), split=split.told,
         notes=(
             *dataset.notes, *said.notes,
-            *about_outliers(found, train.scenes is not split.train, far_off),
+            *about_outliers(found, train.scenes is not split.learned, far_off),
             *doubts(found, wider, bool(split.test)),
             *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
@@ -263,6 +271,12 @@ def about_outliers(found, is_left_out, far_off):
     if not is_left_out and math.isfinite(found.noise.degrees):
         how = "given little weight by the tails of the noise"
     return (f"{CHECK}far off their neighbours, and {how}: {far_off}",)
+
+
+def _plain(found):
+    """Values of constants that are one number for all."""
+    pairs = zip(found.parameters, found.values.tolist(), strict=True)
+    return {name: value for (name, key), value in pairs if not key}
 
 
 # --- settings -------------------------------------------------------------------------------------

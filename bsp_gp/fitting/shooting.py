@@ -288,13 +288,30 @@ class Shooting:
         matrix[:, white.shape[2] + np.arange(n), np.arange(n)] = self.prior[:, chain].T
         return _triangles(matrix)
 
-    def _reined(self, change, inside, group):
-        """Part of its change that each window may make, so that none leaves its surroundings."""
+    def _reined(self, change, inside, group, nodes):
+        """Part of its change that each window may make, so that none leaves its surroundings.
+
+        Those are where bodies were seen, and as far beyond as the law would take them.
+        """
         half = self.flow.n_state // 2
         farthest = np.where(inside[..., None], np.abs(change[..., :half]), 0.0).max(axis=(0, 2))
         allowed = FARTHEST * self._extents[group]
+        for w in np.flatnonzero(farthest > allowed):
+            allowed[w] = max(allowed[w], FARTHEST * self._reach(group[w], nodes))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(farthest > allowed, allowed / farthest, 1.0)
+
+    def _reach(self, window, nodes):
+        """How far a lasting acceleration under the law takes a body in the time of a window."""
+        flow, chain = self.flow, self.windows.chain[window]
+        rows = np.arange(self.windows.first[window], self.windows.stop[window])
+        rows = rows[rows < self.chains.lengths[chain]]
+        times, at = self.chains.times[rows, chain], np.full(len(rows), chain)
+        with np.errstate(all="ignore"):
+            pushes = flow.motion.acceleration(flow.points(nodes[..., rows, at], times, at))
+            lasting = np.abs(np.median(pushes, axis=-1)).max()  # that of an oscillation is none
+        reach = 0.5 * lasting * (times[-1] - times[0]) ** 2
+        return float(reach) if np.isfinite(reach) else 0.0
 
     def _rows(self, group, length):
         first, stop = self.windows.first[group], self.windows.stop[group]
@@ -352,7 +369,7 @@ class Shooting:
             )
             change = np.einsum("lwij,wj->lwi", part.columns, weights)
             rows, inside = self._rows(group, len(change))
-            change *= self._reined(change, inside, group)[:, None]
+            change *= self._reined(change, inside, group, nodes)[:, None]
             shape = (*change.shape[:2], 2, *nodes.shape[1:3])
             change = np.moveaxis(change.reshape(shape), (2, 3, 4), (0, 1, 2))
             at = np.nonzero(inside)

@@ -84,7 +84,7 @@ def latent_problem(dataset, *, rng, kind="auto", noise=None, everything=False, t
     if everything:
         held = ()
     else:
-        train, held, split_note = choose_split(dataset, rng)
+        train, held, split_note, _ = choose_split(dataset, rng)
     held = tuple(held) if test else ()
     latents = declared_latents(dataset, train)
     test_latents = declared_latents(dataset, held) if held else Latents()

@@ -7,9 +7,12 @@ import time
 from copy import copy
 from dataclasses import asdict, replace
 
+import numpy as np
+
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_fit import (
     about_noise,
@@ -31,7 +34,7 @@ from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.kept import rounds_from
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
-from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
 from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
@@ -126,7 +129,7 @@ def close_loop(
         )
     settings = {
         "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
-        "clock": clock, "progress": progress, "looks": 2 if ready.split.test else 1,
+        "clock": clock, "progress": progress, "looks": 2 if ready.has_more else 1,
     }  # fmt: skip
 
     def look(ready, rng, **more):
@@ -143,7 +146,7 @@ def close_loop(
         )
     rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
     is_cut = False
-    if ready.split.test and rounds[0].decision.verdict == "nothing missing":
+    if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
         says("looking at what was held out")
         other = ready.swapped()
@@ -192,6 +195,8 @@ class _Ready:
     split : Split
     train : Dataset
         What is learned from.
+    before_cut : Dataset or None
+        Of scenes that are cut in time, what comes before the cut.
     hypothesis : Hypothesis
         The declared one, with the properties that are unknown.
     far_off : str
@@ -214,12 +219,20 @@ class _Ready:
 
     def _learn_from(self, split):
         self.split = split
-        self.train, self.far_off = training_part(self.dataset, split.train, self.noise)
+        self.train, self.far_off = training_part(self.dataset, split.learned, self.noise)
+        self.before_cut = None
+        if split.whole and split.test:
+            self.before_cut, _ = training_part(self.dataset, split.train, self.noise)
         check_properties(stack(self.train.scenes, self.dataset.up), self.law)
         self.hypothesis = Hypothesis.from_laws(self.train, unset(self.law))
         if self.latents is not None:
             scenes = self.train.scenes
             self.hypothesis += unknown_properties(self.dataset, self.latents, scenes)
+
+    @property
+    def has_more(self):
+        """Whether scenes are held out that are not learned from."""
+        return bool(self.split.test) and self.before_cut is None
 
     def swapped(self):
         """The same with train and test swapped."""
@@ -227,9 +240,23 @@ class _Ready:
         other._learn_from(self.split.swapped)
         return other
 
+    def refitted(self, found, hypothesis, bounds):
+        """A fit as it would be without the rows that are held out.
+
+        It has seen none of them but where the scenes were cut in time. One that cannot be fitted
+        to what is left foresees nothing.
+        """
+        if self.before_cut is None or found.is_failed:
+            return found
+        hypothesis = continued(hypothesis, found)
+        try:
+            return fit(hypothesis, self.before_cut, bounds=hypothesis.own(bounds))
+        except FAULTS:
+            return replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
+
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""
-        is_left_out = self.train.scenes is not self.split.train
+        is_left_out = self.train.scenes is not self.split.learned
         return (
             *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
@@ -248,9 +275,10 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
-    fits = _scored(rounds, last)
+    scored = _scored(rounds, pruned)
+    fits = [ready.refitted(f, hypothesis, bounds) for f, hypothesis in scored]
     accounts = Accounts(fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies)
-    at = {id(f): k for k, f in enumerate(fits)}
+    at = {id(f): k for k, (f, _) in enumerate(scored)}
     records = [
         writing_up.record_of(
             done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed,
@@ -279,17 +307,17 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     }  # fmt: skip
 
 
-def _scored(rounds, last):
-    """Fits that are scored on held-out scenes, the last one last.
+def _scored(rounds, pruned):
+    """Fits that are scored on held-out rows, with their hypotheses, the final one last.
 
     What was seen in the last round and not adopted is among them.
     """
-    fits = [done.entering for done in rounds]
-    end = rounds[-1]
-    if end.decision.best is not None:
-        fits.append(end.fits[end.decision.best.id])
-    others = {id(f): f for f in fits if f is not last}
-    return [*others.values(), last]
+    fits = [(done.entering, done.hypotheses[0]) for done in rounds]
+    end, best = rounds[-1], rounds[-1].decision.best
+    if best is not None:
+        fits.append((end.fits[best.id], end.hypotheses[best.id]))
+    others = {id(f): (f, hypothesis) for f, hypothesis in fits if f is not pruned.fit}
+    return [*others.values(), (pruned.fit, pruned.hypothesis)]
 
 
 def _total(accounts, begin, end):

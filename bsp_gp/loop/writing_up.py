@@ -223,7 +223,7 @@ def about_data(dataset, split, notes):
         "n_dims": dataset.n_dims,
         "train": [s.name for s in split.train],
         "test": [s.name for s in split.test],
-        "split": split.note,
+        "split": split.told,
         "units": dict(dataset.units.declared),
         "symbols": dict(dataset.units.symbols),
         "up": dataset.up,

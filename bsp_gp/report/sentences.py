@@ -159,6 +159,7 @@ def powers_sentence(round_):
         f"({format_number(e['low'], 2)} to {format_number(e['high'], 2)}, 90 %), "
         f"written as {format_number(e['stated'], 2)}"
         for e in (effect.exponents if effect is not None else ())
+        if e["stated"] or not e["low"] <= 0 <= e["high"]  # what a law rightly lacks is not told
     ]
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip

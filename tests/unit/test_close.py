@@ -150,7 +150,7 @@ def test_two_scenes_without_a_split_are_cut_in_time():
     data = replace(data, train=(), test=())
     report = close(data, "9.81 [m/s^2] * m_i * down")
     assert "last 30%" in report.dataset["split"]
-    assert report.dataset["train"] == ["0 (train)", "1 (train)"]
+    assert report.dataset["train"] == ["0", "1"]
     assert report.total["ratio"].method == "parametric"
     assert report.verdict == "effect adopted"
     assert is_law(report.rounds[0].effect, "c * v_i", data)

@@ -323,7 +323,7 @@ def test_what_the_loop_learned_from_is_cut_out_of_the_exact_data(study):
     exact, _ = study.moved(replace(study.plan_of("chirp", 5.0, 0), is_long=False))
     first, second = exact.scenes[:2]
     rows = [
-        {"scene": f"{first.name} (train)", "split": "train", "t": t} for t in first.times[:20]
+        {"scene": f"{first.name}", "split": "train", "t": t} for t in first.times[:20]
     ]
     rows += [{"scene": f"{first.name} (test)", "split": "test", "t": t} for t in first.times[25:]]
     rows += [{"scene": second.name, "split": "train", "t": t} for t in second.times]

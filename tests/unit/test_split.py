@@ -45,7 +45,8 @@ def test_random_quarter(n_scenes, n_test):
 def test_few_scenes_are_cut_in_time():
     dataset = Dataset("d", scenes(2))
     split = choose_split(dataset, np.random.default_rng(1))
-    assert names(split.train) == ["0 (train)", "1 (train)"]
+    assert names(split.train) == ["0", "1"]
+    assert split.learned == dataset.scenes
     assert names(split.test) == ["0 (held out)", "1 (held out)"]
     for scene, train, test in zip(dataset.scenes, split.train, split.test, strict=True):
         assert test.times[0] == pytest.approx(0.7 * scene.times[-1], abs=0.1)

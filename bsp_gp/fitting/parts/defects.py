@@ -46,8 +46,12 @@ class _Edit(Part):
         raise NotImplementedError
 
     def seen(self, dataset):
-        """The rows with the defect undone; other data sets are left alone."""
-        scenes = tuple(self.edited(s) if s.name == self.scene else s for s in dataset.scenes)
+        """The rows with the defect undone; scenes that lack the row are left alone."""
+
+        def has_it(scene):
+            return scene.name == self.scene and self.row < len(scene.times)
+
+        scenes = tuple(self.edited(s) if has_it(s) else s for s in dataset.scenes)
         return replace(dataset, scenes=scenes)
 
 
