@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fuzz slow quick lint bench neural clean faults
+.PHONY: help setup demo test fuzz slow long quick lint bench neural clean faults
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -39,7 +39,10 @@ fuzz: $(VENV)/.ok  ## try made-up hostile inputs for MINUTES=5; what it finds is
 	@$(BIN)/python tests/fuzz/run.py --minutes $(MINUTES) --seed $(SEED) --workers $(WORKERS) $(ARGS)
 
 slow: $(VENV)/.ok  ## run the slower tests
-	@$(BIN)/python -m pytest -n $(WORKERS) -m slow $(ARGS)
+	@$(BIN)/python -m pytest -n $(WORKERS) -m "slow and not long" $(ARGS)
+
+long: $(VENV)/.ok  ## run the longest tests, statistics that take minutes each (most of an hour)
+	@$(BIN)/python -m pytest -n $(WORKERS) -m long $(ARGS)
 
 faults: $(VENV)/.ok  ## kill every command at every write, and fill its disk (an hour)
 	@$(BIN)/python -m pytest -n $(WORKERS) -m faults $(ARGS)

@@ -248,11 +248,14 @@ class _Ready:
         """
         if self.before_cut is None or found.is_failed:
             return found
+        nothing = replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
         hypothesis = continued(hypothesis, found)
+        if not _shows_motion(hypothesis.seen(self.before_cut).scenes):
+            return nothing
         try:
             return fit(hypothesis, self.before_cut, bounds=hypothesis.own(bounds))
         except FAULTS:
-            return replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
+            return nothing
 
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""
@@ -261,6 +264,12 @@ class _Ready:
             *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
+
+
+def _shows_motion(scenes):
+    """Whether every body that forces move is seen at least twice in every scene."""
+    seen = (np.isfinite(s.positions[:, s.dynamic]).all(axis=-1).sum(axis=0) for s in scenes)
+    return all((count >= 2).all() for count in seen)
 
 
 def _constancy(ready, pruned, rng, criteria):

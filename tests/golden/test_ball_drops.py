@@ -12,7 +12,7 @@ from bsp_gp.report.naming import describe
 from tests.told import adopted
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.xfail(reason="the figures of these falls are to be measured anew", strict=False),
 ]
 

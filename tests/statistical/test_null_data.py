@@ -25,6 +25,7 @@ def is_adopted(report):
     return any(r.adopted and not is_noise(r) for r in report.rounds)
 
 
+@pytest.mark.long
 def test_at_most_four_of_a_hundred():
     """Level 0.01: four or more of 100 would happen by chance in 1.8 % of all series."""
     adopted, missing = [], []

@@ -36,13 +36,13 @@ def test_a_drag_is_named_and_sized():
     assert report.rounds[1].verdict == "nothing missing"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drag_that_no_allowed_law_can_say_is_not_adopted():
     report = found(4, NO_SPEED)
     assert not [e for e in adopted(report) if e.code == "law" and e.is_fact]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_nineteen_of_twenty():
     reports = [found(seed) for seed in range(20)]
     named = [r for seed, r in enumerate(reports) if is_named(r, seed)]
@@ -55,7 +55,7 @@ def test_in_nineteen_of_twenty():
     assert all(r.total["ratio"].value <= 0.2 for r in named)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
 def test_without_speeds_nothing_is_adopted(seed):
     report = found(seed, NO_SPEED)

@@ -138,12 +138,13 @@ def typical_value(view, term, base):
     ratios = []
     with_base = Term(Call("mul", base, term.formula), term.kind, True)
     for batch in regression.batches:
-        plain, more = (
-            np.linalg.norm(regression.predict(batch, ForceLaw((t,), constants)), axis=-1)
-            for t in (term, with_base)
-        )
-        acts = (plain > 0) & batch.valid.any(axis=-1)
-        ratios.append(more[acts] / plain[acts])
+        with np.errstate(all="ignore"):  # what runs away has no typical value
+            plain, more = (
+                np.linalg.norm(regression.predict(batch, ForceLaw((t,), constants)), axis=-1)
+                for t in (term, with_base)
+            )
+            acts = (plain > 0) & batch.valid.any(axis=-1)
+            ratios.append(more[acts] / plain[acts])
     ratios = np.concatenate(ratios)
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
     if not len(ratios) or np.ptp(np.log(ratios)) < MIN_SPREAD:
