@@ -22,8 +22,10 @@ RESOLUTION = 1e-7
 
 
 def is_exact(scenes, sigma):
-    """Whether the noise of scenes is numerical."""
-    return not np.nanmax(sigma) > EXACT * _extent(scenes)
+    """Whether the noise of scenes is numerical, as it is where nothing moves."""
+    known = np.asarray(sigma, dtype=float)
+    known = known[np.isfinite(known)]
+    return not known.max(initial=0.0) > EXACT * _extent(scenes)
 
 
 def _extent(scenes):
