@@ -25,6 +25,8 @@ from pathlib import Path
 WRITES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.chmod", "exchange")
 GROWS = ("open", "os.rename", "os.mkdir", "os.link")
 """What may need place on a disk; to delete or to exchange names does not."""
+ROUNDS = "out.rounds.json"
+"""What a killed `close` keeps beside its place, for --resume: no part of a result."""
 GRAVITY = "9.81 [m/s^2] * m_i * down"
 
 
@@ -110,13 +112,13 @@ class Bench:
         shutil.rmtree(self.place)
         shutil.copytree(self.old, self.place, symlinks=True)
 
-    def run(self, seed):
+    def run(self, seed, *more):
         """The command in this process."""
         self.seed = seed
         streams, silent = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1), os.dup2(self.pipe[1], 2)  # a pipe can be written to on a full disk
         try:
-            words = [*self.words, "--out", str(self.place / "out"), "--seed", str(seed)]
+            words = [*self.words, "--out", str(self.place / "out"), "--seed", str(seed), *more]
             return self._study(words) if self.name == "study" else self._command(words)
         finally:
             sys.stdout.flush(), sys.stderr.flush()
@@ -154,14 +156,14 @@ class Bench:
             null_data.jobs_of = jobs
         return 0
 
-    def child(self, act):
-        """Run the newer one in a child after `act`; how it ended."""
+    def child(self, act, *more):
+        """Run the newer one in a child after `act`, with more words; its process."""
         child = os.fork()
         if child == 0:
             code = 99
             try:
                 act()
-                code = self.run(2)
+                code = self.run(2, *more)
             except SystemExit as stop:
                 code = stop.code if isinstance(stop.code, int) else 1
             finally:
@@ -339,7 +341,8 @@ def random_times(bench, how_many):
     """The whole command, killed at times that are drawn evenly."""
     before, after, seconds = bench.prepare(is_kept=False)
     rng = random.Random(1)
-    result = {"points": 0, "old": 0, "new": 0, "bad": [], "seconds": round(seconds, 2)}
+    result = {"points": 0, "old": 0, "new": 0, "bad": [], "kept": 0}
+    result["seconds"] = round(seconds, 2)
     for _ in range(how_many):
         bench.restore()
         child = bench.child(int)
@@ -349,12 +352,18 @@ def random_times(bench, how_many):
         result["points"] += 1
         bench.recover()
         then = snapshot(bench.place)
+        is_kept = then.pop(ROUNDS, None) is not None
         is_new = then != before
         result["new" if is_new else "old"] += 1
         is_study = bench.name == "study"  # goes on, and clears its folder itself
         left = [] if is_study else debris(bench.place)
         if left or ((is_new or is_study) and not is_whole_result(bench, then, after)):
             result["bad"].append([result["points"], debris(bench.place)])
+        if is_kept:
+            result["kept"] += 1
+            status = os.waitpid(bench.child(int, "--resume"), 0)[1]
+            if status or not is_whole_result(bench, snapshot(bench.place), after):
+                result["bad"].append([result["points"], "not resumed"])
     return result
 
 
