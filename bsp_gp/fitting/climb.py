@@ -40,6 +40,8 @@ KEPT = 4
 KEPT_WIDTH = 0.02
 """Extents that constants of a constraint may move while pieces of tracks do not determine them."""
 JOININGS = 6
+RISING = 10.0
+"""Times that chi-squared may rise as nodes are joined."""
 GROWN = 4
 """Trials from which whole tracks are grown."""
 AGREE = 2
@@ -276,18 +278,24 @@ class Climb:
         return firsts
 
     def _up(self, levels, minimum):
-        """Go on from the first level to whole tracks."""
-        problem = None
+        """Go on from the first level to whole tracks.
+
+        Where these lead to no minimum, the pieces before them show best where the bodies were.
+        """
+        problem, lead = None, minimum
         for rows in levels[1:]:
             if minimum.linearised is None:
                 return minimum
-            problem = self.at(rows, minimum.point)
+            problem, lead = self.at(rows, minimum.point), minimum
             settings = WHOLE if rows is None else FEW
             minimum = self._minimise(problem, minimum.point, settings)
         if problem is None:  # the first level is the last
             problem = self.at(None, minimum.point)
             minimum = self._minimise(problem, minimum.point, WHOLE)
-        return self._joined(minimum, problem)
+        end = self._joined(minimum, problem)
+        if end.linearised is None:
+            return replace(end, point=lead.point, values=lead.values)
+        return end
 
     def _joined(self, minimum, problem):
         """A minimum of whole tracks; one whose intervals do not join is none."""
@@ -319,12 +327,15 @@ class Climb:
                 return self._stopped(minimum)
             finer = self.at(None, minimum.point, is_checked=True)
             if self.problem is not None and self.problem.is_as_fine_as(finer):
-                if minimum.linearised is not None:
-                    break
+                break
             self.problem = finer
             new = self._minimise(finer, minimum.point, WHOLE)
-            if self.run.is_over() and new.linearised is None:
-                return self._stopped(minimum)
+            if minimum.linearised is None:  # pieces alone led here
+                new = self._joined(new, finer)
+            if new.linearised is None:
+                if self.run.is_over():
+                    return self._stopped(minimum)
+                new = replace(new, point=minimum.point, values=minimum.values)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
             if minimum.linearised is None:
                 break
@@ -342,17 +353,19 @@ class Climb:
 
         The driver's chi-squared takes gaps between nodes for closed as far as the linearisation
         goes; while they are wide, what it foresees of a small step is less than what it neglects,
-        and it stalls.
+        and it stalls. Where it stalls higher and higher, they do not join.
         """
         low, high = self.box
         point = problem.upon(np.clip(start.values, low, high), start.nodes)
-        count = 0
+        count, before = 0, np.inf
         for _ in range(JOININGS):
             found = minimise(
                 problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
             )
             count += found.n_linearised
             is_lost = found.linearised is None or found.code in ("stopped", "limit")
+            is_lost = is_lost or found.chisqr > RISING * before
+            before = found.chisqr
             if settings is not WHOLE or is_lost:
                 break
             if found.code != "stalled" and self.is_joined(found, problem):

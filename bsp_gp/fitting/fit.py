@@ -182,6 +182,12 @@ class Fit:
         return self.status in FAILED
 
     @property
+    def shows_tracks(self):
+        """Whether its nodes show where the bodies were, though the law may not lead there."""
+        is_left = self.status == "unconverged" and self.message != "stopped"
+        return not self.is_failed or (is_left and np.isfinite(self.residual).any())
+
+    @property
     def errors(self):
         """Standard errors of the constants, shape (k,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -549,7 +555,8 @@ class _Run:
         """The first of `STATUSES` that applies."""
         finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
         if minimum.linearised is None or not finite:
-            return "unconverged" if found.message == "stopped" else "nonfinite"
+            is_left = found.message in ("stopped", "stalled", "limit")
+            return "unconverged" if is_left and finite else "nonfinite"
         is_minimum = minimum.status != "unconverged" or self.is_reproduced(found)
         if not is_minimum or not climb.is_joined(minimum):
             return "unconverged"

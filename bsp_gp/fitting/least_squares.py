@@ -22,6 +22,8 @@ from bsp_gp.fitting.problem import Linearised, Minimum, Settings
 __all__ = ["minimise"]
 
 _EPS = np.finfo(float).eps
+_REFUSALS = 8
+"""Steps that are refused in a row, each shorter, after which none is expected to be taken."""
 _HUGE = 1e125
 """Residuals and columns longer than this are those of a model that runs away."""
 _BLOCK = 256
@@ -200,7 +202,7 @@ class _Descent:
 
         As long as whole Gauss-Newton steps gain what they promise, there is no radius.
         """
-        while True:
+        for _ in range(_REFUSALS):
             step = self.solve(here, scale, radius)
             if not step.fall > _EPS * here.chisqr:
                 return here, radius, "stalled"
@@ -218,6 +220,7 @@ class _Descent:
                 radius = max(radius, 2.0 * step.size)
             if is_taken:
                 return there, radius, ""
+        return here, radius, "stalled"
 
     def polish(self, here, whole):
         """Make last whole steps while they bring the gradient down and chi-squared stays.

@@ -47,7 +47,7 @@ def decide(table, criteria=None):
     Decision
     """
     criteria = criteria or Criteria()
-    if not table.base.is_fit:
+    if not table.base.is_fit and not (table.p_value <= criteria.alpha and table.candidates):
         return Decision("cannot tell", "declared_model_not_fitted")
     if not math.isfinite(table.p_value):
         return Decision("cannot tell", "not_tested")

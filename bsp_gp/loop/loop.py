@@ -107,7 +107,8 @@ def run_rounds(
     dataset : Dataset
         Training scenes.
     proposers : sequence
-        With ``propose(view) -> Family``.
+        With ``propose(view) -> Family``, and ``asks_rows`` true where they ask what a fit leaves
+        of the rows and not what forces do; those are asked of fits only that have succeeded.
     rng : numpy.random.Generator
     criteria : Criteria, optional
     max_rounds : int
@@ -164,7 +165,7 @@ class _Run:
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
         asked, view = {}, None
-        if turn.rows[0].is_fit:
+        if found.shows_tracks:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
             view.tick = self.clock.tick
             turn.propose(number, view)
@@ -198,7 +199,8 @@ class _Run:
     def asked(self, view):
         """What else is asked of the fit that enters, by names of `Round`."""
         alpha = self.criteria.alpha
-        found = tuple(f for f in noise_findings(view) if f.p_value <= alpha)
+        found = () if view.fit.is_failed else noise_findings(view)
+        found = tuple(f for f in found if f.p_value <= alpha)
         return {
             "detectable": view.detectable(alpha), "noise_findings": found,
             "hidden_bound": hidden_bound(view),
@@ -241,6 +243,8 @@ class _Turn:
         for proposer in self.run.proposers:
             if self.note_time("proposers"):
                 break
+            if self.base.is_failed and getattr(proposer, "asks_rows", False):
+                continue
             self.run.says(f"round {number}: {proposer.name}")
             try:
                 self.families.append(proposer.propose(view))

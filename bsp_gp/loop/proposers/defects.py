@@ -35,6 +35,7 @@ class Defects:
     """Swapped and lost tracks, rows that are off, missing frames as a proposer."""
 
     name = "defects"
+    asks_rows = True
 
     def propose(self, view):
         """The family of all rows and change-points.

@@ -29,6 +29,7 @@ class Measurement:
     """Errors of the measurement as a proposer."""
 
     name = "measurement"
+    asks_rows = True
 
     def propose(self, view):
         """The family of all kinds that make sense for the data.

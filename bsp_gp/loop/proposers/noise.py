@@ -24,6 +24,7 @@ class Noise:
     """
 
     name = "noise"
+    asks_rows = True
 
     def propose(self, view):
         """Noise with a memory where the noise is estimated and has none.
