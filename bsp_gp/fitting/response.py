@@ -13,6 +13,7 @@ strong as the data ask for, so that the answer does not hang on how wrong the fi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -39,9 +40,9 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 """Chi-squared that moments may lose which are left out, where forces show so much at least."""
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
-NOTHING = 1e-10
-"""Part of what a force could show up to which it shows nothing."""
 PASSES = 3
+MOST_KEPT = 1 << 24
+"""Moments of laws that are kept, in numbers."""
 NOTHING = 1e-12
 """Part of what a force shows best, below which a moment is rounding."""
 STRENGTHS = np.logspace(-4, 6, 41)
@@ -70,14 +71,18 @@ class ResponseBatch(RegressionBatch):
         n, s, r, d = (*values.shape[:3], values.shape[-1])
         flat = np.moveaxis(values, (1, -1), (0, 3)).reshape(s, n * r * d, -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            whitener = self.whitener.reshape(s, -1, n * r * d)
-            out = whitener @ flat
+            out = self.whitener.reshape(s, -1, n * r * d) @ flat
             # Of a force that acts along a rod rounding is left, which must not pass for a trace.
-            most = np.linalg.norm(whitener, axis=2).max(axis=1, initial=0.0)[:, None, None]
-            most = most * np.linalg.norm(flat, axis=1, keepdims=True)
+            most = self._reach * np.linalg.norm(flat, axis=1, keepdims=True)
             size = np.abs(out).max(axis=1, keepdims=True, initial=0.0)
             out = np.where(size > NOTHING * most, out, 0.0)
         return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
+
+    @cached_property
+    def _reach(self):
+        """What a force of length one may show in a moment, at the most, (S, 1, 1)."""
+        rows = self.whitener.reshape(*self.whitener.shape[:2], -1)
+        return np.linalg.norm(rows, axis=2).max(axis=1, initial=0.0)[:, None, None]
 
     def whitened_target(self):
         """The moments, shape (m, S, 1, 1)."""
@@ -89,12 +94,21 @@ class ResponseBatch(RegressionBatch):
 
 
 class ResponseRegression(Regression):
-    """A regression on moments of tracks."""
+    """A regression on moments of tracks, which are costly: those of laws are kept."""
+
+    @cached_property
+    def _known(self):
+        return {}
 
     def column(self, term, per_entity=False, cache=None):
         """As `Regression.column`; bodies are told apart before their moments are taken."""
         if not per_entity:
-            return super().column(term, False, cache)
+            if term not in self._known:
+                if len(self._known) * self.n_rows > MOST_KEPT:
+                    self._known.clear()
+                self._known[term] = super().column(term, False, cache)
+                self._known[term][0].flags.writeable = False
+            return self._known[term]
         names = self.receiver_names()
         parts = [[] for _ in names]
         for batch in self.batches:

@@ -54,6 +54,14 @@ def test_a_failed_fit_is_never_nothing_missing():
     assert decided(row(1, status="unconverged")).verdict == "seen, not adopted"
 
 
+def test_what_fits_in_place_of_a_law_that_does_not_is_adopted():
+    lost = replace(BASE, status="unconverged", log_evidence=-np.inf)
+    assert decided(row(1), base=lost).verdict == "effect adopted"
+    for said in (decided(row(1), base=lost, p=0.5), decided(row(1, status="refuted"), base=lost,
+                 p=np.nan), decided(row(1, status="unconverged"), base=lost)):  # fmt: skip
+        assert (said.verdict, said.reason) == ("cannot tell", "declared_model_not_fitted")
+
+
 def test_a_form_is_a_fact_only_without_near_rivals():
     assert decided(row(1), row(2, gain=60.0)).is_fact
     near = decided(row(1), row(2, gain=92.0))

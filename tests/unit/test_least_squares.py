@@ -288,3 +288,26 @@ def test_states_alone_without_shared_unknowns():
     found = minimise(Tracks(TARGETS, is_shared=False), Track(1.7, LOCAL + [0.3, 0.4]))
     assert found.status == "converged" and found.values.shape == (0,)
     np.testing.assert_allclose(found.point.local, LOCAL, atol=0.05)
+
+
+def test_a_descent_that_gains_nothing_however_short_its_steps_is_given_up():
+    class Rising:
+        """Its linearisation foresees a fall where chi-squared rises."""
+
+        n_seen = 0
+
+        def values(self, point):
+            return point
+
+        def linearise(self, point):
+            self.n_seen += 1
+            rise = 1.0 + np.abs(point).sum()
+            return Linearised(np.full(3, 10.0 * rise), np.eye(3, len(point)) - 2.0, 0.0)
+
+        def move(self, point, linearised, values, share):
+            return values
+
+    problem = Rising()
+    found = minimise(problem, np.zeros(2), settings=Settings(max_linearised=60))
+    assert (found.status, found.code) == ("unconverged", "stalled")
+    assert problem.n_seen < 15
