@@ -69,6 +69,8 @@ def decide(table, criteria=None):
         if row.id != best.id and _is_rival(row, best, criteria)
     )  # fmt: skip
     if best.log_posterior <= table.base.log_posterior:
+        if table.noise_p <= criteria.alpha:  # odd noise, and no cause is likelier than none
+            return Decision("the noise is not as assumed", "noise_explains")
         return Decision("seen, not adopted", "no_better_than_before", best, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)

@@ -14,7 +14,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued
-from bsp_gp.loop.questions import hidden_bound, noise_findings
+from bsp_gp.loop.questions import hidden_bound, least_chance, noise_findings
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -168,6 +168,8 @@ class _Run:
         if found.shows_tracks:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
             view.tick = self.clock.tick
+            if not found.is_failed:
+                view.noise_findings = noise_findings(view)
             turn.propose(number, view)
             asked = self.asked(view)
             turn.p_value = turn.p_of_all(view, self.looks)
@@ -175,7 +177,8 @@ class _Run:
                 asked |= self.traced(view, turn)
                 turn.fit_best()
         turn.note_time("fits")
-        table = HypothesisTable(tuple(turn.rows), turn.p_value)
+        noise_p = least_chance(view.noise_findings) if view else 1.0
+        table = HypothesisTable(tuple(turn.rows), turn.p_value, noise_p)
         table = table.without_repeats().with_probabilities()
         decision = decide(table, self.criteria)
         if turn.left_out:  # what was not looked at might have changed it
@@ -199,8 +202,7 @@ class _Run:
     def asked(self, view):
         """What else is asked of the fit that enters, by names of `Round`."""
         alpha = self.criteria.alpha
-        found = () if view.fit.is_failed else noise_findings(view)
-        found = tuple(f for f in found if f.p_value <= alpha)
+        found = tuple(f for f in view.noise_findings if f.p_value <= alpha)
         return {
             "detectable": view.detectable(alpha), "noise_findings": found,
             "hidden_bound": hidden_bound(view),

@@ -16,7 +16,7 @@ from bsp_gp.fitting.tangent import p_of_gain
 from bsp_gp.loop.trace import moments_of
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Finding", "HiddenBound", "hidden_bound", "noise_findings"]
+__all__ = ["Finding", "HiddenBound", "hidden_bound", "least_chance", "noise_findings"]
 
 MOST_FUNCTIONS = 8
 ROWS_EACH = 4
@@ -79,6 +79,12 @@ def noise_findings(view):
     if error.z[0].any():
         found += error.findings()
     return tuple(sorted(found, key=lambda f: f.p_value))
+
+
+def least_chance(findings):
+    """Chance of the most striking of some findings, their number counted."""
+    chances = [f.p_value for f in findings]
+    return min(min(chances) * len(chances), 1.0) if chances else 1.0
 
 
 def _where(noise, part):

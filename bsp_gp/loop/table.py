@@ -95,10 +95,13 @@ class HypothesisTable:
     rows : tuple of Row
     p_value : float
         Chance that noise alone shows as much in the best of everything that was tried.
+    noise_p : float
+        Chance that noise as it was assumed leaves as odd an error, see `questions.noise_findings`.
     """
 
     rows: tuple[Row, ...]
     p_value: float
+    noise_p: float = 1.0
 
     @property
     def base(self):
@@ -116,7 +119,7 @@ class HypothesisTable:
         for row in self.rows:
             if row.key not in best or _height(row) > _height(best[row.key]):
                 best[row.key] = row
-        return HypothesisTable(tuple(r for r in self.rows if best[r.key] is r), self.p_value)
+        return replace(self, rows=tuple(r for r in self.rows if best[r.key] is r))
 
     def with_probabilities(self):
         """The same with probabilities over all rows that can be compared."""
@@ -130,7 +133,7 @@ class HypothesisTable:
         rows = tuple(
             replace(row, probability=float(w)) for row, w in zip(self.rows, weights, strict=True)
         )
-        return HypothesisTable(rows, self.p_value)
+        return replace(self, rows=rows)
 
 
 def _height(row):

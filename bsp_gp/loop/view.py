@@ -41,12 +41,15 @@ class View:
         they are known.
     search_rng : numpy.random.Generator
         For searches that draw.
+    noise_findings : tuple of Finding
+        Of the noise of the fit, once it was asked.
     """
 
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
         self.criteria = criteria or Criteria()
         self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
+        self.noise_findings = ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
 

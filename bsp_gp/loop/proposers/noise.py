@@ -8,17 +8,21 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.questions import least_chance
 
 __all__ = ["Noise"]
 
 TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.5, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
 
+TINY = np.finfo(float).tiny
+
 
 class Noise:
-    """A memory of the noise as a proposer: a rival, not a finding of its own.
+    """Noise of another kind as a proposer: a rival, not a finding of its own.
 
-    Memory is asked for in every fit, on what is left beside forces that know no physics; on few
+    Noise that was declared is estimated instead, with whatever parts it has, where the pure error
+    contradicts it. Where it is estimated, memory is asked for in every fit, on what is left beside forces that know no physics; on few
     rows there is not enough of that. Here it stands beside the forces that would do as well, unless
     a force that knows no physics does better than any memory.
     """
@@ -27,13 +31,15 @@ class Noise:
     asks_rows = True
 
     def propose(self, view):
-        """Noise with a memory where the noise is estimated and has none.
+        """Noise that is estimated, or with a memory.
 
         Parameters
         ----------
         view : View
         """
         model = view.fit.noise
+        if "declared" in model.sources:
+            return self.doubted(view)
         if not model.is_free.any() or model.correlated or model.is_correlation_known:
             return Family(self.name)
         step = np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes]))
@@ -50,6 +56,20 @@ class Noise:
         proposal = Proposal(
             "noise", "a memory of the noise", view.hypothesis + noise, 0.0, gains[best], 2,
             kind="noise",
+        )  # fmt: skip
+        return Family(self.name, (proposal,), is_control=True)
+
+    def doubted(self, view):
+        """Noise that was declared, estimated where the pure error contradicts it."""
+        chance = least_chance(view.noise_findings)
+        if chance > view.criteria.alpha:
+            return Family(self.name)
+        model = view.fit.noise
+        sources = ("estimated" if how == "declared" else how for how in model.sources)
+        freed = replace(model, sources=tuple(sources), is_correlation_known=False)
+        proposal = Proposal(
+            "noise", "noise as the tracks show it", view.hypothesis + TrackNoise(freed), 0.0,
+            -2.0 * np.log(max(chance, TINY)), 1, kind="noise",
         )  # fmt: skip
         return Family(self.name, (proposal,), is_control=True)
 
