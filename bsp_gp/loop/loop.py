@@ -231,8 +231,10 @@ class _Turn:
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
-        self.found = 0.0  # nats that a fit has promised and kept
-        self.kept = 0.0  # the greatest promise that was kept by what leaves no misfit
+        # By what proposers look at, rows or forces: nats that a fit has promised and kept, and the
+        # greatest promise that was kept by what leaves no misfit.
+        self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
+        self.found, self.kept = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -275,11 +277,14 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above = len(queue), {}
+        n_first, above, asked = len(queue), {}, set()
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
-            if self._is_behind(proposal, is_again=k >= n_first):
+            is_first = source not in asked and k < n_first
+            asked.add(source)
+            measures = {self.measure.get(source, False)} if is_first else {False, True}
+            if self._is_behind(proposal, measures, is_again=k >= n_first):
                 continue
             row = self._fitted(source, proposal)
             if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
@@ -287,27 +292,32 @@ class _Turn:
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:
-                self._note_gain(row, proposal)
+                self._note_gain(row, proposal, self.measure.get(source, False))
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
         self._tell_near(every, above)
 
-    def _is_behind(self, proposal, is_again):
-        """Whether a proposal promises too little beside what was found to be worth a fit."""
-        if self.kept - proposal.promise > max(FAR_BEHIND, self.kept / 50):
-            return True
-        if is_again and proposal.promise < self.found:
-            return True
-        return REACH * (proposal.promise + self.run.criteria.class_nats) < self.found
+    def _is_behind(self, proposal, measures, is_again):
+        """Whether a proposal promises too little beside what was found to be worth a fit.
 
-    def _note_gain(self, row, proposal):
+        What moments promise of a force and rows of an instrument is not of one measure: the first
+        of a family is held against what was found in the same way only.
+        """
+        found, kept = (max(known[m] for m in measures) for known in (self.found, self.kept))
+        if kept - proposal.promise > max(FAR_BEHIND, kept / 50):
+            return True
+        if is_again and proposal.promise < found:
+            return True
+        return REACH * (proposal.promise + self.run.criteria.class_nats) < found
+
+    def _note_gain(self, row, proposal, measure):
         """Remember what a fit has gained of what it promised."""
         gained = row.log_posterior - self.rows[0].log_posterior
-        self.found = max(self.found, min(gained, proposal.promise))
+        self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
         if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
-            self.kept = max(self.kept, proposal.promise)
+            self.kept[measure] = max(self.kept[measure], proposal.promise)
 
     def _tell_near(self, every, above):
         """Rows of what was scored only, in the terms of what was fitted of its family.
