@@ -100,6 +100,14 @@ def test_left_out_scenes_can_refuse_and_never_confirm_alone():
     assert not decided(row(1, gain=8.0, held_out=HeldOut(30.0, 1.0, 4.0))).is_adopted
 
 
+def test_odd_noise_that_no_cause_beats_is_told_as_such():
+    for noise_p, verdict in ((1e-6, "the noise is not as assumed"), (0.5, "seen, not adopted")):
+        table = HypothesisTable((BASE, row(1, gain=5.0)), 1e-6, noise_p).with_probabilities()
+        assert decide(table).verdict == verdict
+    likely = HypothesisTable((BASE, row(1)), 1e-6, 1e-6).with_probabilities()
+    assert decide(likely).verdict == "effect adopted"
+
+
 def test_probabilities_add_up():
     table = HypothesisTable((BASE, row(1), row(2, gain=90.0)), 0.0).with_probabilities()
     assert sum(r.probability for r in table.rows) == pytest.approx(1.0)

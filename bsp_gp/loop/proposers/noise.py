@@ -22,9 +22,9 @@ class Noise:
     """Noise of another kind as a proposer: a rival, not a finding of its own.
 
     Noise that was declared is estimated instead, with whatever parts it has, where the pure error
-    contradicts it. Where it is estimated, memory is asked for in every fit, on what is left beside forces that know no physics; on few
-    rows there is not enough of that. Here it stands beside the forces that would do as well, unless
-    a force that knows no physics does better than any memory.
+    contradicts it. Where it is estimated, memory is asked for in every fit, on what is left beside
+    forces that know no physics; on few rows there is not enough of that. Here it stands beside the
+    forces that would do as well, unless a force that knows no physics does better than any memory.
     """
 
     name = "noise"

@@ -1,0 +1,56 @@
+"""Declared noise that the pure error contradicts: a hypothesis beside the causes."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.proposers.noise import Noise
+from bsp_gp.loop.questions import noise_findings
+from tests.loop_views import GRAVITY, throws, view_of
+
+SIGMA = 0.005
+
+
+def louder(rng):
+    """A declared level that is half of the true one in one scene of four."""
+    return lambda s, shape: SIGMA * (2.0 if s == 2 else 1.0) * rng.standard_normal(shape)
+
+
+def proposed(view):
+    view.noise_findings = noise_findings(view)
+    return Noise().propose(view).proposals
+
+
+def test_declared_noise_is_believed_while_nothing_speaks_against_it():
+    rng = np.random.default_rng(1)
+    assert proposed(view_of(throws(rng))) == ()
+
+
+def test_declared_noise_that_is_contradicted_is_estimated():
+    rng = np.random.default_rng(1)
+    view = view_of(throws(rng, noise=louder(rng)))
+    (proposal,) = proposed(view)
+    assert proposal.kind == "noise"
+    assert view.fit.noise.is_free.tolist() == [False, False]
+    assert proposal.hypothesis.noise.is_free.tolist() == [True, True]
+
+
+@pytest.mark.parametrize("is_odd", [True, False])
+def test_a_missing_force_is_found_whether_the_declared_noise_is_true_or_not(is_odd):
+    rng = np.random.default_rng(2)
+
+    def move(t, mass):
+        return np.outer(0.5 * 0.4 / mass * t**2, [1.0, 0.0])
+
+    data = throws(rng, n_scenes=6, move=move, noise=louder(rng) if is_odd else None)
+    report = close_loop(data, GRAVITY, rng=0)
+    assert report.verdict == "effect adopted"
+    assert [done.verdict for done in report.rounds].count("effect adopted") == 1
+    (constant,) = report.constants
+    assert constant.low - 0.02 < 0.4 < constant.high + 0.02
+
+
+def test_odd_noise_alone_is_no_effect():
+    rng = np.random.default_rng(3)
+    report = close_loop(throws(rng, n_scenes=6, noise=louder(rng)), GRAVITY, rng=0)
+    assert report.verdict in ("the noise is not as assumed", "nothing missing")
