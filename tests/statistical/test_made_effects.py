@@ -36,6 +36,7 @@ def test_nothing_is_found_where_all_is_declared():
     assert report.verdict == "nothing missing"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_drag_is_found_where_orbits_without_it_reach_no_track():
     settings = preset("nbody", [effect("drag", 0.1, is_declared=False)], n_scenes=8)
