@@ -141,7 +141,8 @@ class Response:
         Level of the noise beside a force that knows no physics, in that of the fit; 1 where the
         data do not ask for another.
     free_gain : float, nats
-        Log-evidence of such a force beside white noise alone, the level of both estimated.
+        Log-evidence of such a force beside white noise alone of a level that is estimated; the
+        level beside the force is the declared one, if all is declared.
     """
 
     regression: ResponseRegression
@@ -447,7 +448,7 @@ class _Group:
         best, square = max(found)
         is_lower = square < MUCH_LOWER**2 and best > height + SURELY
         self.level = float(np.sqrt(square)) if is_lower else 1.0
-        self.free_gain = best - found[0][0]
+        self.free_gain = (best if self.fit.noise.is_free.any() else height) - found[0][0]
 
     # --- a batch of the regression ---------------------------------------------------------------
 

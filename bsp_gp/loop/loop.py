@@ -14,7 +14,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued
-from bsp_gp.loop.questions import hidden_bound, least_chance, noise_findings
+from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -177,8 +177,7 @@ class _Run:
                 asked |= self.traced(view, turn)
                 turn.fit_best()
         turn.note_time("fits")
-        noise_p = least_chance(view.noise_findings) if view else 1.0
-        table = HypothesisTable(tuple(turn.rows), turn.p_value, noise_p)
+        table = HypothesisTable(tuple(turn.rows), turn.p_value, view.noise_chance if view else 1.0)
         table = table.without_repeats().with_probabilities()
         decision = decide(table, self.criteria)
         if turn.left_out:  # what was not looked at might have changed it
@@ -247,7 +246,7 @@ class _Turn:
         for proposer in self.run.proposers:
             if self.note_time("proposers"):
                 break
-            if self.base.is_failed and getattr(proposer, "asks_rows", False):
+            if self.base.is_failed and self.measure[proposer.name]:
                 continue
             self.run.says(f"round {number}: {proposer.name}")
             try:

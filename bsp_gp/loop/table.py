@@ -96,7 +96,7 @@ class HypothesisTable:
     p_value : float
         Chance that noise alone shows as much in the best of everything that was tried.
     noise_p : float
-        Chance that noise as it was assumed leaves as odd an error, see `questions.noise_findings`.
+        Chance that noise as it was assumed leaves as odd an error, see `View.noise_chance`.
     """
 
     rows: tuple[Row, ...]

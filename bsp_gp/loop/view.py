@@ -11,6 +11,7 @@ from scipy import stats
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
 
@@ -80,6 +81,16 @@ class View:
     def free_gain(self):
         """Log-evidence of a force that knows no physics beside white noise, nats."""
         return self._as_fitted.free_gain
+
+    @cached_property
+    def noise_chance(self):
+        """Chance that noise as it was assumed leaves as odd an error, see `noise_findings`.
+
+        1 where a force that knows no physics explains what noise of another level does not: what
+        laws lack may be quicker than the functions of time beside which the noise is asked.
+        """
+        is_force = self.free_gain > self.criteria.noise_nats
+        return 1.0 if is_force else least_chance(self.noise_findings)
 
     @cached_property
     def tangent(self):

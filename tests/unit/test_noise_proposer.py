@@ -54,3 +54,12 @@ def test_odd_noise_alone_is_no_effect():
     rng = np.random.default_rng(3)
     report = close_loop(throws(rng, n_scenes=6, noise=louder(rng)), GRAVITY, rng=0)
     assert report.verdict in ("the noise is not as assumed", "nothing missing")
+
+
+def test_what_a_quick_force_leaves_is_no_noise():
+    def move(t, mass):
+        return np.outer(0.05 * np.sin(25 * t), [1.0, 0.0])
+
+    view = view_of(throws(np.random.default_rng(4), move=move))
+    assert proposed(view) == ()
+    assert min(f.p_value for f in view.noise_findings) < 1e-6, "the questions alone are misled"

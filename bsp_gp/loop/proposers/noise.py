@@ -8,7 +8,6 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.questions import least_chance
 
 __all__ = ["Noise"]
 
@@ -61,7 +60,7 @@ class Noise:
 
     def doubted(self, view):
         """Noise that was declared, estimated where the pure error contradicts it."""
-        chance = least_chance(view.noise_findings)
+        chance = view.noise_chance
         if chance > view.criteria.alpha:
             return Family(self.name)
         model = view.fit.noise
