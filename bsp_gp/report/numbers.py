@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 NOT_KNOWN = "–"
+FINEST_RATIO = 1e-4
+"""Of errors: what is closer is the same to any reader."""
 """What stands in place of a number that there is not."""
 
 _MAX_DIGITS = 13
@@ -158,10 +160,13 @@ def format_constant(constant):
 
 
 def format_ratio(ratio):
-    """Write a `Ratio` with its interval; None is not known."""
+    """Write a `Ratio` with its interval, no finer than `FINEST_RATIO`; None is not known."""
     if ratio is None:
         return NOT_KNOWN
-    return format_value(ratio.value, ratio.low, ratio.high)
+    low, high = ratio.low, ratio.high
+    if is_number(low) and is_number(high) and high - low < FINEST_RATIO:
+        low, high = min(low, ratio.value - FINEST_RATIO), max(high, ratio.value + FINEST_RATIO)
+    return format_value(ratio.value, low, high)
 
 
 def format_level(alpha):
