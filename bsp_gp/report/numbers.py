@@ -24,9 +24,9 @@ __all__ = [
 ]
 
 NOT_KNOWN = "–"
+"""What stands in place of a number that there is not."""
 FINEST_RATIO = 1e-4
 """Of errors: what is closer is the same to any reader."""
-"""What stands in place of a number that there is not."""
 
 _MAX_DIGITS = 13
 _PLAIN = (1e-3, 1e5)  # sizes written without a power of ten

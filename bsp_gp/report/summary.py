@@ -107,7 +107,7 @@ def _rounds(report):
 def _traced(report):
     """Where the residual of the first traced round is: that of the declared model."""
     for r in report.rounds:
-        if r.trace is not None and r.reason != "noise_explains":
+        if r.trace is not None and r.verdict != "the noise is not as assumed":
             return [(f"Traced in round {r.number}: {trace_sentence(r.trace)}", "  ")]
     return []
 

@@ -5,7 +5,7 @@ import pytest
 
 from bsp_gp.loop.close import close_loop
 from bsp_gp.simulate.effects import effect
-from bsp_gp.simulate.synth import make, preset
+from bsp_gp.simulate.synth import RECORDED, make, preset
 
 CASES = {
     "quadratic drag": (effect("quadratic_drag", 0.02, is_declared=False), -0.02),
@@ -39,10 +39,11 @@ def test_nothing_is_found_where_all_is_declared():
 @pytest.mark.long
 @pytest.mark.slow
 def test_a_drag_is_found_where_orbits_without_it_reach_no_track():
-    settings = preset("nbody", [effect("drag", 0.1, is_declared=False)], n_scenes=8, noise=0.05)
+    drag = effect("drag", 0.1, is_declared=False)
+    settings = preset("nbody", [drag], n_scenes=8, **{**RECORDED["nbody"], "noise": 0.05})
     dataset, truth = make(settings, np.random.default_rng(1))
     report = close_loop(dataset, truth.declared, rng=np.random.default_rng(0), seed=0)
     assert report.verdict == report.rounds[0].verdict == "effect adopted"
-    (drag,) = report.constants
-    assert drag.low - 0.002 < -0.1 < drag.high + 0.002
+    (found,) = report.constants
+    assert found.low - 0.002 < -0.1 < found.high + 0.002
     assert report.total["after"].rollout_rmse < 0.1 * report.total["before"].rollout_rmse
