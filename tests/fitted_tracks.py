@@ -4,12 +4,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from bsp_gp.data.scene import PROPERTY_UNITS, Dataset, Entity, Scene
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.force import ForceLaw, Term
 from tests.throws import SI
 

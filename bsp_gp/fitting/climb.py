@@ -12,16 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
-from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.growing import RANKS, grow, tried
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
 from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 from bsp_gp.fitting.unseen import carried
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion, Points
 
 __all__ = ["Climb"]
 
@@ -566,8 +566,8 @@ class Climb:
 
 def _median_of(base, kind, run):
     """Median absolute value of a formula over the rows of the data."""
-    from bsp_gp.fitting.graph import Graph, Tape
-    from bsp_gp.fitting.lowering import Lowering
+    from bsp_gp.physics.engine.graph import Graph, Tape
+    from bsp_gp.physics.engine.lowering import Lowering
 
     found = []
     for chains in run.groups:

@@ -16,21 +16,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import DataError, SettingsError
-from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
-from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.problem import Minimum
-from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.motion import Motion
+from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.geometry import POINT
 

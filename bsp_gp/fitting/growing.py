@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["RANKS", "grow", "seeds", "tried"]
 

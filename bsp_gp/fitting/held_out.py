@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import FitTolerances, fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
@@ -19,8 +17,10 @@ from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
-from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.unseen import shown
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations

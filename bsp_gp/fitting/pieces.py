@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.driven import Driven
 from bsp_gp.fitting.shooting import cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.bodies import Bodies
+from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.geometry import Shapes
 
 __all__ = ["Pieces", "cut_pieces"]

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.lowering import ORIGIN
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
+from bsp_gp.physics.engine.lowering import ORIGIN
 from bsp_gp.physics.force import Term
 from bsp_gp.units import Unit
 

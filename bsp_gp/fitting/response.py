@@ -18,15 +18,15 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bsp_gp.fitting.constrained import constraints_of
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.pieces import cut_pieces
-from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
+from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.starts import first_nodes
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["flow_of", "roll"]
 

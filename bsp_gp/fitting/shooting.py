@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.unseen import tied
+from bsp_gp.physics.engine.seen import sight
 
 __all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from bsp_gp.data.noise import checked_noise
 from bsp_gp.errors import EvaluationError, LawError, SettingsError
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.held_out import initial_states
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.fitting.rolling import roll
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import INTEGRATORS, rollout
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import generator

@@ -16,10 +16,10 @@ from scipy import stats
 from scipy.special import chdtrc, gammaln
 
 from bsp_gp.fitting.channels import join
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
 

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.scene import Entity, Scene
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["MARK", "as_driven", "carried", "shown", "tied", "with_entity"]
 

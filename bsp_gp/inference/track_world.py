@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["RISE", "SETTLINGS", "TrackWorld", "Tracks"]
 

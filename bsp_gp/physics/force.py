@@ -138,7 +138,7 @@ class ForceLaw:
         ends in ``[scene]``, per scene. Who is not in it has none; of indexed names the mean.
     frame : tuple of Part
         Through what bodies are seen, and which of their properties are fitted; fits to tracks
-        alone know of it (`bsp_gp.fitting.seen`, `bsp_gp.fitting.owners`).
+        alone know of it (`bsp_gp.physics.engine.seen`, `bsp_gp.physics.engine.owners`).
     unseen : tuple of Unseen
         Bodies whose first states are constants (`bsp_gp.fitting.unseen`).
     """

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering
 from bsp_gp.language.expression import to_formula
 from bsp_gp.language.formula import Call, Constant, Input, evaluate, evaluate_with_gradient, walk
 from bsp_gp.language.grammar import load_grammar
@@ -16,6 +14,8 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import OPERATORS, Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.pcfg import Pcfg
+from bsp_gp.physics.engine.graph import Graph, Tape
+from bsp_gp.physics.engine.lowering import MOVING, Lowering
 from bsp_gp.physics.geometry import CODES, Shapes, contact_point
 
 NEWTONIAN = load_grammar("newtonian")

@@ -7,13 +7,13 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.errors import LawError
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.parts.constraints import read_constraint
 from bsp_gp.fitting.rolling import roll
 from bsp_gp.fitting.starts import first_nodes
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 from tests.swings import LENGTH, PIVOT, ROD, WEIGHT, G, bob, swing
 
 

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import FAILED, STATUSES, fit
-from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.hypothesis import Hypothesis, Part
-from bsp_gp.fitting.motion import Motion
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 TIMES = np.linspace(0.0, 4.0, 41)

@@ -253,9 +253,9 @@ def test_rolled_tracks_are_those_of_a_step_by_step_integration():
     from scipy.integrate import solve_ivp
 
     from bsp_gp.data.scene import Dataset, Entity, Scene
-    from bsp_gp.fitting.chains import build_chains
     from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.fitting.rolling import roll
+    from bsp_gp.physics.engine.chains import build_chains
 
     times = np.linspace(0.0, 12.0, 241)
     start = np.array([1.0, 0.0, 0.0, 0.6])  # an ellipse about a mass at rest
@@ -284,9 +284,9 @@ def test_rolled_tracks_are_those_of_a_step_by_step_integration():
 
 
 def test_a_motion_that_runs_away_is_infinitely_wrong():
-    from bsp_gp.fitting.chains import build_chains
     from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.fitting.rolling import roll
+    from bsp_gp.physics.engine.chains import build_chains
 
     dataset = throws(n_scenes=2, n_times=30)
     law = read_law(dataset, ["k * norm(v_i)^4 * v_i"]).with_constants({"k": 1.0})

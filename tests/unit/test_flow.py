@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import bsp_gp.fitting.flow as flow_module
+import bsp_gp.physics.engine.flow as flow_module
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import rollout
 from tests.fitted_tracks import body, differences, flow_of, law_of, nodes_of, reference, scene_of

@@ -11,11 +11,11 @@ from bsp_gp.fitting.channels import Channels
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import predictions
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.lowering import fades_at_rest
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.simulated import draw_noise, simulated
 from bsp_gp.loop.accounts import Accounts
+from bsp_gp.physics.engine.lowering import fades_at_rest
 from tests.fitted_tracks import body
 from tests.throws import SI
 

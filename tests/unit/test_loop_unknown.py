@@ -7,13 +7,10 @@ import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, LatentDeclaration, Scene
 from bsp_gp.errors import SettingsError
-from bsp_gp.fitting.chains import build_chains
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.flow import Flow
 from bsp_gp.fitting.held_out import held_out_rows
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
-from bsp_gp.fitting.motion import Motion
 from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.response import respond
 from bsp_gp.inference.latents import declared_latents
@@ -22,6 +19,9 @@ from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.kept import rounds_from, text_of
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.table import held_out_gain
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
 from tests.fitted_tracks import law_of
 from tests.planted import GRAVITY
 from tests.throws import SI

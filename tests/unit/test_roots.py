@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.fitting.roots import FEW, roots
+from bsp_gp.physics.engine.roots import FEW, roots
 
 NUMBERS = [1, FEW, FEW + 1, 40]
 

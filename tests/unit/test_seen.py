@@ -12,9 +12,9 @@ from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, Positions
 from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.rolling import roll
-from bsp_gp.fitting.seen import sight
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.physics.engine.seen import sight
 from tests.fitted_tracks import (
     body,
     dataset_of,

@@ -1,8 +1,8 @@
 """What a measurement may do to places and times: parts of a hypothesis, one function each.
 
 A function says how what is seen (x, t) is undone, as an expression: the law is then moved to seen
-coordinates with exact derivatives (`bsp_gp.fitting.seen`). The last part is undone first. Numbers
-are 0 where the measurement is as declared.
+coordinates with exact derivatives (`bsp_gp.physics.engine.seen`). The last part is undone first.
+Numbers are 0 where the measurement is as declared.
 """
 
 from __future__ import annotations

@@ -15,14 +15,14 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from bsp_gp.data.scene import Entity, Scene
-from bsp_gp.fitting.chains import build_chains
-from bsp_gp.fitting.flow import Flow
-from bsp_gp.fitting.motion import Motion, Points
 from bsp_gp.fitting.parts.hidden import HiddenBody, body_pull
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, pulls_of, still
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion, Points
 from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
 
 __all__ = ["Companions", "Orbits"]

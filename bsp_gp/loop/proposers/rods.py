@@ -9,11 +9,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bsp_gp.errors import LawError
-from bsp_gp.fitting.constrained import constraints_of
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
 __all__ = ["Rods"]

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.driven import Driven
-from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering
 from bsp_gp.language.inputs import property_of
+from bsp_gp.physics.engine.driven import Driven
+from bsp_gp.physics.engine.graph import Graph, Tape
+from bsp_gp.physics.engine.lowering import MOVING, Lowering
 
 __all__ = ["Constraints", "constraints_of"]
 

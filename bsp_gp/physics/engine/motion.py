@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.constrained import Constraints, constraints_of
-from bsp_gp.fitting.graph import Graph, Tape
-from bsp_gp.fitting.lowering import MOVING, Lowering, fades_at_rest
-from bsp_gp.fitting.owners import Owners, fitted_properties
-from bsp_gp.fitting.seen import Frame
 from bsp_gp.language.inputs import property_of
+from bsp_gp.physics.engine.constrained import Constraints, constraints_of
+from bsp_gp.physics.engine.graph import Graph, Tape
+from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
+from bsp_gp.physics.engine.owners import Owners, fitted_properties
+from bsp_gp.physics.engine.seen import Frame
 
 __all__ = ["CREEP", "Motion", "Points"]
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
-from bsp_gp.fitting.driven import Driven
-from bsp_gp.fitting.events import chained, passed_over, through_events, up_to_events
-from bsp_gp.fitting.motion import Points
+from bsp_gp.physics.engine.driven import Driven
+from bsp_gp.physics.engine.events import chained, passed_over, through_events, up_to_events
+from bsp_gp.physics.engine.motion import Points
 
 __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 

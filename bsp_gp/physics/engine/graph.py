@@ -1,9 +1,9 @@
 """Scalar expressions with exact derivatives, and tapes that compute many of them at once.
 
-A law is lowered (`bsp_gp.fitting.lowering`) to scalar nodes; equal nodes are one node, so that
-values and derivatives share what they have in common. A `Tape` runs the nodes that some outputs
-need as a straight line of NumPy calls; what depends on properties and constants alone is computed
-once by `Tape.prepare`.
+A law is lowered (`bsp_gp.physics.engine.lowering`) to scalar nodes; equal nodes are one node, so
+that values and derivatives share what they have in common. A `Tape` runs the nodes that some
+outputs need as a straight line of NumPy calls; what depends on properties and constants alone is
+computed once by `Tape.prepare`.
 """
 
 from __future__ import annotations

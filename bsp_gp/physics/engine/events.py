@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.motion import CREEP, Points
-from bsp_gp.fitting.roots import CLOSE, FEW, roots
+from bsp_gp.physics.engine.motion import CREEP, Points
+from bsp_gp.physics.engine.roots import CLOSE, FEW, roots
 
 __all__ = ["chained", "passed_over", "through_events", "up_to_events"]
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bsp_gp.errors import LawError
-from bsp_gp.fitting.graph import LEAVES
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 from bsp_gp.language.inputs import property_of
+from bsp_gp.physics.engine.graph import LEAVES
 
 __all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
 

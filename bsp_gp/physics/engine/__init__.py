@@ -1,0 +1,1 @@
+"""The engine: equations of motion and their exact derivatives, integrated between events."""
