@@ -261,7 +261,7 @@ def _run_loop(args, progress):
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "search": args.search, "search_budget": args.search_budget,
         "exclude": excluded_inputs(args, grammar, dataset),
-        "seed": args.seed, **read_fit_settings(args),
+        "seed": args.seed, "all_rows": args.all_rows, **read_fit_settings(args),
     }  # fmt: skip
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap

@@ -587,6 +587,11 @@ def _loop(parser):
     )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument(
+        "--all-rows", action="store_true",
+        help="take every row of long tracks as it is (default: dense rows are averaged over short "
+        "blocks)",
+    )  # fmt: skip
+    group.add_argument(
         "--per-entity", help=argparse.SUPPRESS,
         type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
     )  # fmt: skip
