@@ -9,9 +9,9 @@ import sys
 import threading
 import time
 
-from bsp_gp.errors import ResourceError
+from bsp_gp.errors import ResourceError, SettingsError
 
-__all__ = ["Crew", "Work", "worker_pool"]
+__all__ = ["Crew", "Work", "hands", "worker_pool"]
 
 WORTH_S = 3.0
 """Seconds that parts have taken here before others are handed out: starting a process costs one."""
@@ -76,6 +76,29 @@ class Crew:
         work = self.work(call, value, list(jobs))
         return [work.result(k, meanwhile=True) for k in range(len(work.jobs))]
 
+    def each(self, call, value, jobs):
+        """Parts as they are done: ``(number, what it gives)``, in whatever order.
+
+        Jobs are taken from the iterable as hands are free, so that few are there at a time; this
+        process does none where there are others.
+        """
+        if self.executor is None:
+            yield from ((k, call(value, job)) for k, job in enumerate(jobs))
+            return
+        from concurrent.futures import FIRST_COMPLETED, wait
+
+        self.spent = math.inf
+        work, todo, most = self.work(call, value, {}), enumerate(jobs), 2 * self.n_elsewhere + 2
+        for k, job in itertools.chain(todo, [(None, None)]):
+            if k is not None:
+                work.jobs[k] = job
+                work.submit(k)
+            while work.futures and (k is None or len(work.futures) >= most):
+                done = wait(work.futures.values(), return_when=FIRST_COMPLETED).done
+                for number in [n for n, future in work.futures.items() if future in done]:
+                    yield number, work.received(number)
+                    del work.jobs[number]
+
 
 class Work:
     """See `Crew.work`."""
@@ -83,7 +106,7 @@ class Work:
     def __init__(self, crew, call, value, jobs, is_wanted):
         self.crew, self.call, self.value = crew, call, value
         self.jobs, self.is_wanted = jobs, is_wanted
-        self._shared, self._futures, self._done = None, {}, {}
+        self._shared, self.futures, self._done = None, {}, {}
 
     def result(self, k, meanwhile=False):
         """What a part gives, done here unless it is under way.
@@ -91,9 +114,9 @@ class Work:
         With `meanwhile` other parts are done here while it is waited for.
         """
         self._hand_out(k + 1)
-        if k not in self._futures and k not in self._done:
+        if k not in self.futures and k not in self._done:
             self._do(k)
-        while meanwhile and k not in self._done and not self._futures[k].done():
+        while meanwhile and k not in self._done and not self.futures[k].done():
             others = (j for j in range(k + 1, len(self.jobs)) if self._is_open(j))
             other = next(others, None)
             if other is None:
@@ -101,12 +124,12 @@ class Work:
             self._do(other)
             self._hand_out(k + 1)
         if k not in self._done:
-            self._done[k] = self._received(self._futures.pop(k), k)
+            self._done[k] = self.received(k)
             self._hand_out(k + 1)
         return self._done.pop(k)
 
     def _is_open(self, k):
-        return k not in self._futures and k not in self._done
+        return k not in self.futures and k not in self._done
 
     def _do(self, k):
         began = time.monotonic()
@@ -117,26 +140,30 @@ class Work:
         """Have parts from this number on begun elsewhere."""
         if not self.crew.n_elsewhere or self.crew.spent < WORTH_S:
             return
-        free = self.crew.n_elsewhere - sum(not f.done() for f in self._futures.values())
+        free = self.crew.n_elsewhere - sum(not f.done() for f in self.futures.values())
         for k in range(first, len(self.jobs)):
             if free <= 0:
                 break
             if self._is_open(k) and self.is_wanted(self.jobs[k]):
-                self._futures[k] = self._submitted(k)
+                self.submit(k)
                 free -= 1
 
-    def _submitted(self, k, again=False):
+    def submit(self, k, again=False):
+        """Have a part begun elsewhere."""
         if self._shared is None:
             self._shared = self.crew.share(self.value)
         shared = self._shared
         if isinstance(shared, _Shared):
             shared = shared.to_send(again)
-        return self.crew.executor.submit(_part, self.call, shared, self.jobs[k])
+        self.futures[k] = self.crew.executor.submit(_part, self.call, shared, self.jobs[k])
 
-    def _received(self, future, k):
-        found = future.result()
+    def received(self, k):
+        """What a part gave that was begun elsewhere."""
+        found = self.futures[k].result()
         while isinstance(found, str) and found == _NOT_KNOWN:
-            found = self._submitted(k, again=True).result()
+            self.submit(k, again=True)
+            found = self.futures[k].result()
+        del self.futures[k]
         return found
 
 
@@ -168,6 +195,57 @@ def _part(call, shared, job):
             return _NOT_KNOWN
         shared = _KNOWN[shared.token]
     return call(shared, job)
+
+
+@contextlib.contextmanager
+def hands(n_workers=1, cluster=None):
+    """What work is handed to: processes of this machine, or those of a Dask cluster.
+
+    Parameters
+    ----------
+    n_workers : int
+    cluster : str, optional
+        Address of a scheduler, ``tcp://HOST:PORT``.
+
+    Yields
+    ------
+    ProcessPoolExecutor, distributed.Client or None
+
+    Raises
+    ------
+    SettingsError
+        If no scheduler answers, or dask is not installed.
+    ResourceError
+        If the scheduler or all workers went away.
+    """
+    if cluster is None:
+        with worker_pool(n_workers) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise SettingsError(
+            "--cluster needs dask: pip install 'bsp_gp[cluster]', here and on the workers"
+        ) from None
+    try:
+        client = Client(cluster, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise SettingsError(
+            f"--cluster {cluster}: no scheduler answers there ({error or type(error).__name__})"
+        ) from None
+    try:
+        with client:
+            yield client
+    except (FutureCancelledError, KilledWorker, OSError) as error:
+        if client.status == "running" and isinstance(error, OSError):
+            raise
+        raise ResourceError(
+            f"the cluster at {cluster} went away ({type(error).__name__}); start it again and use "
+            "--resume"
+        ) from error
 
 
 @contextlib.contextmanager

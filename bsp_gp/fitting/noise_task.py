@@ -35,7 +35,7 @@ _SMALL_GAIN = 1e-3
 _FEW_FREE = 0.03
 """Part of the rows that free numbers may take where the projected residual alone is a likeness."""
 _FEWER_FREE = 2e-3
-"""The same where its maximum is that of the restricted likelihood as well, far within its errors."""
+"""The same where its maximum lies at that of the restricted likelihood, far within its errors."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
-"""What commands cost against rows, scenes, bodies: processor time and peak memory of fresh processes.
+"""What commands cost against rows, scenes, bodies: seconds and peak memory of fresh processes.
 
-The data sets are made in closed form (rows, scenes) or by scipy's DOP853 (bodies), the lack is a
-linear drag, and every command is run as a user runs it: reading the table and writing the report
-are in its cost. `--only close:rows` and `--sizes 1000 10000` choose; exponents are slopes of
-log cost over log size through the larger half of the sizes, where the fixed cost is no longer seen.
+The data sets are made in closed form (rows, long, scenes, rain) or by scipy's DOP853 (bodies), what
+is declared lacks a linear drag, and every command is run as a user runs it: reading the table and
+writing the report are in its cost. `--only rows scenes` chooses, `--most 10000` bounds the sizes;
+sizes that are in the table of the folder are not run again. Exponents are slopes of log cost over
+log size through the larger half of the sizes, less what the smallest size costs.
 """
 
 import os
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from common import options, save_figure, write_table, write_text
+from common import options, run_jobs, save_figure, write_text
 
 SIGMA = 0.002
 """Noise of a position, m."""
@@ -46,9 +48,10 @@ def throws(n_scenes, rng, n_rows=40):
     x = start[:, :1] + start[:, 2:3] * fade
     y = start[:, 1:2] + start[:, 3:] * fade - 9.81 * (t - fade) / drag
     scenes = np.repeat([f"s{k:06d}" for k in range(n_scenes)], n_rows)
-    table = pd.DataFrame(
-        {"scene": scenes, "t": np.tile(t, n_scenes), "entity": "ball", "x": x.ravel(), "y": y.ravel()}
-    )
+    table = pd.DataFrame({
+        "scene": scenes, "t": np.tile(t, n_scenes), "entity": "ball", "x": x.ravel(),
+        "y": y.ravel(),
+    })  # fmt: skip
     return noisy(table, rng), ["ball"], [GRAVITY]
 
 
@@ -121,3 +124,96 @@ def cost(argv, log):
         "cpu_s": usage.ru_utime + usage.ru_stime, "wall_s": time.monotonic() - began,
         "peak_mib": usage.ru_maxrss / 1024, "exit": process.returncode,
     }  # fmt: skip
+
+
+KINDS = {
+    "rows": (oscillator, [SPRING], (900, 10_000, 100_000, 1_000_000)),
+    "long": (lambda n, rng: oscillator(n, rng, True), [SPRING], (900, 3_000, 10_000, 30_000)),
+    "scenes": (throws, [GRAVITY], (10, 100, 300, 1_000, 3_000)),
+    "rain": (rain, [GRAVITY], (3, 10, 30, 100)),
+    "bodies": (crowd, [SPRING, PULL], (2, 3, 5, 8)),
+}
+"""How data sets of a size are made, what is declared, and the sizes."""
+
+
+def work(kind, size, workers, folder):
+    """The row of one command."""
+    make, laws, _ = KINDS[kind]
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        place = Path(place)
+        table, names, _ = make(size, np.random.default_rng([size, 1]))
+        saved(table, names, place / "data")
+        argv = [sys.executable, "-m", "bsp_gp", "close", str(place / "data"), "--bootstrap", "0"]
+        argv += [f"--declare={law}" for law in laws]
+        argv += ["--workers", str(workers), "--out", str(place / "report"), "--quiet"]
+        found = cost(argv, place / "log")
+        if found["exit"]:
+            print((place / "log").read_text()[-300:], file=sys.stderr)
+    return [{"kind": kind, "size": size, "workers": workers, **found}]
+
+
+def summary(table):
+    """Costs, their ratios from size to size, and exponents, as Markdown."""
+    lines = ["| kind | size | CPU s | times the last | wall s | peak MiB |"]
+    lines.append("|---|--:|--:|--:|--:|--:|")
+    told = []
+    for kind, rows in table.groupby("kind", sort=False):
+        before = None
+        for row in rows.itertuples():
+            ratio = "" if before is None else f"{row.cpu_s / before.cpu_s:.2f}"
+            ratio += "" if before is None else f" (size {row.size / before.size:.3g})"
+            lines.append(
+                f"| {kind} | {row.size:,} | {row.cpu_s:.1f} | {ratio} | {row.wall_s:.1f} | "
+                f"{row.peak_mib:.0f} |"
+            )
+            before = row
+        told.append(f"{kind}: exponent {exponent(rows):.2f}")
+    return "\n".join([*lines, "", *told])
+
+
+def exponent(rows):
+    """Slope of the cost that the size makes."""
+    rows = rows.sort_values("size")
+    own = rows["cpu_s"].to_numpy()[1:] - rows["cpu_s"].iloc[0]
+    size = rows["size"].to_numpy()[1:]
+    kept = slice(len(size) // 2 - (len(size) == 2), None)
+    if len(size[kept]) < 2 or (own[kept] <= 0).any():
+        return np.nan
+    return np.polyfit(np.log(size[kept]), np.log(own[kept]), 1)[0]
+
+
+def drawn(table):
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    for kind, rows in table.groupby("kind", sort=False):
+        rows = rows.sort_values("size")
+        left.loglog(rows["size"], rows["cpu_s"], "o-", label=kind)
+        right.loglog(rows["size"], rows["peak_mib"], "o-", label=kind)
+    left.set(xlabel="size", ylabel="processor time, s")
+    right.set(xlabel="size", ylabel="peak memory, MiB")
+    left.legend()
+    return figure
+
+
+def declare(parser):
+    parser.add_argument("--only", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--most", type=int, default=10**7, help="largest size")
+
+
+def main(argv=None):
+    args = options(__doc__, argv, declare)
+    args.out.mkdir(parents=True, exist_ok=True)
+    most = min(args.most, 300) if args.quick else args.most
+    jobs = [
+        (kind, size, args.workers) for kind in args.only for size in KINDS[kind][2] if size <= most
+    ]
+    table = run_jobs(jobs, partial(work, folder=args.out), args.out, 1)
+    text = summary(table)
+    print(text)
+    write_text(f"{text}\n", args.out / "summary.md")
+    save_figure(drawn(table), args.out / "scale.png")
+
+
+if __name__ == "__main__":
+    main()
