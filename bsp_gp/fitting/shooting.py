@@ -24,7 +24,7 @@ STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""
 EXACT = 1e-3
-"""Standard deviation of what is exact of a first state, in those of a row (and that over a span)."""
+"""Deviation of what is exact of a first state, in those of a row (and that over a span)."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
 ROUNDINGS = 16
@@ -299,7 +299,7 @@ class Shooting:
         return columns
 
     def _pulls(self, group, nodes):
-        """What is known of first nodes: how far they are from there, and how surely, (W, n) each."""
+        """How far first nodes are from what is known of them, and how sure that is, (W, n) each."""
         n, (values, errors) = self.flow.n_state, self.known
         first, chain = self.windows.first[group], self.windows.chain[group]
         there, surely = values[:, chain], 1.0 / errors[:, chain]

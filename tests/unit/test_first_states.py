@@ -30,7 +30,8 @@ def _folder(path, initial, header="t,entity,x,y", more=""):
     rows = "\n".join(f"{k / 10},ball,{k},{k * k}{more if k == 0 else ',' * more.count(',')}"
                      for k in range(5))  # fmt: skip
     (path / "trajectories.csv").write_text(f"{header}\n{rows}\n")
-    (path / "dataset.toml").write_text(f'[units]\nlength = "cm"\ntime = "s"\n[initial]\n{initial}\n')
+    units = '[units]\nlength = "cm"\ntime = "s"'
+    (path / "dataset.toml").write_text(f"{units}\n[initial]\n{initial}\n")
     return path
 
 
