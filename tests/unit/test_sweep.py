@@ -1,4 +1,4 @@
-"""A sweep has a row for every data set, the same whoever makes it and however often it is killed."""
+"""A sweep has a row for every data set, the same whoever makes it and however often it stops."""
 
 import csv
 import subprocess
