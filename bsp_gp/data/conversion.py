@@ -19,7 +19,7 @@ _WORDS = {
     "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
-    "year": "jahr jahre années ans anni años yrs", "au": "ae",
+    "year": "jahr jahre années ans anni años yrs", "au": "ae ua",
 }  # fmt: skip
 _WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 """Units as people write them out, in the languages whose headings are known."""
