@@ -130,6 +130,8 @@ def build_parser():
     _add_compare(commands)
     _add_grammar(commands)
     _add_track(commands)
+    _add_plan(commands)
+    _add_discover(commands)
     _add_reports(commands)
     _add_demo(commands)
     complete = _add(
@@ -433,6 +435,56 @@ def _add_track(commands):
     parser.add_argument("--no-film", action="store_true", help="leave out the annotated film")
     parser.add_argument("--out", metavar="DIR", help="folder (default: VIDEO's name + -track)")
     _common(parser)
+
+
+def _add_plan(commands):
+    parser = _add(commands, "plan", "tell which experiment would part the rivals of a report")
+    parser.add_argument("report", metavar="REPORT", help="folder of the report")
+    _means(parser)
+    parser.add_argument(
+        "--about", metavar="CONSTANT", help="ask about this constant of the law in place of rivals"
+    )
+    parser.add_argument(
+        "--tries", type=_integer(1, 100_000), default=96, metavar="N",
+        help="experiments that are looked at (default 96)",
+    )  # fmt: skip
+    _seed(parser)
+    _output(parser, "folder for plan.json and plan.png (default: none)")
+
+
+def _add_discover(commands):
+    parser = _add(
+        commands, "discover", "find a law by experiments that a program makes, until one stands"
+    )
+    _means(parser)
+    parser.add_argument(
+        "--command", dest="command_line", required=True, metavar="PROGRAM",
+        help="reads experiments as lines of JSON, answers what was seen: './apparatus --quick'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rounds", type=_integer(1, MAX_ROUNDS), default=16, metavar="N", help="(default 16)"
+    )
+    parser.add_argument(
+        "--declare", action="append", metavar="LAW", help="a force that is believed beforehand"
+    )
+    parser.add_argument(
+        "--grammar", default="physics", metavar="NAME", help="what laws may say (default physics)"
+    )
+    group = parser.add_argument_group("time")
+    _time_limit(group, "of every closing of the loop")
+    parser.add_argument("--resume", action="store_true", help="go on from the rounds in --out")
+    _seed(parser)
+    parser.add_argument(
+        "--out", default="discovery", metavar="DIR", help="rounds and result (default: discovery)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON to stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def _means(parser):
+    parser.add_argument(
+        "--means", required=True, metavar="FILE.toml", help="what may be chosen in an experiment"
+    )
 
 
 def _add_reports(commands):
