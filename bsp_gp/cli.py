@@ -607,6 +607,23 @@ def _rerun(args):
     return 0
 
 
+def _serve(args):
+    import tempfile
+
+    from bsp_gp.web.app import serve
+
+    def tell(address):
+        print(f"Page: {address}\nCtrl-C ends it and deletes what was dropped.", flush=True)
+        if not args.no_open and sys.stdout.isatty():
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="bsp-gp-") as folder:
+        serve(os.path.realpath(folder), args.port, args.at_once, tell)
+    return 0
+
+
 def _completion(args):
     from bsp_gp.cli_completion import completion_script
 
@@ -646,6 +663,7 @@ _COMMANDS = {
     "track": _track,
     "show": _show,
     "rerun": _rerun,
+    "serve": _serve,
     "completion": _completion,
     "demo": _demo,
 }

@@ -131,6 +131,7 @@ def build_parser():
     _add_grammar(commands)
     _add_track(commands)
     _add_reports(commands)
+    _add_serve(commands)
     _add_demo(commands)
     complete = _add(
         commands, "completion", "print what a shell needs to complete commands and options",
@@ -444,6 +445,23 @@ def _add_reports(commands):
         parser.add_argument("report", metavar="REPORT", help="folder of the report")
         parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     show.add_argument("--no-open", action="store_true", help="leave the browser alone")
+
+
+def _add_serve(commands):
+    parser = _add(
+        commands, "serve",
+        "a page on this machine to drop a file on: check, declare, run, read, download",
+        "Only this machine can open the page, and only with its whole address, which holds a token;"
+        " what was dropped is deleted at the end (Ctrl-C).",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port", type=_integer(0, 65_535), default=0, metavar="N", help="(default: any free one)"
+    )
+    parser.add_argument(
+        "--at-once", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
+        help="runs at the same time; further ones wait (default 1)",
+    )  # fmt: skip
+    parser.add_argument("--no-open", action="store_true", help="leave the browser alone")
 
 
 def _add_demo(commands):

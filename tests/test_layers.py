@@ -31,6 +31,7 @@ ROOMS = (
     "simulate",
     "report",
     "demo",
+    "web",
     "cli_options",
     "cli_inputs",
     "cli_make",
@@ -54,6 +55,8 @@ CONFINED = {
     "pymunk": ("simulate/",),
     "pyoperon": (),
     "pysindy": (),
+    "starlette": ("web/",),
+    "uvicorn": ("web/",),
 }
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base"}
 EVALUATORS = {"eval", "exec"}
