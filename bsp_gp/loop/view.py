@@ -45,6 +45,8 @@ class View:
         they are known.
     search_rng : numpy.random.Generator
         For searches that draw.
+    drawn : tuple of Candidate
+        Laws with constants inside that these have found, once they are known.
     noise_findings : tuple of Finding
         Of the noise of the fit, once it was asked.
     """
@@ -54,7 +56,7 @@ class View:
         self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
         self.dataset = hypothesis.seen(dataset)
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
-        self.noise_findings = ()
+        self.noise_findings, self.drawn = (), ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
 
