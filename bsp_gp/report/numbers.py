@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from bsp_gp.errors import UnitError
-from bsp_gp.units import Unit, parse_unit
-
 __all__ = [
     "NOT_KNOWN",
     "format_constant",
@@ -16,7 +13,6 @@ __all__ = [
     "format_p",
     "format_ratio",
     "format_value",
-    "in_own_unit",
     "is_number",
     "pretty_unit",
     "rounded",
@@ -187,23 +183,3 @@ def format_p(p):
     if p < 1e-4:
         return "p < 0.0001"
     return f"p = {p:.2g}" if p < 0.995 else "p = 1"
-
-
-def in_own_unit(value, unit, own):
-    """A length in the user's unit, the metres beside it if that is another.
-
-    Examples
-    --------
-    >>> in_own_unit(0.25, "m", "cm"), in_own_unit(0.25, "m", "m"), in_own_unit(3.0, "px", "px")
-    ('25.0 cm (0.250 m)', '0.250 m', '3.00 px')
-    """
-    text = with_unit(format_number(value), unit)
-    if unit != "m" or not own or own.strip() == "m" or not is_number(value):
-        return text
-    try:
-        scale, of = parse_unit(own)
-    except UnitError:  # such as "0.17 um"
-        return text
-    if of != Unit.of(m=1):
-        return text
-    return f"{with_unit(format_number(value / scale), own)} ({text})"

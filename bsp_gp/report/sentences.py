@@ -14,7 +14,6 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_ratio,
-    in_own_unit,
     is_number,
     pretty_unit,
     rounded,
@@ -287,8 +286,7 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        own = (report.dataset.get("units") or {}).get("length")
-        return in_own_unit(getattr(errors, metric), unit, own)
+        return with_unit(format_number(getattr(errors, metric)), unit)
 
     out = {
         "label": label[:1].upper() + label[1:],
