@@ -18,6 +18,7 @@ __all__ = [
     "format_value",
     "in_own_unit",
     "is_number",
+    "only_own_unit",
     "pretty_unit",
     "rounded",
     "with_unit",
@@ -29,6 +30,8 @@ FINEST_RATIO = 1e-4
 """Of errors: what is closer is the same to any reader."""
 
 _MAX_DIGITS = 13
+_MANY, _TOO_MANY = 1e4, 1e9
+"""Metres that are told in kilometres."""
 _PLAIN = (1e-3, 1e5)  # sizes written without a power of ten
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
 _POWER = re.compile(r"(?:\^|\*\*)(?:([-+]?\d+)(?![\d.])|\(([-+]?\d+)\))")
@@ -165,7 +168,8 @@ def format_ratio(ratio):
         return NOT_KNOWN
     low, high = ratio.low, ratio.high
     if is_number(low) and is_number(high) and high - low < FINEST_RATIO:
-        low, high = min(low, ratio.value - FINEST_RATIO), max(high, ratio.value + FINEST_RATIO)
+        low = max(min(low, ratio.value - FINEST_RATIO), min(low, 0.0))
+        high = max(high, ratio.value + FINEST_RATIO)
     return format_value(ratio.value, low, high)
 
 
@@ -197,13 +201,27 @@ def in_own_unit(value, unit, own):
     >>> in_own_unit(0.25, "m", "cm"), in_own_unit(0.25, "m", "m"), in_own_unit(3.0, "px", "px")
     ('25.0 cm (0.250 m)', '0.250 m', '3.00 px')
     """
+    text, own_text = with_unit(format_number(value), unit), only_own_unit(value, unit, own)
+    is_other = own and own.strip() != "m" and text != own_text
+    return f"{own_text} ({text})" if is_other else own_text
+
+
+def only_own_unit(value, unit, own):
+    """A length in the user's unit, `own`, where there is one; many metres in km.
+
+    Examples
+    --------
+    >>> only_own_unit(0.25, "m", "cm"), only_own_unit(0.25, "m", None), only_own_unit(5e4, "m", "m")
+    ('25.0 cm', '0.250 m', '50.0 km')
+    """
     text = with_unit(format_number(value), unit)
-    if unit != "m" or not own or own.strip() == "m" or not is_number(value):
+    if unit != "m" or not is_number(value):
         return text
+    if not own or own.strip() == "m":
+        is_long = own and _MANY <= abs(value) < _TOO_MANY
+        return with_unit(format_number(value / 1000), "km") if is_long else text
     try:
         scale, of = parse_unit(own)
     except UnitError:  # such as "0.17 um"
         return text
-    if of != Unit.of(m=1):
-        return text
-    return f"{with_unit(format_number(value / scale), own)} ({text})"
+    return with_unit(format_number(value / scale), own) if of == Unit.of(m=1) else text
