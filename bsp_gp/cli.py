@@ -20,7 +20,7 @@ from bsp_gp.cli_inputs import (
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, SettingsError, on_command_line
-from bsp_gp.workers import worker_pool
+from bsp_gp.workers import hands
 
 __all__ = ["main"]
 
@@ -261,7 +261,7 @@ def _run_loop(args, progress):
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "search": args.search, "search_budget": args.search_budget,
         "exclude": excluded_inputs(args, grammar, dataset),
-        "seed": args.seed, **read_fit_settings(args),
+        "seed": args.seed, "all_rows": args.all_rows, **read_fit_settings(args),
     }  # fmt: skip
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap
@@ -280,7 +280,7 @@ def _run_loop(args, progress):
             rounds.append(text_of([done]))
             args.kept.save(joined_texts([earlier, *rounds]))
 
-    with worker_pool(args.workers) as pool:
+    with hands(args.workers, args.cluster) as pool:
         try:
             report = close_loop(
                 dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
@@ -290,6 +290,22 @@ def _run_loop(args, progress):
             args.kept.clear()
             raise
     return report, {"grammar": args.grammar, "workers": args.workers, **settings}
+
+
+def _sweep(args):
+    from bsp_gp.cli_sweep import run_sweep
+
+    laws = read_laws(args)
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as workers:
+        try:
+            text, n_defects = run_sweep(args, laws, workers, progress)
+        except KeyboardInterrupt:
+            _say(f"what was done is kept in {args.out}; --resume goes on from there")
+            raise
+    print(f"{text}\nSweep: {os.path.join(args.out, 'index.html')}")
+    if n_defects:
+        _say(f"error: bsp_gp failed on {n_defects} data sets; {args.out}/summary.csv says how")
+    return 1 if n_defects else 0
 
 
 def _fit(args):
@@ -399,7 +415,7 @@ def _compare(args):
     from bsp_gp.search.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
-    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         progress("comparing searches")
         rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
@@ -565,7 +581,7 @@ def _demo(args):
     out = _target(args, "report", "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
             out,
@@ -637,6 +653,7 @@ def _finish(args, out):
 _COMMANDS = {
     "check": _check,
     "close": _close,
+    "sweep": _sweep,
     "fit": _fit,
     "infer": _infer,
     "simulate": _simulate,

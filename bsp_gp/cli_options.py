@@ -129,6 +129,7 @@ def build_parser():
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_check(commands)
     _add_close(commands)
+    _add_sweep(commands)
     _add_fit(commands)
     _add_infer(commands)
     _add_simulate(commands)
@@ -177,6 +178,35 @@ def _add_close(commands):
     _rounds(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
+
+
+def _add_sweep(commands):
+    parser = _add(
+        commands, "sweep",
+        "close the loop on many data sets: one table and one page; may be stopped and taken up",
+        _LAW_HELP,
+    )  # fmt: skip
+    parser.add_argument(
+        "datasets", nargs="+", metavar="DATASETS",
+        help="data sets, folders of them, globs, or a table with a column path",
+    )  # fmt: skip
+    _reading(parser)
+    _model(
+        parser, "--declare", required=True,
+        help_="a force of the declared model; repeat for more",
+    )  # fmt: skip
+    _descent(parser, "fit of the declared model")
+    _loop(parser)
+    group = parser.add_argument_group("time")
+    _time_limit(group, "that each data set may take, after which its row tells what was found")
+    group.add_argument(
+        "--resume", action="store_true",
+        help="go on with the data sets that a stopped sweep has not closed, or that are new",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", metavar="DIR", default="sweep", help="folder of the table and page (default sweep)"
+    )
+    _common(parser)
 
 
 def _add_fit(commands):
@@ -463,6 +493,10 @@ def _add_demo(commands):
 
 def _data(parser, with_noise=True):
     parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    _reading(parser, with_noise)
+
+
+def _reading(parser, with_noise=True):
     group = parser.add_argument_group("data (in place of dataset.toml)")
     group.add_argument(
         "--units",
@@ -593,6 +627,11 @@ def _loop(parser):
     )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument(
+        "--all-rows", action="store_true",
+        help="take every row of long tracks as it is (default: dense rows are averaged over short "
+        "blocks)",
+    )  # fmt: skip
+    group.add_argument(
         "--per-entity", help=argparse.SUPPRESS,
         type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
     )  # fmt: skip
@@ -711,6 +750,10 @@ def _workers(parser):
         metavar="N",
         help="processes; the answer does not depend on it (default 1)",
     )
+    parser.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT",
+        help="scheduler of a Dask cluster that works as well (needs the extra [cluster])",
+    )  # fmt: skip
 
 
 def _seed(parser):

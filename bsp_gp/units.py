@@ -31,7 +31,7 @@ _DIMENSION = {
     "[substance]": 5,
     "[luminosity]": 6,
 }
-_ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ0-9_^*/().\-+ ]{1,60}")
+_ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ☉⊙0-9_^*/().\-+ ]{1,60}")
 _TOWER = re.compile(
     r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*"
 )
@@ -131,11 +131,23 @@ FORCE = Unit.of(kg=1, m=1, s=-2)
 ACCELERATION = Unit.of(m=1, s=-2)
 
 
+_OF_THE_SKY = (
+    "solar_mass = 1.98841e30 kg = Msun = M_sun", "earth_mass = 5.97217e24 kg = Mearth",
+    "jupiter_mass = 1.89812e27 kg = Mjup", "microarcsecond = 1e-6 arcsecond = uas",
+)  # fmt: skip
+_RESPELT = {"AU": "au", "M☉": "Msun", "M⊙": "Msun"}
+"""pint takes the first for an absorbance, which nobody else does beside lengths."""
+_RESPELLING = re.compile(r"\bAU\b|M[☉⊙]")
+
+
 @functools.lru_cache(maxsize=1)
 def _registry():
     import pint  # imported here: it costs 0.3 s that `--help` need not pay
 
-    return pint.UnitRegistry(cache_folder=None)
+    registry = pint.UnitRegistry(cache_folder=None)
+    for text in _OF_THE_SKY:
+        registry.define(text)
+    return registry
 
 
 @functools.lru_cache(maxsize=512)
@@ -161,6 +173,7 @@ def parse_unit(text):
         If the unit is unknown, not multiplicative (like °C), or of a non-SI dimension.
     """
     clean = _RAISED.sub(lambda power: f"^{power[0]}", text.strip()).translate(_PLAIN)
+    clean = _RESPELLING.sub(lambda word: _RESPELT[word[0]], clean)
     if clean in ("", "1"):
         return 1.0, DIMENSIONLESS
     if not _ALLOWED.fullmatch(clean):

@@ -31,11 +31,13 @@ ROOMS = (
     "simulate",
     "report",
     "demo",
+    "sweep",
     "cli_options",
     "cli_inputs",
     "cli_make",
     "cli_latents",
     "cli_reports",
+    "cli_sweep",
     "cli_completion",
     "cli",
 )

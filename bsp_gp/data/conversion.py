@@ -19,7 +19,7 @@ _WORDS = {
     "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
-    "year": "jahr jahre années ans anni años yrs", "au": "ae", "deg": "° grad degrees degree",
+    "year": "jahr jahre années ans anni años yrs", "au": "ae ua", "deg": "° grad degrees degree",
     "rad": "radian radians radiant",
 }  # fmt: skip
 _WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
@@ -34,7 +34,7 @@ _TIME = Unit.of(s=1)
 COLUMN_KINDS = {"t": "time"} | {
     f"{prefix}{axis}": kind
     for axis in "xyz"
-    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"))
+    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"), ("sv", "velocity"))
 }
 """Kind of unit of the columns of a trajectory table."""
 
@@ -157,7 +157,7 @@ class Conversion:
         text = self.declared.get(column, self.declared.get("velocity"))
         if text is not None:
             return self._read(column, text, _LENGTH / _TIME)[0]
-        return self.length(column[1:]) / self.time()
+        return self.length(column[-1]) / self.time()
 
     def property(self, name, columns=()):
         """Scale, unit and (where the unit was not declared) a note for one property.

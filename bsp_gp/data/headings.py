@@ -22,7 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
-    "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz",
+    "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}

@@ -254,7 +254,8 @@ def _assemble(table, roster, declaration, default_name):
         *split_note,
     ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
-    if has_velocity and declaration.velocity == "ignore":
+    is_used = declaration.velocity != "ignore" or declaration.first_velocity != "unknown"
+    if has_velocity and not is_used:
         notes.append(
             'velocity columns are not used; write [columns] velocity = "measured" if they were '
             "measured and are not differences of positions"

@@ -19,6 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.pieces import cut_pieces
+from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.language.formula import evaluate
@@ -350,7 +351,22 @@ class _Group:
         stacked = np.concatenate([moved, left[None]])
         rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
         white = self.noise.whiten(stacked, rows, np.arange(n_pieces))
-        return np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
+        white = np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
+        return np.concatenate([white, *self._known(white, first)], axis=1)
+
+    def _known(self, white, first):
+        """Rows of what is known of first states, none or one array (W, n, F + n + k + 1)."""
+        known = known_states(self.chains, self.noise)
+        if known is None:
+            return ()
+        values, errors = known
+        n = len(values)
+        left = np.nan_to_num((values - self.nodes[..., 0, :].reshape(n, -1)) / errors)
+        rows = np.zeros((white.shape[0], n, white.shape[2]))
+        own = np.arange(n)
+        rows[:, own, first - n + own] = np.nan_to_num(1.0 / errors).T
+        rows[:, :, -1] = left.T
+        return (rows,)
 
     def moments(self):
         """Tracks smoothed, then moments by force, of what is left, and which of them count.

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from bsp_gp.errors import UnitError
-from bsp_gp.units import Unit, parse_unit
-
 __all__ = [
     "NOT_KNOWN",
     "format_constant",
@@ -16,9 +13,8 @@ __all__ = [
     "format_p",
     "format_ratio",
     "format_value",
-    "in_own_unit",
     "is_number",
-    "only_own_unit",
+    "length_text",
     "pretty_unit",
     "rounded",
     "with_unit",
@@ -193,35 +189,14 @@ def format_p(p):
     return f"p = {p:.2g}" if p < 0.995 else "p = 1"
 
 
-def in_own_unit(value, unit, own):
-    """A length in the user's unit, the metres beside it if that is another.
+def length_text(value, unit):
+    """A length with its unit, many metres in km.
 
     Examples
     --------
-    >>> in_own_unit(0.25, "m", "cm"), in_own_unit(0.25, "m", "m"), in_own_unit(3.0, "px", "px")
-    ('25.0 cm (0.250 m)', '0.250 m', '3.00 px')
+    >>> length_text(0.25, "m"), length_text(5e4, "m"), length_text(5e4, "px")
+    ('0.250 m', '50.0 km', '50000 px')
     """
-    text, own_text = with_unit(format_number(value), unit), only_own_unit(value, unit, own)
-    is_other = own and own.strip() != "m" and text != own_text
-    return f"{own_text} ({text})" if is_other else own_text
-
-
-def only_own_unit(value, unit, own):
-    """A length in the user's unit, `own`, where there is one; many metres in km.
-
-    Examples
-    --------
-    >>> only_own_unit(0.25, "m", "cm"), only_own_unit(0.25, "m", None), only_own_unit(5e4, "m", "m")
-    ('25.0 cm', '0.250 m', '50.0 km')
-    """
-    text = with_unit(format_number(value), unit)
-    if unit != "m" or not is_number(value):
-        return text
-    if not own or own.strip() == "m":
-        is_long = own and _MANY <= abs(value) < _TOO_MANY
-        return with_unit(format_number(value / 1000), "km") if is_long else text
-    try:
-        scale, of = parse_unit(own)
-    except UnitError:  # such as "0.17 um"
-        return text
-    return with_unit(format_number(value / scale), own) if of == Unit.of(m=1) else text
+    if unit == "m" and is_number(value) and _MANY <= abs(value) < _TOO_MANY:
+        return with_unit(format_number(value / 1000), "km")
+    return with_unit(format_number(value), unit)

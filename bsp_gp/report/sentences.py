@@ -15,8 +15,8 @@ from bsp_gp.report.numbers import (
     format_p,
     format_ratio,
     format_value,
-    in_own_unit,
     is_number,
+    length_text,
     pretty_unit,
     rounded,
     with_unit,
@@ -299,8 +299,7 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        own = (report.dataset.get("units") or {}).get("length")
-        return in_own_unit(getattr(errors, metric), unit, own)
+        return length_text(getattr(errors, metric), unit)
 
     out = {
         "label": label[:1].upper() + label[1:],

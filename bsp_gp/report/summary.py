@@ -11,7 +11,7 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_value,
-    only_own_unit,
+    length_text,
 )
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
@@ -102,8 +102,7 @@ def _rounds(report):
                 state = "adopted, and taken back"
             text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
             if r.after is not None:
-                own = (report.dataset.get("units") or {}).get("length")
-                sizes = (only_own_unit(e.rollout_rmse, e.unit, own) for e in (r.before, r.after))
+                sizes = (length_text(e.rollout_rmse, e.unit) for e in (r.before, r.after))
                 text += f", held-out position error {' → '.join(sizes)}"
         out.append((f"Round {r.number}: {text}", "  "))
     return out

@@ -243,7 +243,11 @@ def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_p
 def test_lengths_are_told_in_the_unit_of_the_data():
     report = sample.adopted()
     page = page_of(replace(report, dataset={**report.dataset, "units": {"length": "cm"}}))
-    assert headline(page)["before"] == "610 cm (6.11 m)"
+    assert headline(page)["before"] == "610 cm"  # 6.105 m
+    drag = next(c for c in page.constants if c.name == "c1")
+    assert drag.unit == next(c for c in report.constants if c.name == "c1").unit.replace("m", "cm")
+    assert page.overlays[0].observed[0] == pytest.approx(100 * report.overlays[0].observed[0])
+    assert "980.665 [cm/s^2]" in page.law_text
 
 
 def test_the_body_that_acts_has_its_name():
@@ -432,7 +436,7 @@ def test_sentences_match_the_verdict():
     full = sample.adopted()
     effect = replace(full.rounds[0].effect, kind="hidden_body", code="hidden_body", formula=None)
     hidden = replace(full, rounds=(replace(full.rounds[0], effect=effect),))
-    assert verdict_sentence(page_of(hidden)) == "An unseen body acts on these (an unseen body)."
+    assert verdict_sentence(page_of(hidden)) == "An unseen body acts on these."
     assert "nothing was good enough" in verdict_sentence(page_of(sample.seen_not_adopted()))
     assert headline(page_of(sample.nothing_missing()))["ratio"] == "–"
     said = missing_sentence(page_of(full).rounds[0], 0.01).lower()
