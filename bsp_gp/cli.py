@@ -479,6 +479,7 @@ def _check_grammar(grammar, kinds):
     from bsp_gp.language.render import to_text
     from bsp_gp.physics.force import Term, constant_units
     from bsp_gp.search.choice import SEARCHES, searches_for
+    from bsp_gp.search.inner import expanded
 
     for search in SEARCHES:
         try:
@@ -487,16 +488,31 @@ def _check_grammar(grammar, kinds):
             print(f"--search {search}: yes, {levels}")
         except GrammarError as error:
             print(f"--search {search}: no: {error}")
-    rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
-    for kind, symbol in kinds.items():
-        count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
-        print(f"{kind} laws: {count} derivations of at most {CHECKED_LEVELS} levels, such as")
-        if grammar.min_levels[symbol] > CHECKED_LEVELS:
-            continue
-        for expression in pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 10 // len(kinds)):
-            term = Term(to_formula(expression, grammar), kind)
-            units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
-            print("; ".join([f"  {to_text(term.formula)}", *units]))
+    def show(what, grammar, n, keep=lambda formula: True):
+        rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
+        for kind, symbol in kinds.items():
+            count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
+            print(f"{kind} laws{what}: {count} derivations of at most {CHECKED_LEVELS} levels, "
+                  "such as")  # fmt: skip
+            if grammar.min_levels[symbol] > CHECKED_LEVELS:
+                continue
+            drawn = pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 20 * n)
+            formulas = dict.fromkeys(to_formula(expression, grammar) for expression in drawn)
+            for formula in [f for f in formulas if keep(f)][: n // len(kinds)]:
+                term = Term(formula, kind)
+                units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
+                print("; ".join([f"  {to_text(formula)}", *units]))
+
+    show("", grammar, 10)
+    if "beyond" in grammar.source:
+        more = " with constants inside as well (cross_entropy, genetic, auto)"
+        show(more, grammar.beyond, 4, lambda formula: len(formula.constants) > 1)
+    forms = [*grammar.inside.get("common", ()), *grammar.inside.get("laws", ())]
+    if forms:
+        count = sum(len(expanded(text, grammar.inside)) for text in forms)
+        print(f"forms with constants inside, scored by every search: {count}, such as {forms[0]}")
+        ranges = "; ".join(f"{k}: {v}" for k, v in grammar.inside.get("ranges", {}).items())
+        print(f"ranges of constants inside: {ranges}")
 
 
 def _show_grammar(grammar):
