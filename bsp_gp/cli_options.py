@@ -37,6 +37,12 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
     def error(self, message):
+        if "--declare --model" in message and self.prog.endswith("close"):
+            message = (
+                'say what is known of the forces, such as --declare "9.81 [m/s^2] * m_i * down" '
+                "(--model FILE holds several); where nothing is known, bsp-gp fit DATA looks for "
+                "a law from no force at all"
+            )
         raise SettingsError(f"{message}; see {self.prog} --help")
 
 

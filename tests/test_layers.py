@@ -60,7 +60,8 @@ CONFINED = {
     "starlette": ("web/",),
     "uvicorn": ("web/",),
 }
-IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base",
+                "python-calamine": "python_calamine"}
 EVALUATORS = {"eval", "exec"}
 PICKLERS = {"pickle", "_pickle", "cPickle", "cloudpickle", "dill", "marshal", "shelve"}
 SEEDED = {  # what numpy.random offers without the global state
