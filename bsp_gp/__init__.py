@@ -39,6 +39,7 @@ _HOMES = {
     "load_report": "bsp_gp.loop.stored",
     "next_experiment": "bsp_gp.planning.plan",
     "parse_formula": "bsp_gp.language.parse",
+    "register_operator": "bsp_gp.language.own_operators",
     "save_dataset": "bsp_gp.data.tables",
     "search_exhaustive": "bsp_gp.search.exhaustive",
     "simulate_law": "bsp_gp.fitting.simulation",

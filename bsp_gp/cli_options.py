@@ -37,6 +37,12 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
     def error(self, message):
+        if "--declare --model" in message and self.prog.endswith("close"):
+            message = (
+                'say what is known of the forces, such as --declare "9.81 [m/s^2] * m_i * down" '
+                "(--model FILE holds several); where nothing is known, bsp-gp fit DATA looks for "
+                "a law from no force at all"
+            )
         raise SettingsError(f"{message}; see {self.prog} --help")
 
 
@@ -123,6 +129,7 @@ def build_parser():
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_check(commands)
     _add_close(commands)
+    _add_sweep(commands)
     _add_fit(commands)
     _add_infer(commands)
     _add_simulate(commands)
@@ -133,6 +140,7 @@ def build_parser():
     _add_plan(commands)
     _add_discover(commands)
     _add_reports(commands)
+    _add_serve(commands)
     _add_demo(commands)
     complete = _add(
         commands, "completion", "print what a shell needs to complete commands and options",
@@ -173,6 +181,35 @@ def _add_close(commands):
     _rounds(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
+
+
+def _add_sweep(commands):
+    parser = _add(
+        commands, "sweep",
+        "close the loop on many data sets: one table and one page; may be stopped and taken up",
+        _LAW_HELP,
+    )  # fmt: skip
+    parser.add_argument(
+        "datasets", nargs="+", metavar="DATASETS",
+        help="data sets, folders of them, globs, or a table with a column path",
+    )  # fmt: skip
+    _reading(parser)
+    _model(
+        parser, "--declare", required=True,
+        help_="a force of the declared model; repeat for more",
+    )  # fmt: skip
+    _descent(parser, "fit of the declared model")
+    _loop(parser)
+    group = parser.add_argument_group("time")
+    _time_limit(group, "that each data set may take, after which its row tells what was found")
+    group.add_argument(
+        "--resume", action="store_true",
+        help="go on with the data sets that a stopped sweep has not closed, or that are new",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", metavar="DIR", default="sweep", help="folder of the table and page (default sweep)"
+    )
+    _common(parser)
 
 
 def _add_fit(commands):
@@ -498,6 +535,23 @@ def _add_reports(commands):
     show.add_argument("--no-open", action="store_true", help="leave the browser alone")
 
 
+def _add_serve(commands):
+    parser = _add(
+        commands, "serve",
+        "a page on this machine to drop a file on: check, declare, run, read, download",
+        "Only this machine can open the page, and only with its whole address, which holds a token;"
+        " what was dropped is deleted at the end (Ctrl-C).",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port", type=_integer(0, 65_535), default=0, metavar="N", help="(default: any free one)"
+    )
+    parser.add_argument(
+        "--at-once", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
+        help="runs at the same time; further ones wait (default 1)",
+    )  # fmt: skip
+    parser.add_argument("--no-open", action="store_true", help="leave the browser alone")
+
+
 def _add_demo(commands):
     parser = _add(commands, "demo", "close the loop on the motion of Mercury (JPL ephemeris)")
     _workers(parser)
@@ -509,6 +563,10 @@ def _add_demo(commands):
 
 def _data(parser, with_noise=True):
     parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    _reading(parser, with_noise)
+
+
+def _reading(parser, with_noise=True):
     group = parser.add_argument_group("data (in place of dataset.toml)")
     group.add_argument(
         "--units",
@@ -639,6 +697,11 @@ def _loop(parser):
     )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument(
+        "--all-rows", action="store_true",
+        help="take every row of long tracks as it is (default: dense rows are averaged over short "
+        "blocks)",
+    )  # fmt: skip
+    group.add_argument(
         "--per-entity", help=argparse.SUPPRESS,
         type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
     )  # fmt: skip
@@ -757,6 +820,10 @@ def _workers(parser):
         metavar="N",
         help="processes; the answer does not depend on it (default 1)",
     )
+    parser.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT",
+        help="scheduler of a Dask cluster that works as well (needs the extra [cluster])",
+    )  # fmt: skip
 
 
 def _seed(parser):

@@ -218,7 +218,8 @@ def told(constants, details):
     out = []
     for c in constants:
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
-        out.append(replace(c, low=low, high=high))
+        unit = details.get("units", {}).get(c.name, c.unit)
+        out.append(replace(c, low=low, high=high, unit=unit))
     return tuple(out)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
 from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.grammar import PLACED
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.physics.bodies import dataset_types, input_types_of
@@ -25,6 +27,8 @@ __all__ = ["Laws"]
 
 MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
+MOST_SEEDS = 20
+"""Laws from which a guided search sets out."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
 SAME = 1e-9
@@ -61,6 +65,7 @@ class Laws:
         inputs = input_types_of(dataset)
         grammar = grammar.for_properties(columns, inputs)
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
+        beyond, _ = grammar.beyond.masked(self.available | {"t", *PLACED}, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
         if not has_pairs and "field" not in self.grammar.start:
             raise SettingsError(
@@ -73,7 +78,7 @@ class Laws:
             if (kind == "field" or has_pairs) and least[start] <= max_levels
         ]  # fmt: skip
         searches = searches_for(search, self.grammar, self.kinds, max_levels)
-        self.searching = Searching(searches, self.grammar, budget, self.missing)
+        self.searching = Searching(searches, self.grammar, budget, self.missing, beyond)
         names = [SHORT.get(c, c) for c in scalars if c != "mass"]
         self.properties = names
         vectors = [c for c, t in columns.items() if t.shape == "vector"]
@@ -94,17 +99,21 @@ class Laws:
         target, columns = view.response.left()
         found, null, certificates, n_tried = [], np.zeros(view.moment_draws.shape[1]), [], 0
         sizes = np.square(view.draws_left).sum(axis=0)
+        inner = inner_search(view, self.grammar) if self.searching.is_guided else None
         for kind, name in product(self.kinds, self.searching.searches):
             result, text = self.searching.run(
                 name, regression, kind, view.search_rng, target=target,
                 nuisance=columns if columns.size else None, null=view.moment_draws,
-                max_ties=MOST_TIES, progress=view.tick,
+                max_ties=MOST_TIES, progress=view.tick, inner=inner,
+                known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
             )  # fmt: skip
             null = np.maximum(null, np.array(result.null_gains) * sizes)
             found += result.candidates
             certificates.append(text)
             n_tried += result.n_evaluated
         best = max((c.gain for c in found), default=0.0)
+        view.drawn = tuple(c for c in found if not c.constants)  # with constants inside
+        found = [c for c in found if c.constants]
         declared = _declared(view)
         found = [c for c in self._ranked(view, found) if not _is_parallel(view, c, declared)]
         sets = pairs_of(view, found)
