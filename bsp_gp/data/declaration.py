@@ -30,6 +30,8 @@ FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 ANGLE_FROM = ("x", "y")
 ANGLE_TURNS = ("counter-clockwise", "clockwise")
+SPELLINGS = {"counterclockwise": "counter-clockwise", "anticlockwise": "counter-clockwise"}
+"""Other words for the same."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ class _Reader:
 
     def choice(self, table, key, allowed, default=None):
         value = table.get(key, default)
+        value = SPELLINGS.get(value, value) if isinstance(value, str) else value
         if value is not None and value not in allowed:
             self.fail(f"{key} must be one of {', '.join(allowed)}, got {value!r:.60}")
         return value

@@ -395,9 +395,9 @@ class Dataset:
         bodies = list(dict.fromkeys(name for scene in self.scenes for name in scene.names))
         listed = ", ".join(bodies[:6]) + (" ..." if len(bodies) > 6 else "")
         units = ", ".join(f"{kind} in {unit}" for kind, unit in self.units.declared.items())
-        n_rows = sum(len(scene.times) for scene in self.scenes)
+        n_rows, n = sum(len(scene.times) for scene in self.scenes), len(self.scenes)
         return "\n".join([
-            f"Dataset {self.name!r}: {len(self.scenes)} scene(s), {n_rows} rows, {self.n_dims}-D",
+            f"Dataset {self.name!r}: {n} scene{'s' * (n > 1)}, {n_rows} rows, {self.n_dims}-D",
             f"  bodies: {listed}", f"  properties: {', '.join(self.property_names) or 'none'}",
             f"  units: {units or 'none declared'}; up: {self.up or 'not declared'}",
             f"  notes: {len(self.notes)}",
