@@ -88,6 +88,12 @@ class Round:
         return self.hypotheses[best.id if self.decision.is_adopted else 0]
 
     @property
+    def is_last(self):
+        """Whether nothing is asked for beside what it adopted."""
+        best = self.decision.best
+        return self.decision.is_adopted and best is not None and self.proposals[best.id].is_last
+
+    @property
     def after(self):
         """The fit to go on with."""
         if self.decision.is_adopted:
@@ -142,7 +148,7 @@ def run_rounds(
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
         if number <= len(rounds):
             continue
-        if rounds and not rounds[-1].decision.is_adopted:
+        if rounds and (not rounds[-1].decision.is_adopted or rounds[-1].is_last):
             break
         done = run.round(number, hypothesis, found, stream)
         rounds.append(done)

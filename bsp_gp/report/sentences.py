@@ -314,6 +314,8 @@ def headline(report):
 def ratio_caution(report):
     """A warning where the gain is not certain, else ""."""
     ratio = report.total.get("ratio")
+    if any(r.effect.kind == "kicks" for r in adopted_rounds(report)):
+        return "Kicks cannot be foreseen: held-out tracks are foreseen no better with them."
     if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
         return ""
     if ratio.value >= 1:
