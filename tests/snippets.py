@@ -119,7 +119,7 @@ def _run(line, where):
         )
         assert status == 0 or "error:" in shown, f"{where}: {line}\n{err.getvalue()}"
         return shown
-    with _command_folder() as folder:
+    with command_folder() as folder:
         env = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, env=env)
     assert done.returncode == 0, f"{where}: {line}\n{done.stderr}"
@@ -127,7 +127,7 @@ def _run(line, where):
 
 
 @contextlib.contextmanager
-def _command_folder():
+def command_folder():
     """A folder with the command bsp-gp of this source tree, and its Python as python."""
     import tempfile
 
