@@ -209,7 +209,10 @@ def _in_base_units(text):
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 
 
-ANGLES = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
+ANGLES = {
+    "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "turn": 2 * math.pi,
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+}  # fmt: skip
 """Units of angles in the place of lengths, in rad."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 

@@ -9,7 +9,13 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import KINDS, unit_of
-from bsp_gp.data.headings import NUMBER_COLUMNS, TEXT_COLUMNS, is_acceleration, is_error
+from bsp_gp.data.headings import (
+    NUMBER_COLUMNS,
+    TEXT_COLUMNS,
+    is_acceleration,
+    is_angle,
+    is_error,
+)
 from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.errors import DataError
@@ -147,10 +153,12 @@ def axes_of(table, declaration):
         require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
         return axes, ()
     other = "y" if axes == ["x"] else "x"
+    angle = declaration.units.get("length", table.units.get(axes[0], ""))
     doubtful = [
         column
         for column in columns
-        if column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
+        if not is_angle(angle)
+        and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
         and not is_error(column)
     ]
@@ -161,7 +169,10 @@ def axes_of(table, declaration):
             remedy=f'add it, or name it in [columns]: {other} = "its name in the file" (--columns '
             f"{other}=ITS_NAME); if all motion is along {axes[0]}, leave out {', '.join(doubtful)}",
         )  # fmt: skip
-    return ["x", "y"], (f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",)
+    note = () if is_angle(angle) else (
+        f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
+    )  # fmt: skip
+    return ["x", "y"], note
 
 
 def _refuse_accelerations(table, axes):
