@@ -44,6 +44,8 @@ class Rows:
         What was taken for granted.
     inputs : dict of str to (ndarray, Unit)
         Measured inputs, (n,) or (n, d), SI.
+    is_angle : bool
+        Whether positions are angles.
     """
 
     scene: np.ndarray
@@ -58,6 +60,7 @@ class Rows:
     file: str | None
     notes: tuple[str, ...] = ()
     inputs: dict = field(default_factory=dict)
+    is_angle: bool = False
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -110,6 +113,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         table.file,
         (*line_notes, *gap_notes),
         _inputs(table, declaration, conversion),
+        conversion.system.is_angle,
     )
 
 
@@ -397,6 +401,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             spread(rows.velocities),
             spread(rows.sigma),
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
+            rows.is_angle,
         )
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error

@@ -17,8 +17,8 @@ from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
-    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration", "is_angle",
-    "is_angle_name", "is_error", "is_run", "number_columns", "told",
+    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
+    "is_angle", "is_angle_name", "is_error", "is_run", "number_columns", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (

@@ -122,6 +122,8 @@ class Scene:
         Quoted standard errors per point; nan where none is quoted.
     inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
         What was logged beside the tracks, SI, for laws to name; nan = not logged there.
+    may_meet : bool
+        Whether two entities may have the same coordinates, as angles of two arms do.
     """
 
     name: str
@@ -131,6 +133,7 @@ class Scene:
     velocities: np.ndarray | None = None
     sigma: np.ndarray | None = None
     inputs: Mapping = field(default_factory=dict)
+    may_meet: bool = False
 
     def __post_init__(self):
         inputs = {name: _readonly(values) for name, values in self.inputs.items()}
@@ -183,7 +186,8 @@ class Scene:
                 )
         if self.sigma is not None and np.any(self.sigma < 0):
             raise DataError(f"{where}: quoted errors must not be negative")
-        self._reject_coincident()
+        if not self.may_meet:
+            self._reject_coincident()
 
     def _reject_coincident(self):
         bodies = [k for k, e in enumerate(self.entities) if e.shape in POINTLIKE]
@@ -235,6 +239,7 @@ class Scene:
             None if self.velocities is None else self.velocities[cut],
             None if self.sigma is None else self.sigma[cut],
             {name: values[cut] for name, values in self.inputs.items()},
+            self.may_meet,
         )
 
 
