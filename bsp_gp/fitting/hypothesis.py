@@ -17,7 +17,12 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import FORCE, Unit
 
-__all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
+__all__ = [
+    "NOTHING", "Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law",
+]  # fmt: skip
+
+NOTHING = "nothing"
+"""What is declared where bodies move on as they are."""
 
 HOLDING = ("constraint", "linkage")
 """Kinds of parts of what bodies do beside forces."""
@@ -281,7 +286,8 @@ def read_law(dataset, texts: Sequence[str]):
     dataset : Dataset
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
-        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted.
+        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted. ``"nothing"`` is no force:
+        uniform motion.
 
     Returns
     -------
@@ -293,10 +299,15 @@ def read_law(dataset, texts: Sequence[str]):
 
     types = dataset_types(dataset)
     is_angle, terms, frame = dataset.units.is_angle, [], []
-    for text in (texts,) if isinstance(texts, str) else texts:
-        if "=" in text or is_linkage(text):
-            frame.append((read_linkage if is_linkage(text) else read_constraint)(dataset, text))
-            continue
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    for text in (t for t in texts if "=" in t or is_linkage(t)):
+        frame.append((read_linkage if is_linkage(text) else read_constraint)(dataset, text))
+    forces = [text for text in texts if not ("=" in text or is_linkage(text))]
+    if NOTHING in (told := [text.strip().lower() for text in forces]):
+        if len(told) > 1:
+            raise LawError(f"{NOTHING!r} means that no force is declared: leave out the others")
+        forces = []
+    for text in forces:
         text = expanded(text, dataset.n_dims)
         formula = read_torque(text, types, dataset.units) if is_angle else None
         formula = formula or parse_formula(text, types, units=dataset.units)
