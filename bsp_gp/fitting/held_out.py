@@ -377,7 +377,7 @@ def _track_errors(found, dataset, scene, track, measured):
 
 
 def regression_of(found, dataset, scenes):
-    """Accelerations read off the scenes as they can be read best, a Regression."""
+    """Accelerations read off the scenes as they can be read best, a Regression without weights."""
     scenes = shown(found, scenes)
     measured = _is_measured(dataset, scenes)
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
@@ -385,5 +385,5 @@ def regression_of(found, dataset, scenes):
     return build_regression(
         filled(found.law, scenes), method=method, sigma=np.array(found.noise.levels), up=dataset.up,
         sources=pairs and max(len(scene.entities) for scene in scenes) > 1,
-        memory=dataset.noise_memory or 0.0, may_be_empty=True,
+        memory=dataset.noise_memory or 0.0, may_be_empty=True, whitened=False,
     )  # fmt: skip
