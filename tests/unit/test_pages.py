@@ -63,6 +63,16 @@ def test_blocks_and_their_marks_are_found():
     ]  # fmt: skip
 
 
+def test_a_command_that_fails_is_seen_unless_its_error_is_shown(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("```sh\nbsp-gp check nothing.csv\n```\n", "utf-8")
+    with pytest.raises(AssertionError, match="page.md:1: bsp-gp check nothing.csv"):
+        run_page(page)
+    page.write_text(page.read_text("utf-8") + "```text\nbsp-gp: error: ...\n```\n", "utf-8")
+    run_page(page)
+
+
 @pytest.mark.parametrize("shown", ["bsp-gp 9.9", "nothing of the kind"])
 def test_what_is_not_printed_is_not_shown(shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
