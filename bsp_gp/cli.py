@@ -574,6 +574,36 @@ def _demo(args):
     _finish(args, out)
 
 
+def _plan(args):
+    import json
+
+    from bsp_gp.cli_planning import planned
+
+    place = _target(args, "plan")
+    found, means, text = planned(args)
+    told = json.dumps(found.to_dict(), indent=1)
+    if place is not None:
+        from io import BytesIO
+
+        from bsp_gp.report.planned import draw_plan
+
+        picture = BytesIO()
+        draw_plan(found, means, picture)
+        files = {"plan.json": told + "\n", "plan.txt": text + "\n", "plan.png": picture.getvalue()}
+        _write_folder(args, "plan", place, files)
+    print(told if args.json else text)
+
+
+def _discover(args):
+    import json
+
+    from bsp_gp.cli_planning import discovered
+
+    with _Progress(args.quiet) as progress:
+        found, text = discovered(args, progress)
+    print(json.dumps(found.to_dict(), indent=1) if args.json else text)
+
+
 def _show(args):
     from pathlib import Path
 
@@ -598,6 +628,23 @@ def _rerun(args):
         print(f"Not the same: {difference}")
         return 1
     print("The same, bit for bit.")
+    return 0
+
+
+def _serve(args):
+    import tempfile
+
+    from bsp_gp.web.app import serve
+
+    def tell(address):
+        print(f"Page: {address}\nCtrl-C ends it and deletes what was dropped.", flush=True)
+        if not args.no_open and sys.stdout.isatty():
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="bsp-gp-") as folder:
+        serve(os.path.realpath(folder), args.port, args.at_once, tell)
     return 0
 
 
@@ -639,8 +686,11 @@ _COMMANDS = {
     "compare": _compare,
     "grammar": _grammar,
     "track": _track,
+    "plan": _plan,
+    "discover": _discover,
     "show": _show,
     "rerun": _rerun,
+    "serve": _serve,
     "completion": _completion,
     "demo": _demo,
 }

@@ -19,7 +19,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
+__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord",
+           "law_record"]  # fmt: skip
 
 SCHEMA = "bsp_gp/report/2"
 
@@ -324,14 +325,7 @@ class LoopReport:
         )  # fmt: skip
         law = {
             "text": self.law_text, "latex": self.law_latex, "constants": self.constants,
-            "terms": [
-                {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
-                for t in self.law.terms
-            ],
-            "values": {
-                name: dict(value) if hasattr(value, "items") else value
-                for name, value in self.law.constants.items()
-            },
+            **law_record(self.law),
         }  # fmt: skip
         return plain(
             {
@@ -352,7 +346,20 @@ class LoopReport:
         for done in self.rounds:
             for row in done.hypotheses:
                 held_out = {f"held_out_{k}": v for k, v in row["held_out"].items()}
-                flat = {k: v for k, v in row.items() if k != "held_out"}
+                flat = {k: v for k, v in row.items() if k not in ("held_out", "model")}
                 rows.append({"round": done.number, **flat, **held_out})
         return pd.DataFrame(rows)
 
+
+def law_record(law):
+    """Terms and constants of a law, as `bsp_gp.loop.stored.law_of` reads them."""
+    return {
+        "terms": [
+            {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
+            for t in law.terms
+        ],
+        "values": {
+            name: dict(value) if hasattr(value, "items") else value
+            for name, value in law.constants.items()
+        },
+    }

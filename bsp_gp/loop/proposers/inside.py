@@ -47,7 +47,7 @@ class Inside:
         ----------
         view : View
         """
-        search = inner_search(view, self.grammar)
+        search = inner_search(view, self.grammar, view.moment_draws)
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.
         left = view.left @ view.left - (view.explained if view.fit.law.terms else 0.0)
@@ -82,10 +82,10 @@ class Inside:
         )  # fmt: skip
 
 
-def inner_search(view, grammar):
-    """Grids for the constants inside of a grammar, on what a view's law leaves."""
+def inner_search(view, grammar, draws):
+    """Grids for the constants inside of a grammar, on what a view's law leaves, and on noise."""
     return InnerSearch(
-        view.response.regression, view.left, view.draws_left, view.beside,
+        view.response.regression, view.left, view.beside(draws), view.beside,
         np.isfinite(view.fit.noise.levels), grammar.inside.get("ranges", {}),
         dataset_types(view.dataset),
     )  # fmt: skip
