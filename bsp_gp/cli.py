@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import time
 
 from bsp_gp.cli_inputs import (
     excluded_inputs,
@@ -18,14 +17,13 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
+from bsp_gp.cli_progress import Progress as _Progress
 from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, SettingsError, on_command_line
 from bsp_gp.workers import hands
 
 __all__ = ["main"]
 
-QUIET_S = 1.0
-"""Work that is done within this time shows no progress."""
 CHECKED_LEVELS = 8
 """Levels up to which a grammar is checked: those that the loop searches by default."""
 LONGEST = 1000
@@ -166,42 +164,6 @@ def _say(text):
     text = "".join(c if c.isprintable() else " " for c in text)
     with contextlib.suppress(BrokenPipeError):
         print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)
-
-
-class _Progress:
-    """Stages of long work on stderr: one changing line on a terminal, else one line each."""
-
-    def __init__(self, quiet=False):
-        self.quiet = quiet
-        self.started = time.perf_counter()
-        self.held = []
-        self.bar = None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        if self.bar is not None:
-            self.bar.close()
-
-    def __call__(self, text):
-        if self.quiet:
-            return
-        if sys.stderr.isatty():
-            self._on_terminal(text)
-            return
-        seconds = time.perf_counter() - self.started
-        self.held.append(f"{seconds:5.0f} s  {text}")
-        if seconds > QUIET_S:
-            print(*self.held, sep="\n", file=sys.stderr, flush=True)
-            self.held.clear()
-
-    def _on_terminal(self, text):
-        if self.bar is None:
-            from tqdm import tqdm
-
-            self.bar = tqdm(bar_format="{desc} [{elapsed}]", leave=False, file=sys.stderr)
-        self.bar.set_description_str(text, refresh=True)
 
 
 # --- commands -------------------------------------------------------------------------------------
@@ -479,6 +441,7 @@ def _check_grammar(grammar, kinds):
     from bsp_gp.language.render import to_text
     from bsp_gp.physics.force import Term, constant_units
     from bsp_gp.search.choice import SEARCHES, searches_for
+    from bsp_gp.search.inner import expanded
 
     for search in SEARCHES:
         try:
@@ -487,16 +450,31 @@ def _check_grammar(grammar, kinds):
             print(f"--search {search}: yes, {levels}")
         except GrammarError as error:
             print(f"--search {search}: no: {error}")
-    rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
-    for kind, symbol in kinds.items():
-        count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
-        print(f"{kind} laws: {count} derivations of at most {CHECKED_LEVELS} levels, such as")
-        if grammar.min_levels[symbol] > CHECKED_LEVELS:
-            continue
-        for expression in pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 10 // len(kinds)):
-            term = Term(to_formula(expression, grammar), kind)
-            units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
-            print("; ".join([f"  {to_text(term.formula)}", *units]))
+    def show(what, grammar, n, keep=lambda formula: True):
+        rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
+        for kind, symbol in kinds.items():
+            count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
+            print(f"{kind} laws{what}: {count} derivations of at most {CHECKED_LEVELS} levels, "
+                  "such as")  # fmt: skip
+            if grammar.min_levels[symbol] > CHECKED_LEVELS:
+                continue
+            drawn = pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 20 * n)
+            formulas = dict.fromkeys(to_formula(expression, grammar) for expression in drawn)
+            for formula in [f for f in formulas if keep(f)][: n // len(kinds)]:
+                term = Term(formula, kind)
+                units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
+                print("; ".join([f"  {to_text(formula)}", *units]))
+
+    show("", grammar, 10)
+    if "beyond" in grammar.source:
+        more = " with constants inside as well (cross_entropy, genetic, auto)"
+        show(more, grammar.beyond, 4, lambda formula: len(formula.constants) > 1)
+    forms = [*grammar.inside.get("common", ()), *grammar.inside.get("laws", ())]
+    if forms:
+        count = sum(len(expanded(text, grammar.inside)) for text in forms)
+        print(f"forms with constants inside, scored by every search: {count}, such as {forms[0]}")
+        ranges = "; ".join(f"{k}: {v}" for k, v in grammar.inside.get("ranges", {}).items())
+        print(f"ranges of constants inside: {ranges}")
 
 
 def _show_grammar(grammar):
@@ -596,6 +574,36 @@ def _demo(args):
     _finish(args, out)
 
 
+def _plan(args):
+    import json
+
+    from bsp_gp.cli_planning import planned
+
+    place = _target(args, "plan")
+    found, means, text = planned(args)
+    told = json.dumps(found.to_dict(), indent=1)
+    if place is not None:
+        from io import BytesIO
+
+        from bsp_gp.report.planned import draw_plan
+
+        picture = BytesIO()
+        draw_plan(found, means, picture)
+        files = {"plan.json": told + "\n", "plan.txt": text + "\n", "plan.png": picture.getvalue()}
+        _write_folder(args, "plan", place, files)
+    print(told if args.json else text)
+
+
+def _discover(args):
+    import json
+
+    from bsp_gp.cli_planning import discovered
+
+    with _Progress(args.quiet) as progress:
+        found, text = discovered(args, progress)
+    print(json.dumps(found.to_dict(), indent=1) if args.json else text)
+
+
 def _show(args):
     from pathlib import Path
 
@@ -620,6 +628,23 @@ def _rerun(args):
         print(f"Not the same: {difference}")
         return 1
     print("The same, bit for bit.")
+    return 0
+
+
+def _serve(args):
+    import tempfile
+
+    from bsp_gp.web.app import serve
+
+    def tell(address):
+        print(f"Page: {address}\nCtrl-C ends it and deletes what was dropped.", flush=True)
+        if not args.no_open and sys.stdout.isatty():
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="bsp-gp-") as folder:
+        serve(os.path.realpath(folder), args.port, args.at_once, tell)
     return 0
 
 
@@ -661,8 +686,11 @@ _COMMANDS = {
     "compare": _compare,
     "grammar": _grammar,
     "track": _track,
+    "plan": _plan,
+    "discover": _discover,
     "show": _show,
     "rerun": _rerun,
+    "serve": _serve,
     "completion": _completion,
     "demo": _demo,
 }

@@ -17,7 +17,8 @@ from types import MappingProxyType
 from bsp_gp.errors import UnitError
 
 __all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "Unit", "UnitSystem", "parse_unit",
+    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "UNCALIBRATED", "Unit",
+    "UnitSystem", "parse_unit",
 ]  # fmt: skip
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
@@ -222,8 +223,15 @@ def _in_base_units(text):
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 
 
-ANGLES = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
+ANGLES = dict.fromkeys(("rad", "radian", "radians", "radiant"), 1.0) | dict.fromkeys(
+    ("deg", "°", "degree", "degrees", "grad"), math.pi / 180
+)
 """Units of angles in the place of lengths, in rad."""
+UNCALIBRATED = {
+    "px": "px", "pixel": "px", "pixels": "px", "arcsec": "arcsec", "arcseconds": "arcsec",
+    "arcsecond": "arcsec", "mas": "arcsec",
+}  # fmt: skip
+"""Units in the place of lengths that no length in SI is known of, and what they are told in."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -254,8 +262,8 @@ class UnitSystem:
             text = declared.get(kind)
             if text is None and kind != "charge":
                 symbols[base] = kind
-            elif text is not None and text.strip().lower() in ("px", "pixel", "pixels"):
-                symbols[base] = "px"
+            elif text is not None and text.strip().lower() in UNCALIBRATED:
+                symbols[base] = UNCALIBRATED[text.strip().lower()]
             elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
                 symbols[base] = "rad"
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))

@@ -27,18 +27,22 @@ ROOMS = (
     "search",
     "inference",
     "loop",
+    "planning",
     "vision",
     "simulate",
     "report",
     "demo",
     "sweep",
+    "web",
     "cli_options",
     "cli_inputs",
     "cli_make",
     "cli_latents",
+    "cli_planning",
     "cli_reports",
     "cli_sweep",
     "cli_completion",
+    "cli_progress",
     "cli",
 )
 # Third-party import -> the only files (or folders, ending in /) that may have it; none: what the
@@ -56,8 +60,11 @@ CONFINED = {
     "pymunk": ("simulate/",),
     "pyoperon": (),
     "pysindy": (),
+    "starlette": ("web/",),
+    "uvicorn": ("web/",),
 }
-IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base",
+                "python-calamine": "python_calamine"}
 EVALUATORS = {"eval", "exec"}
 PICKLERS = {"pickle", "_pickle", "cPickle", "cloudpickle", "dill", "marshal", "shelve"}
 SEEDED = {  # what numpy.random offers without the global state
@@ -199,7 +206,7 @@ def danger_faults(text, where):
 
 def print_faults(text, where):
     """Calls of print outside of the rooms that speak to people."""
-    if room_of(where) in (None, "cli_options", "cli", "report"):
+    if room_of(where) in (None, "cli_options", "cli_progress", "cli", "report"):
         return []
     return [
         f"{where}:{node.lineno}: print(; use logging"

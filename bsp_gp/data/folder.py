@@ -14,6 +14,7 @@ from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
+from bsp_gp.units import UNCALIBRATED
 
 __all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
 
@@ -218,8 +219,8 @@ def _units(dataset):
     """Numbers in memory are SI, so these are SI units, or px, or nothing."""
     symbols = dataset.units.symbols
     units = {}
-    if symbols.get("m") in ("px", "rad") or "m" not in symbols:
-        units["length"] = {"px": "px", "rad": "rad"}.get(symbols.get("m"), "m")
+    if symbols.get("m") in (*UNCALIBRATED, "rad") or "m" not in symbols:
+        units["length"] = symbols.get("m", "m")
     for kind, base in (("time", "s"), ("mass", "kg")):
         if base not in symbols:
             units[kind] = base

@@ -147,6 +147,8 @@ class Scene:
     inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
         What was logged beside the tracks, SI, for laws to name; nan = not logged there.
     first : FirstState or None
+    may_meet : bool
+        Whether two entities may have the same coordinates, as angles of two arms do.
     """
 
     name: str
@@ -157,6 +159,7 @@ class Scene:
     sigma: np.ndarray | None = None
     inputs: Mapping = field(default_factory=dict)
     first: FirstState | None = None
+    may_meet: bool = False
 
     def __post_init__(self):
         inputs = {name: _readonly(values) for name, values in self.inputs.items()}
@@ -211,7 +214,8 @@ class Scene:
             raise DataError(f"{where}: first velocities must be one per entity and axis")
         if self.sigma is not None and np.any(self.sigma < 0):
             raise DataError(f"{where}: quoted errors must not be negative")
-        self._reject_coincident()
+        if not self.may_meet:
+            self._reject_coincident()
 
     def _reject_coincident(self):
         bodies = [k for k, e in enumerate(self.entities) if e.shape in POINTLIKE]
@@ -264,6 +268,7 @@ class Scene:
             None if self.sigma is None else self.sigma[cut],
             {name: values[cut] for name, values in self.inputs.items()},
             self.first if start in (0, None) else None,
+            self.may_meet,
         )
 
 
@@ -395,9 +400,9 @@ class Dataset:
         bodies = list(dict.fromkeys(name for scene in self.scenes for name in scene.names))
         listed = ", ".join(bodies[:6]) + (" ..." if len(bodies) > 6 else "")
         units = ", ".join(f"{kind} in {unit}" for kind, unit in self.units.declared.items())
-        n_rows = sum(len(scene.times) for scene in self.scenes)
+        n_rows, n = sum(len(scene.times) for scene in self.scenes), len(self.scenes)
         return "\n".join([
-            f"Dataset {self.name!r}: {len(self.scenes)} scene(s), {n_rows} rows, {self.n_dims}-D",
+            f"Dataset {self.name!r}: {n} scene{'s' * (n > 1)}, {n_rows} rows, {self.n_dims}-D",
             f"  bodies: {listed}", f"  properties: {', '.join(self.property_names) or 'none'}",
             f"  units: {units or 'none declared'}; up: {self.up or 'not declared'}",
             f"  notes: {len(self.notes)}",

@@ -28,6 +28,8 @@ class Pieces:
     Attributes
     ----------
     chain, first, stop : ndarray of int, shape (W,)
+    leads : ndarray of bool, shape (W,)
+        Whether the next piece begins where it ends: it has the first row of that, unseen, as well.
     count : int
         Pieces of one body, P.
     bodies : Bodies
@@ -37,6 +39,7 @@ class Pieces:
     chain: np.ndarray
     first: np.ndarray
     stop: np.ndarray
+    leads: np.ndarray
     count: int
     bodies: Bodies
 
@@ -46,18 +49,33 @@ class Pieces:
 
     @property
     def _gather(self):
-        rows = self.first + np.arange(int((self.stop - self.first).max()))[:, None]
-        inside = rows < self.stop
+        """Rows of the chains, (L, W), and which belong to a piece."""
+        end = self.stop + self.leads
+        rows = self.first + np.arange(int((end - self.first).max()))[:, None]
+        inside = rows < end
         return np.where(inside, rows, self.first), inside
+
+    def runs(self, most):
+        """Pieces that follow one another, at the most so many, as lists of their numbers."""
+        out, run = [], []
+        for k, leads in enumerate(self.leads):
+            run.append(k)
+            if not leads or len(run) == most:
+                out.append(run)
+                run = []
+        return out
 
     def chains(self, chains):
         """The pieces as chains of their own."""
-        return chains.pieces(self.chain, self.first, self.stop)
+        cut = chains.pieces(self.chain, self.first, self.stop + self.leads)
+        rows, _ = self._gather
+        seen = (rows < self.stop)[..., None, None]
+        return replace(cut, observed=np.where(seen, cut.observed, np.nan))
 
     def noise(self, noise):
         """The noise of their rows."""
         rows, inside = self._gather
-        inside_ = inside[..., None, None]
+        inside_ = (inside & (rows < self.stop))[..., None, None]
         return ChainNoise(
             np.where(inside, noise.times[rows, self.chain], np.nan),
             np.where(inside_, noise.variance[rows, self.chain], np.nan),
@@ -129,10 +147,12 @@ def cut_pieces(chains, noise, batch, n_held=0):
     driven = np.setdiff1d(np.arange(batch.bodies.shapes.code.shape[1]), moving)
     groups = [moving] if n_groups == 1 else [np.array([k]) for k in moving]
     order = [np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups]
+    follows = (scene[1:] == scene[:-1]) & (np.diff(chosen) == 1)
     return Pieces(
         chain=np.concatenate([g * n_scenes + scene for g in range(n_groups)]),
         first=np.tile(windows.first[chosen], n_groups),
         stop=np.tile(windows.stop[chosen], n_groups),
+        leads=np.tile(np.append(follows, False), n_groups),
         count=len(scene),
         bodies=_bodies(batch.bodies, scene, order, len(groups[0])),
     )

@@ -253,12 +253,13 @@ class _Turn:
 
     def propose(self, number, view):
         """Ask all proposers for which there is time."""
-        for proposer in self.run.proposers:
+        n = len(self.run.proposers)
+        for k, proposer in enumerate(self.run.proposers, 1):
             if self.note_time("proposers"):
                 break
             if self.base.is_failed and self.measure[proposer.name]:
                 continue
-            self.run.says(f"round {number}: {proposer.name}")
+            self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
             try:
                 self.families.append(proposer.propose(view))
             except TimeIsUp:
@@ -296,7 +297,7 @@ class _Turn:
             measures = {self.measure.get(source, False)} if is_first else {False, True}
             if self._is_behind(proposal, measures, is_again=k >= n_first):
                 continue
-            self.run.says(f"fitting {proposal.text}")
+            self.run.says(f"fit {k + 1} of {len(queue)}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
             if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
                 queue.append((source, replace(proposal, patience=PATIENT)))

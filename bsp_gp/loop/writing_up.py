@@ -15,7 +15,7 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
-from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
+from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
@@ -28,6 +28,8 @@ HEAVIEST = 10
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
+LEAST_LIKELY = 1e-4
+"""Rows less likely are told without their constants."""
 
 
 def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, criteria):
@@ -66,7 +68,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
             dataset.units.text(ACCELERATION),
         ),
         effect=effect,
-        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in done.table.rows),
+        hypotheses=tuple(_hypothesis(row, done) for row in done.table.rows),
         adopted=decision.is_adopted and not is_removed,
         verdict=verdict,
         reason=reason,
@@ -115,15 +117,37 @@ def _bound(bound, units):
     }  # fmt: skip
 
 
-def _hypothesis(row, p_value):
+def _hypothesis(row, done):
     """One row of a table; what was fitted shares the p-value of the selection."""
+    p_value = done.table.p_value
     return {
         "id": row.id, "code": row.code, "law": row.text, "source": row.source,
         "status": row.status, "log_evidence": row.log_evidence,
         "held_out": asdict(row.held_out),
         "p_value": p_value if math.isnan(row.p_value) and row.id else row.p_value,
-        "probability": row.probability,
+        "probability": row.probability, "model": _model(row, done),
     }  # fmt: skip
+
+
+def _model(row, done):
+    """The law of a likely row with its constants, for predictions; None of one that has no more.
+
+    Of what was only scored the constants are those of the linear look, without errors.
+    """
+    if not row.probability >= LEAST_LIKELY or row.id not in done.hypotheses:
+        return None
+    found = done.fits.get(row.id)
+    if found is None:
+        law, names, covariance = done.hypotheses[row.id].law, (), ()
+        starts = done.proposals[row.id].starts
+        law = law.with_constants({n: v for n, v in starts.items() if n in law.names})
+    else:
+        law = found.law
+        known = [k for k, (n, entity) in enumerate(found.parameters)
+                 if n in law.names and not entity and np.isfinite(found.covariance[k, k])]
+        names = tuple(found.parameters[k][0] for k in known)
+        covariance = found.covariance[np.ix_(known, known)].tolist()
+    return {**law_record(law), "uncertain": names, "covariance": covariance}
 
 
 def _effect(done, dataset, bounds, constancy, criteria):

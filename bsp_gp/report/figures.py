@@ -139,7 +139,7 @@ def _headline(report):
     as_errors = wants_errors([overlay])
     draw = draw_errors if as_errors else draw_tracks
     figure = new_figure(lambda f: draw(f, [overlay], length, time, has_adopted), 2.7, _NARROW)
-    return "The held-out track with the largest error before.", figure
+    return "Held-out track, largest error before.", figure
 
 
 def _tracks(report):

@@ -14,6 +14,7 @@ __all__ = [
     "format_ratio",
     "format_value",
     "is_number",
+    "length_text",
     "pretty_unit",
     "rounded",
     "with_unit",
@@ -25,6 +26,8 @@ FINEST_RATIO = 1e-4
 """Of errors: what is closer is the same to any reader."""
 
 _MAX_DIGITS = 13
+_MANY, _TOO_MANY = 1e4, 1e9
+"""Metres that are told in kilometres."""
 _PLAIN = (1e-3, 1e5)  # sizes written without a power of ten
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
 _POWER = re.compile(r"(?:\^|\*\*)(?:([-+]?\d+)(?![\d.])|\(([-+]?\d+)\))")
@@ -161,7 +164,8 @@ def format_ratio(ratio):
         return NOT_KNOWN
     low, high = ratio.low, ratio.high
     if is_number(low) and is_number(high) and high - low < FINEST_RATIO:
-        low, high = min(low, ratio.value - FINEST_RATIO), max(high, ratio.value + FINEST_RATIO)
+        low = max(min(low, ratio.value - FINEST_RATIO), min(low, 0.0))
+        high = max(high, ratio.value + FINEST_RATIO)
     return format_value(ratio.value, low, high)
 
 
@@ -183,3 +187,16 @@ def format_p(p):
     if p < 1e-4:
         return "p < 0.0001"
     return f"p = {p:.2g}" if p < 0.995 else "p = 1"
+
+
+def length_text(value, unit):
+    """A length with its unit, many metres in km.
+
+    Examples
+    --------
+    >>> length_text(0.25, "m"), length_text(5e4, "m"), length_text(5e4, "px")
+    ('0.250 m', '50.0 km', '50000 px')
+    """
+    if unit == "m" and is_number(value) and _MANY <= abs(value) < _TOO_MANY:
+        return with_unit(format_number(value / 1000), "km")
+    return with_unit(format_number(value), unit)

@@ -151,7 +151,7 @@ def _name(effect, parts, other):
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:
-        return f"{_COUNTS.get(len(parts), len(parts))} more forces"
+        return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
         return describe(effect.formula, value, other)

@@ -14,7 +14,9 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_ratio,
+    format_value,
     is_number,
+    length_text,
     pretty_unit,
     rounded,
     with_unit,
@@ -24,6 +26,7 @@ __all__ = [
     "adopted_rounds",
     "caveats",
     "constant_groups",
+    "force_text",
     "group_range",
     "headline",
     "hidden_sentence",
@@ -46,13 +49,23 @@ _METRICS = (
     ("one_step_nrmse", "held-out one-step error"),
     ("residual_acceleration", "held-out residual acceleration"),
 )
-_UNCALIBRATED = ("", "1", "px", "pixel", "pixels", "frame", "frames", "unit", "units", "a.u.")
+_UNCALIBRATED = (
+    "", "1", "px", "pixel", "pixels", "arcsec", "frame", "frames", "unit", "units", "a.u.",
+)  # fmt: skip
 _UNKNOWN = ("", "unknown", "none", "not known", "assumed")
 
 
 def adopted_rounds(report):
     """The rounds whose effect is part of the law."""
     return [r for r in report.rounds if r.adopted and r.effect is not None and not r.removed]
+
+
+def _counted(parts):
+    """Parts, of which what comes again is said once."""
+    parts = list(parts)
+    often = {2: " (twice)"}
+    return [f"{p}{often.get(n, f' ({n} times)')}" if (n := parts.count(p)) > 1 else p
+            for p in dict.fromkeys(parts)]  # fmt: skip
 
 
 def _joined(parts):
@@ -74,7 +87,7 @@ def _findings(rounds):
     for r in rounds:
         sentence = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
         groups.setdefault(sentence, []).append(_either(r))
-    return _joined(sentence.format(_joined(names)) for sentence, names in groups.items())
+    return _joined(sentence.format(_joined(_counted(names))) for sentence, names in groups.items())
 
 
 def _either(round_):
@@ -99,9 +112,12 @@ def verdict_parts(report):
     last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:
         text = _findings(adopted)
+        if not report.declared:
+            text = text.replace("the declared model lacks", "the motion shows")
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "effective law" and adopted:
-        text = f"On these tracks the motion is as if there were {_joined(map(_either, adopted))}."
+        names = _joined(_counted(map(_either, adopted)))
+        text = f"On these tracks the motion is as if there were {names}."
         return text, "It describes them; that it is the cause is not shown."
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""
@@ -144,37 +160,45 @@ def hidden_sentence(round_):
     bound = round_.bound
     if bound is None or not is_number(bound.force):
         return ""
-    size = with_unit(format_number(bound.force, 2), _SHORT.get(bound.unit, bound.unit))
+    size = force_text(bound)
     share = f" ({format_number(bound.percent, 2)} % of the declared force)"
     share = share if is_number(bound.percent) else ""
     return f"A constant force of up to {size}{share} is not excluded (95 %)."
+
+
+def force_text(bound):
+    """The force of a bound with its unit."""
+    return with_unit(format_number(bound.force, 2), _SHORT.get(bound.unit, bound.unit))
 
 
 def powers_sentence(round_):
     """Which powers of speed and distance the data allow in what a round found; "" if none."""
     effect = round_.effect
     told = [
-        f"{_SIZES.get(e['of'], e['of'])} to the {format_number(e['value'], 2)} "
-        f"({format_number(e['low'], 2)} to {format_number(e['high'], 2)}, 90 %), "
-        f"written as {format_number(e['stated'], 2)}"
+        f"{_SIZES.get(e['of'], e['of'])} to the {format_value(e['value'], e['low'], e['high'])}"
+        + (f", written as {e['stated']:g}".replace("-", "−") if is_number(e["stated"]) else "")
         for e in (effect.exponents if effect is not None else ())
         if e["stated"] or not e["low"] <= 0 <= e["high"]  # what a law rightly lacks is not told
     ]
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
-    parts = [f"Powers that the data allow: {'; '.join(told)}."] if told else []
-    parts += [f"Its strength is not constant: it changes with {_joined(varies)}."] if varies else []
+    parts = [f"Powers that the data allow (90 %): {'; '.join(told)}."] if told else []
+    if varies:
+        varies = _joined(dict.fromkeys(varies))
+        parts.append(f"Its strength is not constant: it changes with {varies}.")
     return " ".join(parts)
 
 
-_SIZES = {"norm(v_i)": "speed", "norm(p_i - p_j)": "distance"}
+_SIZES = {
+    "norm(v_i)": "speed", "norm(p_i - p_j)": "distance", "norm(v_i - v_j)": "relative speed",
+}
 
 
 def noise_sentence(round_):
     """What was found of the noise; "" where it is as assumed."""
     if not round_.noise:
         return ""
-    return f"The noise is not quite as assumed: {_joined(round_.noise)}."
+    return f"The noise is not quite as assumed: {_joined(dict.fromkeys(round_.noise))}."
 
 
 def missing_sentence(round_, alpha):
@@ -286,7 +310,7 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        return with_unit(format_number(getattr(errors, metric)), unit)
+        return length_text(getattr(errors, metric), unit)
 
     out = {
         "label": label[:1].upper() + label[1:],
