@@ -29,10 +29,10 @@ CAUSES = (
     "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
     "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
     "perspective", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod",
-    "wire", "frame", "noise",
+    "wire", "frame", "kicks", "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
-KINDS = ("force", "constraint", "measurement", "hidden_body", "noise")
+KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
