@@ -364,6 +364,8 @@ def _stop_reason(rounds):
     last = rounds[-1]
     if last.left_out:
         return "time_is_up"
+    if last.is_last:
+        return "nothing_left"
     if last.decision.is_adopted:
         return "most_rounds"
     if last.decision.reason == "declared_model_not_fitted":

@@ -26,13 +26,13 @@ LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
-    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period", "scale",
-    "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective",
-    "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod", "wire", "frame",
-    "noise",
+    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
+    "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
+    "perspective", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod",
+    "wire", "frame", "kicks", "noise",
 )  # fmt: skip
 """What a hypothesis adds."""
-KINDS = ("force", "constraint", "measurement", "hidden_body", "noise")
+KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",

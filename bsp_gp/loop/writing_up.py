@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
@@ -220,12 +221,12 @@ def told(constants, details):
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
         unit = details.get("units", {}).get(c.name, c.unit)
         out.append(replace(c, low=low, high=high, unit=unit))
-    return tuple(out)
+    return (*out, *(ConstantEstimate(**c) for c in details.get("constants", ())))
 
 
 def _kind(best, law):
     """What kind of thing a cause is."""
-    if best.code in ("exponent", "number", "constant_per_body", "constant_per_scene"):
+    if best.code in ("exponent", "number", "pulsing", "constant_per_body", "constant_per_scene"):
         return "declared_term_change"
     return law.terms[-1].kind if best.kind == "force" else best.kind
 
