@@ -14,9 +14,12 @@ from bsp_gp.physics.geometry import Shapes
 
 __all__ = ["Pieces", "cut_pieces"]
 
-MOST_COORDINATES = 300
-"""Coordinates of a piece at the most, and its least number of rows."""
+COORDINATES, COST = (300, 1200), 4e9
+"""Coordinates of a piece: at the most so few where there are many pieces, and so many where all
+pieces together take no more steps than that (the square of their length for each coordinate). Of
+one that is cut is lost what a force does slowly to the whole."""
 LEAST_ROWS = 12
+"""Rows of a piece at the least."""
 MOST_PIECES = 64
 """Pieces of a group of chains that are looked at, spread evenly over it."""
 
@@ -104,7 +107,7 @@ class Pieces:
         return whole[0], whole[1]
 
 
-def cut_pieces(chains, noise, batch, n_held=0):
+def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
     """Cut chains into pieces.
 
     Parameters
@@ -115,11 +118,15 @@ def cut_pieces(chains, noise, batch, n_held=0):
         Of the scenes that the chains are of.
     n_held : int
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
+    per_row : int
+        Instants per row at which forces are evaluated.
     """
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
-    per_row = max(chains.n_moving * chains.n_dims - n_held, 1)
-    rows = max(MOST_COORDINATES // per_row, LEAST_ROWS)
+    each = max(chains.n_moving * chains.n_dims - n_held, 1)
+    low, high = COORDINATES
+    most = np.sqrt(COST / max(each * int(chains.lengths.sum()), 1)) / per_row
+    rows = max(int(np.clip(most, low, high)) // each, LEAST_ROWS)
     windows = cut_windows(chains.lengths[:n_scenes], rows)
     chosen = np.arange(len(windows.chain))
     if len(chosen) > MOST_PIECES:

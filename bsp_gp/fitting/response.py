@@ -143,6 +143,8 @@ class Response:
     free_gain : float, nats
         Log-evidence of such a force beside white noise alone of a level that is estimated; the
         level beside the force is the declared one, if all is declared.
+    is_cut : bool
+        Whether tracks were cut into pieces: what a force does slowly to whole ones is lost then.
     """
 
     regression: ResponseRegression
@@ -150,6 +152,7 @@ class Response:
     share: float
     level: float = 1.0
     free_gain: float = 0.0
+    is_cut: bool = False
 
     def left(self):
         """Residual and columns, as searches take them."""
@@ -182,7 +185,7 @@ def respond(fit, dataset, scenes=None):
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         batches, columns, levels, free, used, total = [], [], [], 0.0, 0, 0
-        first = 0
+        first, is_cut = 0, False
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
@@ -193,17 +196,21 @@ def respond(fit, dataset, scenes=None):
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             pieces = cut_pieces(chains, noise, batch, n_held)
             group = _Group(fit, chains, nodes, noise, pieces)
+            if group.per_row > 1:  # so fine, shorter ones are as dear
+                pieces = cut_pieces(chains, noise, batch, n_held, group.per_row)
+                group = _Group(fit, chains, nodes, noise, pieces)
             batches.append(group.batch())
             columns.append(group.columns(batches[-1]))
             levels.append(group.level)
             free += group.free_gain
             used += pieces.n_rows
+            is_cut |= len(pieces.chain) > chains.n_chains
             total += int(chains.lengths.sum())
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
     level = float(np.exp(np.mean(np.log(levels))))
-    return Response(regression, np.concatenate(columns), used / max(total, 1), level, free)
+    return Response(regression, np.concatenate(columns), used / max(total, 1), level, free, is_cut)
 
 
 def _noise(fit, chains, part):

@@ -18,6 +18,7 @@ from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
+from bsp_gp.loop.whole import on_whole_tracks
 
 __all__ = ["Round", "run_rounds"]
 
@@ -172,6 +173,7 @@ class _Run:
                 view.noise_findings = noise_findings(view)
             turn.propose(number, view)
             asked = self.asked(view)
+            turn.families = on_whole_tracks(view, turn.families)
             turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value <= self.criteria.alpha:
                 asked |= self.traced(view, turn)
@@ -330,7 +332,7 @@ class _Turn:
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
         highest = max(row.log_evidence for row in self.rows)
-        equal = highest - criteria.equal_nats
+        equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
             own = above.get(source, {0: (-math.inf, -math.inf)})
@@ -414,7 +416,7 @@ def _chosen(every, clear, criteria):
             # A single cause is fitted, however well a set of causes does.
             if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
-    near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
+    near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
     chosen, keys = [], set()
     for name, proposal in [*best.values(), *simplest.values(), *near]:
         if len(chosen) == criteria.most_fits:

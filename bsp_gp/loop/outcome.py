@@ -226,6 +226,8 @@ class LoopReport:
     n_fits : int
     versions : dict
     wall_s : float
+    hidden_bound : dict or None
+        ``{snr, force, unit, percent}``: how much may still be hidden beside the final law, 95 %.
     overlays : tuple of Overlay
     residuals : DataFrame or None
         See `bsp_gp.loop.writing_up.residual_table`.
@@ -256,6 +258,7 @@ class LoopReport:
     n_fits: int
     versions: dict
     wall_s: float
+    hidden_bound: object = None
     overlays: tuple[Overlay, ...] = field(default=(), repr=False)
     residuals: object = field(default=None, repr=False)
     fit: object = field(default=None, repr=False)
@@ -312,8 +315,8 @@ class LoopReport:
         total = {name: self.total[name] for name in ("before", "after", "floor", "ratio")}
         kept = (
             "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
-            "verdict", "probability", "equivalents", "stop_reason", "complete", "left_out",
-            "n_fits", "versions", "wall_s",
+            "verdict", "probability", "equivalents", "hidden_bound", "stop_reason",
+            "complete", "left_out", "n_fits", "versions", "wall_s",
         )  # fmt: skip
         law = {
             "text": self.law_text, "latex": self.law_latex, "constants": self.constants,

@@ -14,16 +14,19 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
+from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
-    "about_data", "dataset_digest", "judged_together", "overlays", "record_of", "residual_table",
-    "told", "versions",
+    "about_data", "bound_of", "dataset_digest", "judged_together", "overlays", "record_of",
+    "residual_table", "told", "versions",
 ]  # fmt: skip
 
 HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
+UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
+"""Why a law only describes the tracks, by what is likelier beside it than nothing."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -53,11 +56,32 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
-    effect = None if decision.best is None else _effect(done, dataset, bounds, constancy, criteria)
+    effect, table, unlisted = None, done.table, None
+    if decision.best is not None:
+        known = _known(done, constancy)
+        table = table.beside(decision.best, known.unknown, criteria)
+        share, unlisted = share_of_listed(table, decision.best)
+        best = next(row for row in table.rows if row.id == decision.best.id)
+        effect = _effect(done, dataset, bounds, known, criteria)
+        is_fact = effect.is_fact and constancy is not None and share >= criteria.sure
+        unlisted = unlisted if share < 0.5 else None
+        varies = {v["variable"]: v for v in effect.varies_with}
+        for one in known.unknown if unlisted is not None else ():
+            if one.text == unlisted.text and one.term is not None:
+                term = to_text(one.term)
+                varies.setdefault(
+                    one.variable, {"term": term, "variable": one.variable, "p_value": math.nan}
+                )
+        effect = replace(
+            effect, is_fact=is_fact, probability=best.probability,
+            varies_with=tuple(varies.values()),
+        )  # fmt: skip
     if is_removed:
         verdict, reason = "seen, not adopted", "superseded"
     elif verdict == "effect adopted" and effect.varies_with:
         verdict, reason = "effective law", "strength_varies"
+    elif verdict == "effect adopted" and unlisted is not None:
+        verdict, reason = "effective law", UNLISTED[unlisted.code]
     return RoundRecord(
         number=done.number,
         missing=Missing(
@@ -65,7 +89,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
             dataset.units.text(ACCELERATION),
         ),
         effect=effect,
-        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in done.table.rows),
+        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in table.rows),
         adopted=decision.is_adopted and not is_removed,
         verdict=verdict,
         reason=reason,
@@ -76,7 +100,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
         held_out=() if after is None else tuple(accounts.by_scene(before, after)),
         varies_with=tuple(done.varies_with),
         noise_findings=tuple(asdict(finding) for finding in done.noise_findings),
-        hidden_bound=_bound(done.hidden_bound, dataset.units),
+        hidden_bound=bound_of(done.hidden_bound, dataset.units),
         certificate="\n".join(f.certificate for f in done.families if f.certificate),
         seconds=done.seconds,
         trace=done.trace,
@@ -89,7 +113,7 @@ def judged_together(records):
     Beside a law that only describes the tracks, whatever else is found makes up for it; and where
     something is left that nothing explains, no form is a fact.
     """
-    is_description = any(r.adopted and r.reason == "strength_varies" for r in records)
+    is_description = any(r.adopted and r.reason in UNLISTED.values() for r in records)
     last = records[-1]
     is_left = not last.adopted and last.verdict != "nothing missing"
     if not (is_description or is_left):
@@ -104,7 +128,7 @@ def judged_together(records):
     return tuple(out)
 
 
-def _bound(bound, units):
+def bound_of(bound, units):
     """What may still be hidden; None where nothing was asked."""
     if bound is None:
         return None
@@ -125,19 +149,26 @@ def _hypothesis(row, p_value):
     }  # fmt: skip
 
 
-def _effect(done, dataset, bounds, constancy, criteria):
+def _known(done, constancy):
+    """What was asked of the terms that a round has brought in."""
+    best = done.decision.best
+    if constancy is None or not done.decision.is_adopted or best.kind == "noise":
+        return Constancy()
+    return constancy.of(_added(done, done.fits[best.id]) if best.kind == "force" else ())
+
+
+def _effect(done, dataset, bounds, known, criteria):
     """The likeliest cause of a round."""
     best, proposal = done.decision.best, done.proposals[done.decision.best.id]
     fit = done.fits[best.id]
     old = {name for name, _ in done.entering.parameters}
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
-    known = (constancy or Constancy()).of(added if done.decision.is_adopted else ())
     varies = [
         v for v in known.varies
         if v.p_value <= criteria.alpha and v.share > criteria.constant_within
     ]  # fmt: skip
-    is_apart = constancy is not None and all(e.is_as_stated(criteria) for e in known.exponents)
+    is_apart = all(e.is_as_stated(criteria) for e in known.exponents)
     return Effect(
         name=best.text,
         code=best.code,
@@ -152,7 +183,7 @@ def _effect(done, dataset, bounds, constancy, criteria):
             if c.name not in old
         ),
         p_value=done.table.p_value,
-        probability=best.probability,
+        probability=math.nan,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact and is_apart and not varies,
         exponents=tuple(map(_exponent, known.exponents)),

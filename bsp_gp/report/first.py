@@ -83,7 +83,6 @@ def else_sentence(report):
 
 def bound_sentence(report):
     """How much may still be hidden beside the final law."""
-    told = hidden_sentence(report.rounds[-1]) if report.rounds else ""
-    return told.replace("A constant force of up to", "Up to").replace(
+    return hidden_sentence(report).replace("A constant force of up to", "Up to").replace(
         "is not excluded (95 %)", "of constant force may still hide"
     )

@@ -28,8 +28,8 @@ from tests.worlds import WEIGHT
 
 TOP = {
     "schema", "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
-    "rounds", "law", "total", "verdict", "probability", "equivalents", "stop_reason", "complete",
-    "left_out", "n_fits", "versions", "wall_s", "extras",
+    "rounds", "law", "total", "verdict", "probability", "equivalents", "hidden_bound",
+    "stop_reason", "complete", "left_out", "n_fits", "versions", "wall_s", "extras",
 }  # fmt: skip
 ROUND = {
     "missing": {"statistic", "p_value", "detectable"},
