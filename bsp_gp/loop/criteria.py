@@ -93,7 +93,7 @@ class Criteria:
     most_fits: int = 12
     effort: int = 600
     tie_nats: float = 2.0
-    sure: float = 0.9
+    sure: float = 0.7
     unknown_nats: float = 1.6
     noise_nats: float = 3.0
     promise: float = 0.3

@@ -71,8 +71,8 @@ class Effect:
     is_fact : bool
         Whether its form is told apart from all rivals, powers next to its own among them.
     exponents : tuple of dict
-        ``{term, of, stated, value, low, high}``: powers of speed and distance in a law that was
-        found, as it has them and as the data have them.
+        ``{term, of, stated, value, low, high, is_told}``: powers of speed and distance in a law
+        that was found, as it has them, as the data have them, whether these exclude all others.
     varies_with : tuple of dict
         ``{term, variable, p_value}``: in what its strength changes.
     formula : Formula or None

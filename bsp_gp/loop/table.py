@@ -130,13 +130,13 @@ class HypothesisTable:
         unknown : sequence of Unknown
         criteria : Criteria
         """
-        first = max(row.id for row in self.rows) + 1
+        first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
         rows = tuple(
             replace(
                 best, id=first + k, code=one.code, text=one.text, source="unknown",
                 status="linearised", log_evidence=best.log_evidence + one.log_odds,
-                log_prior=best.log_prior - criteria.unknown_nats, held_out=HeldOut(),
-                key=(one.code, one.text), ties=(), is_wide=True,
+                log_prior=best.log_prior - criteria.unknown_nats - math.log(codes.count(one.code)),
+                held_out=HeldOut(), key=(one.code, one.text), ties=(), is_wide=True,
             )
             for k, one in enumerate(unknown)
         )  # fmt: skip

@@ -29,8 +29,9 @@ FALL = 4.5
 COUNT = 4
 NODES = 41
 """Amplitudes over which evidence is summed, in equal steps of their logarithm."""
-SEEN = 1e-6
-"""Part of its length that a column must have beside the constants to count."""
+SEEN, LEAST = 1e-6, 0.1
+"""Part of its length that a column must have beside the constants to count, and chi-squared that
+all must show at the greatest amplitude: what shows less does what the law does."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ def unknowns(view, terms, gain):
 
 def _as_one(tried):
     """The likeliest of what is equally likely beforehand, with the odds of all together."""
+    tried = [one for one in tried if one.log_odds is not None]  # those that would show
     if not tried:
         return ()
     odds = np.logaddexp.reduce([one.log_odds for one in tried]) - np.log(len(tried))
@@ -113,7 +115,9 @@ def _variations(view, term):
 
 
 def _log_odds(view, columns, gain=None):
-    """Log-evidence of a Gaussian process with these columns beside none, nats.
+    """Log-evidence of a Gaussian process with these columns beside none, nats, or None.
+
+    None where they would show nothing that the constants do not.
 
     Parameters
     ----------
@@ -124,14 +128,14 @@ def _log_odds(view, columns, gain=None):
         Sum of the squares that they then have beside the constants.
     """
     if not np.isfinite(columns).all():
-        return 0.0
+        return None
     basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
     seen = sizes > SEEN * np.linalg.norm(columns, axis=0).max(initial=0.0)
-    if not seen.any():
-        return 0.0
     square, sizes = np.square(basis[:, seen].T @ view.left), np.square(sizes[seen])
-    if gain is not None:
+    if gain is not None and seen.any():
         sizes *= max(gain, 0.0) / sizes.sum()
+    if not sizes.sum() > LEAST:
+        return None
     amplitudes = np.geomspace(view.criteria.constant_within, 1.0, NODES)
     share = np.square(amplitudes)[:, None] * sizes
     heights = 0.5 * (square * share / (1 + share) - np.log1p(share)).sum(axis=1)

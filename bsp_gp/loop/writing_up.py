@@ -186,7 +186,7 @@ def _effect(done, dataset, bounds, known, criteria):
         probability=math.nan,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact and is_apart and not varies,
-        exponents=tuple(map(_exponent, known.exponents)),
+        exponents=tuple(_exponent(e, criteria) for e in known.exponents),
         varies_with=tuple(
             {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value}
             for v in varies
@@ -196,10 +196,11 @@ def _effect(done, dataset, bounds, known, criteria):
     )  # fmt: skip
 
 
-def _exponent(one):
+def _exponent(one, criteria):
     return {
         "term": to_text(one.term), "of": to_text(one.of), "stated": one.stated,
         "value": one.value, "low": one.low, "high": one.high,
+        "is_told": one.is_as_stated(criteria),
     }  # fmt: skip
 
 

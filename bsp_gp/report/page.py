@@ -147,7 +147,7 @@ def _name(effect, parts, other):
         return f"{_COUNTS.get(len(parts), len(parts))} more forces"
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
-        return describe(effect.formula, value, other)
+        return describe(effect.formula, value, other, effect.exponents)
     if effect.kind == "declared_term_change":
         return effect.name
     if effect.code == "rod":
