@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fuzz slow long quick lint bench neural clean faults
+.PHONY: help setup demo test fuzz slow long quick lint bench neural clean faults docs wheel
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -74,6 +74,13 @@ neural: $(VENV)/.ok  ## test the networks and the other tools, and run their exp
 	    tests/golden/test_neural_efficiency.py $(ARGS)
 	@$(MAKE) --no-print-directory quick EXPERIMENTS="neural_efficiency neural_tuning peers" ARGS=
 
+docs: $(VENV)/.docs  ## build the pages into runs/docs; a warning is an error
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html -d runs/doctrees docs runs/docs $(ARGS)
+	@echo "Pages: runs/docs/index.html"
+
+wheel: $(VENV)/.dev  ## build and check the wheel and the sdist, and run the demo of the wheel alone
+	@bash tests/wheel.sh $(BIN)/python
+
 clean:  ## remove .venv, build products and caches
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -102,6 +109,11 @@ $(VENV)/.ok: setup.cfg pyproject.toml
 	echo "Installing bsp_gp and what it needs into $(VENV) (once; 180 MB to download, 730 MB on disk) ..."; \
 	$(PIP) -e '.[test,astro]'; \
 	touch $@
+
+$(VENV)/.docs: $(VENV)/.ok
+	@echo "Installing what builds the pages into $(VENV) (once) ..."
+	@$(PIP) -e '.[docs]'
+	@touch $@
 
 $(VENV)/.dev: $(VENV)/.ok
 	@echo "Installing the developers' tools into $(VENV) (once) ..."

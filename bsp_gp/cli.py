@@ -20,7 +20,7 @@ from bsp_gp.cli_inputs import (
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, SettingsError, on_command_line
-from bsp_gp.workers import worker_pool
+from bsp_gp.workers import hands
 
 __all__ = ["main"]
 
@@ -261,7 +261,7 @@ def _run_loop(args, progress):
         "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
         "search": args.search, "search_budget": args.search_budget,
         "exclude": excluded_inputs(args, grammar, dataset),
-        "seed": args.seed, **read_fit_settings(args),
+        "seed": args.seed, "all_rows": args.all_rows, **read_fit_settings(args),
     }  # fmt: skip
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap
@@ -280,7 +280,7 @@ def _run_loop(args, progress):
             rounds.append(text_of([done]))
             args.kept.save(joined_texts([earlier, *rounds]))
 
-    with worker_pool(args.workers) as pool:
+    with hands(args.workers, args.cluster) as pool:
         try:
             report = close_loop(
                 dataset, law, rng=np.random.default_rng(args.seed), grammar=grammar, on_round=keep,
@@ -290,6 +290,22 @@ def _run_loop(args, progress):
             args.kept.clear()
             raise
     return report, {"grammar": args.grammar, "workers": args.workers, **settings}
+
+
+def _sweep(args):
+    from bsp_gp.cli_sweep import run_sweep
+
+    laws = read_laws(args)
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as workers:
+        try:
+            text, n_defects = run_sweep(args, laws, workers, progress)
+        except KeyboardInterrupt:
+            _say(f"what was done is kept in {args.out}; --resume goes on from there")
+            raise
+    print(f"{text}\nSweep: {os.path.join(args.out, 'index.html')}")
+    if n_defects:
+        _say(f"error: bsp_gp failed on {n_defects} data sets; {args.out}/summary.csv says how")
+    return 1 if n_defects else 0
 
 
 def _fit(args):
@@ -399,7 +415,7 @@ def _compare(args):
     from bsp_gp.search.comparison import compare_searches
 
     grammar, missing = masked_grammar(load_grammar(args.grammar), dataset)
-    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         progress("comparing searches")
         rows, certificate, how = compare_searches(
             dataset, laws, grammar, rng=np.random.default_rng(args.seed), kind=args.kind,
@@ -463,6 +479,7 @@ def _check_grammar(grammar, kinds):
     from bsp_gp.language.render import to_text
     from bsp_gp.physics.force import Term, constant_units
     from bsp_gp.search.choice import SEARCHES, searches_for
+    from bsp_gp.search.inner import expanded
 
     for search in SEARCHES:
         try:
@@ -471,16 +488,31 @@ def _check_grammar(grammar, kinds):
             print(f"--search {search}: yes, {levels}")
         except GrammarError as error:
             print(f"--search {search}: no: {error}")
-    rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
-    for kind, symbol in kinds.items():
-        count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
-        print(f"{kind} laws: {count} derivations of at most {CHECKED_LEVELS} levels, such as")
-        if grammar.min_levels[symbol] > CHECKED_LEVELS:
-            continue
-        for expression in pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 10 // len(kinds)):
-            term = Term(to_formula(expression, grammar), kind)
-            units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
-            print("; ".join([f"  {to_text(term.formula)}", *units]))
+    def show(what, grammar, n, keep=lambda formula: True):
+        rng, pcfg = np.random.default_rng(0), Pcfg.uniform(grammar)
+        for kind, symbol in kinds.items():
+            count = _count_text(grammar.count(symbol, CHECKED_LEVELS))
+            print(f"{kind} laws{what}: {count} derivations of at most {CHECKED_LEVELS} levels, "
+                  "such as")  # fmt: skip
+            if grammar.min_levels[symbol] > CHECKED_LEVELS:
+                continue
+            drawn = pcfg.sample_many(rng, symbol, CHECKED_LEVELS, 20 * n)
+            formulas = dict.fromkeys(to_formula(expression, grammar) for expression in drawn)
+            for formula in [f for f in formulas if keep(f)][: n // len(kinds)]:
+                term = Term(formula, kind)
+                units = [f"{name} [{unit}]" for name, unit in constant_units(term).items()]
+                print("; ".join([f"  {to_text(formula)}", *units]))
+
+    show("", grammar, 10)
+    if "beyond" in grammar.source:
+        more = " with constants inside as well (cross_entropy, genetic, auto)"
+        show(more, grammar.beyond, 4, lambda formula: len(formula.constants) > 1)
+    forms = [*grammar.inside.get("common", ()), *grammar.inside.get("laws", ())]
+    if forms:
+        count = sum(len(expanded(text, grammar.inside)) for text in forms)
+        print(f"forms with constants inside, scored by every search: {count}, such as {forms[0]}")
+        ranges = "; ".join(f"{k}: {v}" for k, v in grammar.inside.get("ranges", {}).items())
+        print(f"ranges of constants inside: {ranges}")
 
 
 def _show_grammar(grammar):
@@ -565,7 +597,7 @@ def _demo(args):
     out = _target(args, "report", "demo-report")
     from bsp_gp.demo import run_demo
 
-    with _Progress(args.quiet) as progress, worker_pool(args.workers) as pool:
+    with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
             out,
@@ -578,6 +610,36 @@ def _demo(args):
         args.written.append(folder)
     _summary(args, report)
     _finish(args, out)
+
+
+def _plan(args):
+    import json
+
+    from bsp_gp.cli_planning import planned
+
+    place = _target(args, "plan")
+    found, means, text = planned(args)
+    told = json.dumps(found.to_dict(), indent=1)
+    if place is not None:
+        from io import BytesIO
+
+        from bsp_gp.report.planned import draw_plan
+
+        picture = BytesIO()
+        draw_plan(found, means, picture)
+        files = {"plan.json": told + "\n", "plan.txt": text + "\n", "plan.png": picture.getvalue()}
+        _write_folder(args, "plan", place, files)
+    print(told if args.json else text)
+
+
+def _discover(args):
+    import json
+
+    from bsp_gp.cli_planning import discovered
+
+    with _Progress(args.quiet) as progress:
+        found, text = discovered(args, progress)
+    print(json.dumps(found.to_dict(), indent=1) if args.json else text)
 
 
 def _show(args):
@@ -604,6 +666,23 @@ def _rerun(args):
         print(f"Not the same: {difference}")
         return 1
     print("The same, bit for bit.")
+    return 0
+
+
+def _serve(args):
+    import tempfile
+
+    from bsp_gp.web.app import serve
+
+    def tell(address):
+        print(f"Page: {address}\nCtrl-C ends it and deletes what was dropped.", flush=True)
+        if not args.no_open and sys.stdout.isatty():
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="bsp-gp-") as folder:
+        serve(os.path.realpath(folder), args.port, args.at_once, tell)
     return 0
 
 
@@ -637,6 +716,7 @@ def _finish(args, out):
 _COMMANDS = {
     "check": _check,
     "close": _close,
+    "sweep": _sweep,
     "fit": _fit,
     "infer": _infer,
     "simulate": _simulate,
@@ -644,8 +724,11 @@ _COMMANDS = {
     "compare": _compare,
     "grammar": _grammar,
     "track": _track,
+    "plan": _plan,
+    "discover": _discover,
     "show": _show,
     "rerun": _rerun,
+    "serve": _serve,
     "completion": _completion,
     "demo": _demo,
 }

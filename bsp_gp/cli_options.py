@@ -37,6 +37,12 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
     def error(self, message):
+        if "--declare --model" in message and self.prog.endswith("close"):
+            message = (
+                'say what is known of the forces, such as --declare "9.81 [m/s^2] * m_i * down" '
+                "(--model FILE holds several); where nothing is known, bsp-gp fit DATA looks for "
+                "a law from no force at all"
+            )
         raise SettingsError(f"{message}; see {self.prog} --help")
 
 
@@ -123,6 +129,7 @@ def build_parser():
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_check(commands)
     _add_close(commands)
+    _add_sweep(commands)
     _add_fit(commands)
     _add_infer(commands)
     _add_simulate(commands)
@@ -130,7 +137,10 @@ def build_parser():
     _add_compare(commands)
     _add_grammar(commands)
     _add_track(commands)
+    _add_plan(commands)
+    _add_discover(commands)
     _add_reports(commands)
+    _add_serve(commands)
     _add_demo(commands)
     complete = _add(
         commands, "completion", "print what a shell needs to complete commands and options",
@@ -171,6 +181,35 @@ def _add_close(commands):
     _rounds(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
+
+
+def _add_sweep(commands):
+    parser = _add(
+        commands, "sweep",
+        "close the loop on many data sets: one table and one page; may be stopped and taken up",
+        _LAW_HELP,
+    )  # fmt: skip
+    parser.add_argument(
+        "datasets", nargs="+", metavar="DATASETS",
+        help="data sets, folders of them, globs, or a table with a column path",
+    )  # fmt: skip
+    _reading(parser)
+    _model(
+        parser, "--declare", required=True,
+        help_="a force of the declared model; repeat for more",
+    )  # fmt: skip
+    _descent(parser, "fit of the declared model")
+    _loop(parser)
+    group = parser.add_argument_group("time")
+    _time_limit(group, "that each data set may take, after which its row tells what was found")
+    group.add_argument(
+        "--resume", action="store_true",
+        help="go on with the data sets that a stopped sweep has not closed, or that are new",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", metavar="DIR", default="sweep", help="folder of the table and page (default sweep)"
+    )
+    _common(parser)
 
 
 def _add_fit(commands):
@@ -435,6 +474,56 @@ def _add_track(commands):
     _common(parser)
 
 
+def _add_plan(commands):
+    parser = _add(commands, "plan", "tell which experiment would part the rivals of a report")
+    parser.add_argument("report", metavar="REPORT", help="folder of the report")
+    _means(parser)
+    parser.add_argument(
+        "--about", metavar="CONSTANT", help="ask about this constant of the law in place of rivals"
+    )
+    parser.add_argument(
+        "--tries", type=_integer(1, 100_000), default=96, metavar="N",
+        help="experiments that are looked at (default 96)",
+    )  # fmt: skip
+    _seed(parser)
+    _output(parser, "folder for plan.json and plan.png (default: none)")
+
+
+def _add_discover(commands):
+    parser = _add(
+        commands, "discover", "find a law by experiments that a program makes, until one stands"
+    )
+    _means(parser)
+    parser.add_argument(
+        "--command", dest="command_line", required=True, metavar="PROGRAM",
+        help="reads experiments as lines of JSON, answers what was seen: './apparatus --quick'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rounds", type=_integer(1, MAX_ROUNDS), default=16, metavar="N", help="(default 16)"
+    )
+    parser.add_argument(
+        "--declare", action="append", metavar="LAW", help="a force that is believed beforehand"
+    )
+    parser.add_argument(
+        "--grammar", default="physics", metavar="NAME", help="what laws may say (default physics)"
+    )
+    group = parser.add_argument_group("time")
+    _time_limit(group, "of every closing of the loop")
+    parser.add_argument("--resume", action="store_true", help="go on from the rounds in --out")
+    _seed(parser)
+    parser.add_argument(
+        "--out", default="discovery", metavar="DIR", help="rounds and result (default: discovery)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON to stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def _means(parser):
+    parser.add_argument(
+        "--means", required=True, metavar="FILE.toml", help="what may be chosen in an experiment"
+    )
+
+
 def _add_reports(commands):
     show = _add(commands, "show", "print the result of an older report, and open its page")
     again = _add(
@@ -444,6 +533,23 @@ def _add_reports(commands):
         parser.add_argument("report", metavar="REPORT", help="folder of the report")
         parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     show.add_argument("--no-open", action="store_true", help="leave the browser alone")
+
+
+def _add_serve(commands):
+    parser = _add(
+        commands, "serve",
+        "a page on this machine to drop a file on: check, declare, run, read, download",
+        "Only this machine can open the page, and only with its whole address, which holds a token;"
+        " what was dropped is deleted at the end (Ctrl-C).",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port", type=_integer(0, 65_535), default=0, metavar="N", help="(default: any free one)"
+    )
+    parser.add_argument(
+        "--at-once", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
+        help="runs at the same time; further ones wait (default 1)",
+    )  # fmt: skip
+    parser.add_argument("--no-open", action="store_true", help="leave the browser alone")
 
 
 def _add_demo(commands):
@@ -457,6 +563,10 @@ def _add_demo(commands):
 
 def _data(parser, with_noise=True):
     parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    _reading(parser, with_noise)
+
+
+def _reading(parser, with_noise=True):
     group = parser.add_argument_group("data (in place of dataset.toml)")
     group.add_argument(
         "--units",
@@ -587,6 +697,11 @@ def _loop(parser):
     )
     group.add_argument("--allow-time", action="store_true", help="let the search use t")
     group.add_argument(
+        "--all-rows", action="store_true",
+        help="take every row of long tracks as it is (default: dense rows are averaged over short "
+        "blocks)",
+    )  # fmt: skip
+    group.add_argument(
         "--per-entity", help=argparse.SUPPRESS,
         type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
     )  # fmt: skip
@@ -705,6 +820,10 @@ def _workers(parser):
         metavar="N",
         help="processes; the answer does not depend on it (default 1)",
     )
+    parser.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT",
+        help="scheduler of a Dask cluster that works as well (needs the extra [cluster])",
+    )  # fmt: skip
 
 
 def _seed(parser):

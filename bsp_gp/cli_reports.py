@@ -62,7 +62,7 @@ def run_again(folder, quiet=False):
         words = [*_kept(argv[1:]), "--out", str(out), *(["--quiet"] if quiet else [])]
         done = subprocess.run(
             [sys.executable, "-m", "bsp_gp", *words], cwd=start, stdout=subprocess.DEVNULL,
-            check=False,
+            check=False, env={**os.environ, "PYTHONPATH": _own_path()},
         )  # fmt: skip
         if done.returncode == 130:
             raise KeyboardInterrupt
@@ -76,6 +76,12 @@ def run_again(folder, quiet=False):
     if "--time-limit" in argv:
         notes.append("it had a time limit, which no two runs meet alike")
     return first_difference(old, new), notes
+
+
+def _own_path():
+    """Where Python looks for packages, first of all where this one is."""
+    here = str(Path(__file__).resolve().parent.parent)
+    return os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
 
 
 def _kept(argv):

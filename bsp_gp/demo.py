@@ -244,7 +244,8 @@ def _implied(dataset, report, progress):
     if len(found) == len(matched) == len(_KNOWN_FORMS) and np.isfinite(lights).all():
         off = max(abs(light / LIGHT - 1) for light in lights)
         section["headline"] = (
-            f"together they are those of general relativity (speed of light within {off:.1%})"
+            "together they are those of general relativity (speed of light within "
+            f"{100 * off:.1f} %)"
         )
     sections = [section]
     progress("integrating the perihelion")

@@ -17,7 +17,8 @@ from types import MappingProxyType
 from bsp_gp.errors import UnitError
 
 __all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "Unit", "UnitSystem", "parse_unit",
+    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "UNCALIBRATED", "Unit",
+    "UnitSystem", "parse_unit",
 ]  # fmt: skip
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
@@ -30,7 +31,7 @@ _DIMENSION = {
     "[substance]": 5,
     "[luminosity]": 6,
 }
-_ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ0-9_^*/().\-+ ]{1,60}")
+_ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ☉⊙0-9_^*/().\-+ ]{1,60}")
 _TOWER = re.compile(
     r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*"
 )
@@ -130,11 +131,23 @@ FORCE = Unit.of(kg=1, m=1, s=-2)
 ACCELERATION = Unit.of(m=1, s=-2)
 
 
+_OF_THE_SKY = (
+    "solar_mass = 1.98841e30 kg = Msun = M_sun", "earth_mass = 5.97217e24 kg = Mearth",
+    "jupiter_mass = 1.89812e27 kg = Mjup", "microarcsecond = 1e-6 arcsecond = uas",
+)  # fmt: skip
+_RESPELT = {"AU": "au", "M☉": "Msun", "M⊙": "Msun"}
+"""pint takes the first for an absorbance, which nobody else does beside lengths."""
+_RESPELLING = re.compile(r"\bAU\b|M[☉⊙]")
+
+
 @functools.lru_cache(maxsize=1)
 def _registry():
     import pint  # imported here: it costs 0.3 s that `--help` need not pay
 
-    return pint.UnitRegistry(cache_folder=None)
+    registry = pint.UnitRegistry(cache_folder=None)
+    for text in _OF_THE_SKY:
+        registry.define(text)
+    return registry
 
 
 @functools.lru_cache(maxsize=512)
@@ -160,6 +173,7 @@ def parse_unit(text):
         If the unit is unknown, not multiplicative (like °C), or of a non-SI dimension.
     """
     clean = _RAISED.sub(lambda power: f"^{power[0]}", text.strip()).translate(_PLAIN)
+    clean = _RESPELLING.sub(lambda word: _RESPELT[word[0]], clean)
     if clean in ("", "1"):
         return 1.0, DIMENSIONLESS
     if not _ALLOWED.fullmatch(clean):
@@ -209,8 +223,15 @@ def _in_base_units(text):
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg, m/s^2") from error
 
 
-ANGLES = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
+ANGLES = dict.fromkeys(("rad", "radian", "radians", "radiant"), 1.0) | dict.fromkeys(
+    ("deg", "°", "degree", "degrees", "grad"), math.pi / 180
+)
 """Units of angles in the place of lengths, in rad."""
+UNCALIBRATED = {
+    "px": "px", "pixel": "px", "pixels": "px", "arcsec": "arcsec", "arcseconds": "arcsec",
+    "arcsecond": "arcsec", "mas": "arcsec",
+}  # fmt: skip
+"""Units in the place of lengths that no length in SI is known of, and what they are told in."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -241,8 +262,8 @@ class UnitSystem:
             text = declared.get(kind)
             if text is None and kind != "charge":
                 symbols[base] = kind
-            elif text is not None and text.strip().lower() in ("px", "pixel", "pixels"):
-                symbols[base] = "px"
+            elif text is not None and text.strip().lower() in UNCALIBRATED:
+                symbols[base] = UNCALIBRATED[text.strip().lower()]
             elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
                 symbols[base] = "rad"
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))

@@ -80,7 +80,7 @@ def sought(seed, hidden):
     """Look for a hidden body in the scene of a seed, without other proposers to compare with."""
     dataset, place = discs(seed, hidden)
     split_rng, rng = np.random.default_rng(seed).spawn(2)
-    train = replace(dataset, scenes=choose_split(dataset, split_rng).train, train=(), test=())
+    train = replace(dataset, scenes=choose_split(dataset, split_rng).learned, train=(), test=())
     hypothesis = Hypothesis.from_laws(train, [GRAVITY])
     (done,) = run_rounds(hypothesis, train, [Hidden()], rng=rng, max_rounds=1)
     p_value, details = done.table.p_value, done.details

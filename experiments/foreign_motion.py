@@ -119,7 +119,7 @@ class Truth:
         return self.declared if of_declared else self.total
 
 
-def moved(plan, force=None):
+def moved(plan, force=None, layout=None, n_scenes=None):
     """Exact data of a plan under its declared force and a foreign one.
 
     Parameters
@@ -127,16 +127,21 @@ def moved(plan, force=None):
     plan : Plan
     force : callable, optional
         ``force(at)``, N; with `blocks` and `rate(at, a)` where it remembers something.
+    layout : Layout, optional
+        One that is not listed.
+    n_scenes : int, optional
+        In place of a number that is drawn.
 
     Returns
     -------
     Dataset, Truth
     """
-    layout, rng = LAYOUTS[plan.layout], np.random.default_rng(plan.entropy)
+    layout, rng = layout or LAYOUTS[plan.layout], np.random.default_rng(plan.entropy)
     times = np.linspace(0, layout.span * rng.uniform(0.8, 1.2), int(rng.integers(*ROWS)))
     crews = layout.crew(rng)
     scenes, totals, declared = [], [], []
-    for k in range(int(rng.integers(*(MANY if plan.is_long else FEW)))):
+    n_scenes = n_scenes or int(rng.integers(*(MANY if plan.is_long else FEW)))
+    for k in range(n_scenes):
         crew = crews[k % len(crews)]
         start = _started(layout, plan.n_dims, crew, times, rng)
         p, v, total, own = _run(layout, crew, *start, times, force, k)

@@ -60,6 +60,18 @@ def workbook(rows):
     return out.getvalue()
 
 
+def spreadsheet(columns):
+    """Bytes of an OpenDocument spreadsheet; b"" where nothing is installed that writes one."""
+    import pandas as pd
+
+    out = io.BytesIO()
+    try:
+        pd.DataFrame(columns).to_excel(out, engine="odf", index=False)
+    except ImportError:
+        return b""
+    return out.getvalue()
+
+
 def parquet(columns):
     """Bytes of a Parquet file; b"" where nothing is installed that writes one."""
     import pandas as pd
@@ -203,3 +215,75 @@ SET_ASIDE = {
         "Kanal A;Kanal B", T, SPRING, sep=";", decimal=",",
     ).encode(), refused=("Kanal A", "--columns t=")),
 }  # fmt: skip
+
+AU = 149597870700.0
+TURN = np.round(np.cos(6 * T), 6)
+LATER = {
+    "rotary motion sensor of vernier": Sample("pendulum.csv", table(
+        '"Latest: Time (s)","Latest: Angle (rad)","Latest: Velocity (rad/s)"', T, TURN, -TURN,
+    ).encode(), one(x=TURN), told=("Angle",)),
+    "rotary motion sensor of pasco, degrees": Sample("pendulum.csv", table(
+        "Time (s) Run #1;Angle (°) Run #1;Angular Velocity (°/s) Run #1", T, np.degrees(TURN), T,
+        sep=";", decimal=",",
+    ).encode(), one(x=TURN, scene="Run #1"), told=("Angle",)),
+    "measures of a double star": Sample("stf60.csv", table(
+        "epoch,rho (arcsec),theta (deg)", [f"{2000 + k}.5" for k in range(8)], 1 + T,
+        np.degrees(TURN),
+    ).encode(), one((1 + T) * np.cos(TURN), (1 + T) * np.sin(TURN),
+                    t=365.25 * 86400 * (np.arange(8) + 2000.5)),
+        options={"units": {"time": "yr"}}, told=("rho", "theta")),
+    "libreoffice": Sample("fall.ods", spreadsheet({"Zeit (s)": T, "Höhe (cm)": 100 * FALL}),
+                          one(y=FALL), up="y", told=("Höhe",)),
+    "tracker, commas": Sample("ball.csv", table(
+        ['"mass A",,', '"t","x","y"'], T, ACROSS, FALL,
+    ).encode(), one(ACROSS, FALL, entity="mass A")),
+    "trackmate": Sample("spots.csv", table(
+        ["LABEL,TRACK_ID,POSITION_X,POSITION_Y,POSITION_T,FRAME",
+         "Label,Track ID,X,Y,T,Frame", "Label,Track ID,X,Y,T,Frame",
+         ",,(micron),(micron),(sec),"],
+        [f"ID{k}" for k in range(8)], ["0"] * 8, ACROSS, FALL, T, [str(k) for k in range(8)],
+    ).encode(), one(1e-6 * ACROSS, 1e-6 * FALL, entity="0"), told=("TRACK_ID",)),
+    "trackpy": Sample("tracks.csv", table(
+        ",y,x,mass,size,ecc,signal,raw_mass,ep,frame,particle", [str(k) for k in range(8)],
+        FALL, ACROSS, 100 + T, 3 + T, 0.1 + T, T, T, 0.02 + 0 * T, [str(k) for k in range(8)],
+        ["0"] * 8,
+    ).encode(), one(ACROSS, FALL, entity="0"), options={"fps": 20}),
+    "labquest": Sample("cart.txt", table(
+        "Run 1: Time (s)\tRun 1: Distance (m)\tRun 2: Time (s)\tRun 2: Distance (m)",
+        T, SPRING, T, ACROSS, sep="\t",
+    ).encode(), one(x=SPRING, scene="Run 1") | one(x=ACROSS, scene="Run 2")),
+    "go direct, a run in the name": Sample("cart.csv", table(
+        "Time(s) Run 1,Position(m) Run 1", T, SPRING,
+    ).encode(), one(x=SPRING, scene="Run 1")),
+    "sleap": Sample("mice.csv", table(
+        "track,frame_idx,instance.score,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score",
+        ["track_0"] * 8, [str(k) for k in range(8)], 0.9 + 0 * T, ACROSS, FALL, 0.9 + 0 * T,
+        SPRING, ACROSS, 0.9 + 0 * T,
+    ).encode(), one(ACROSS, FALL, entity="nose") | one(SPRING, ACROSS, entity="tail"),
+        options={"fps": 20}),
+    "horizons": Sample("mars.txt", table(
+        ["*" * 79, "Ephemeris / API_USER Tue Nov 24 2026", "Target body name: Mars (499)",
+         "Output units    : AU-D", "*" * 79,
+         "            JDTDB,            Calendar Date (TDB),              X,              Y,"
+         "              Z,", "*" * 79, "$$SOE"],
+        [f"{2451545.0 + k:.9f}" for k in range(8)],
+        [f" A.D. 2000-Jan-{k + 1:02d} 12:00:00.0000" for k in range(8)],
+        ACROSS, FALL, SPRING, [""] * 8, form="{:23.15E}",
+    ).encode() + b"$$EOE\n" + b"*" * 79 + b"\n", {(None, "Mars"): (
+        86400 * (2451545.0 + np.arange(8)), AU * ACROSS, AU * FALL)}),
+    "gps": Sample("glider.csv", table(
+        "time,lat,lon,ele", [f"2024-05-04T10:00:0{k}Z" for k in range(8)], 48 + 1e-5 * T,
+        9 + 1e-5 * T, 100 * FALL,
+    ).encode(), refused=("lat", "--columns")),
+    "kinovea": Sample("jump.csv", table(
+        "Time (ms);Trajectory 1 X (m);Trajectory 1 Y (m)", 1000 * T, ACROSS, FALL, sep=";",
+        decimal=",",
+    ).encode(), one(ACROSS, FALL, entity="Trajectory 1")),
+    "two angles": Sample("double.csv", table(
+        "t (s),theta1 (rad),theta2 (rad)", T, TURN, SPRING,
+    ).encode(), refused=("theta1", "--columns x=")),
+    "datastudio": Sample("cart.txt", table(
+        ["Position, Ch 1&2, Run #1", "Time ( s )\tPosition ( m )"], T, SPRING, sep="\t",
+    ).encode(), one(x=SPRING, scene="Run #1")),
+}  # fmt: skip
+"""Of another day, and written before any of them was tried."""

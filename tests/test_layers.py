@@ -27,15 +27,20 @@ ROOMS = (
     "search",
     "inference",
     "loop",
+    "planning",
     "vision",
     "simulate",
     "report",
     "demo",
+    "sweep",
+    "web",
     "cli_options",
     "cli_inputs",
     "cli_make",
     "cli_latents",
+    "cli_planning",
     "cli_reports",
+    "cli_sweep",
     "cli_completion",
     "cli",
 )
@@ -54,8 +59,11 @@ CONFINED = {
     "pymunk": ("simulate/",),
     "pyoperon": (),
     "pysindy": (),
+    "starlette": ("web/",),
+    "uvicorn": ("web/",),
 }
-IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "arviz-base": "arviz_base",
+                "python-calamine": "python_calamine"}
 EVALUATORS = {"eval", "exec"}
 PICKLERS = {"pickle", "_pickle", "cPickle", "cloudpickle", "dill", "marshal", "shelve"}
 SEEDED = {  # what numpy.random offers without the global state

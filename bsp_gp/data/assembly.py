@@ -11,7 +11,7 @@ import pandas as pd
 from bsp_gp.data.conversion import KINDS, unit_of
 from bsp_gp.data.headings import NUMBER_COLUMNS, TEXT_COLUMNS, is_acceleration, is_error
 from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
-from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
+from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import Unit
 
@@ -38,6 +38,11 @@ class Rows:
         What was taken for granted.
     inputs : dict of str to (ndarray, Unit)
         Measured inputs, (n,) or (n, d), SI.
+    first : tuple of ndarray, or None
+        Velocities and their errors (n, d), m/s, that count in the first row of a scene; nan =
+        unknown.
+    is_placed : bool
+        Whether the places of first rows are exact.
     """
 
     scene: np.ndarray
@@ -52,6 +57,8 @@ class Rows:
     file: str | None
     notes: tuple[str, ...] = ()
     inputs: dict = field(default_factory=dict)
+    first: tuple | None = None
+    is_placed: bool = False
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -104,7 +111,48 @@ def build_rows(table, declaration, conversion, *, scene_name):
         table.file,
         (*line_notes, *gap_notes),
         _inputs(table, declaration, conversion),
+        _first(table, declaration, conversion, axes),
+        declaration.first_position == "exact",
     )
+
+
+def _first(table, declaration, conversion, axes):
+    """Velocities and their errors as ``[initial]`` has them, (n, d) each; None if unknown."""
+    said, shape = declaration.first_velocity, (len(table.frame), len(axes))
+    if said == "unknown":
+        blank = np.full(shape, np.nan)
+        return (blank, blank) if declaration.first_position == "exact" else None
+    if said == "rest":
+        return np.zeros(shape), np.zeros(shape)
+    known = [axis for axis in axes if axis in table.frame.columns]
+    prefixes = ("v", "sv") if said == "measured" else ("v",)
+    for prefix in prefixes:
+        if not all(f"{prefix}{axis}" in table.frame.columns for axis in known):
+            names = ", ".join(f"{prefix}{axis}" for axis in known)
+            raise DataError(
+                f'[initial] velocity = "{said}" needs the column(s) {names}', file=table.file,
+                remedy="fill them in the first row of every scene"
+                + (' (standard errors of the velocities), or write "exact"' if prefix == "sv"
+                   else ', or write velocity = "rest" for bodies that are let go'),
+            )  # fmt: skip
+    parts = []
+    for prefix in prefixes:
+        values = np.zeros(shape)
+        for k, axis in enumerate(axes):
+            if axis in known:
+                name = f"{prefix}{axis}"
+                scale = conversion.velocity(name if prefix == "v" else f"v{axis}")
+                values[:, k] = _numbers(table, name, can_be_blank=True) * scale
+        parts.append(values)
+    if said == "exact":
+        parts.append(np.where(np.isfinite(parts[0]), 0.0, np.nan))
+    elif (parts[1] <= 0).any():
+        at = int((parts[1] <= 0).any(axis=1).argmax())
+        raise DataError(
+            "a standard error of a velocity must be positive", file=table.file,
+            row=int(table.frame.index[at]), column="svx", remedy='exact: velocity = "exact"',
+        )  # fmt: skip
+    return tuple(parts)
 
 
 def inputs_of(table, declaration):
@@ -376,6 +424,13 @@ def _scene(rows, part, entities, row, local, is_new, shape):
         full[row, local] = values[part]
         return full
 
+    def first_state():
+        if rows.first is None:
+            return None
+        blank = np.full(shape, np.nan)
+        known = [blank if v is None else v for v in map(spread, rows.first)]
+        return FirstState(known[0][0], known[1][0], rows.is_placed)
+
     name = rows.scene_names[rows.scene[part[0]]]
     try:
         return Scene(
@@ -386,6 +441,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             spread(rows.velocities),
             spread(rows.sigma),
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
+            first_state(),
         )
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error

@@ -7,7 +7,7 @@ import tokenize
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
-from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit, UnitSystem, parse_unit
+from bsp_gp.units import ANGLES, DIMENSIONLESS, UNCALIBRATED, Unit, UnitSystem, parse_unit
 
 __all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
@@ -19,19 +19,22 @@ _WORDS = {
     "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
-    "year": "jahr jahre années ans anni años yrs", "au": "ae",
+    "year": "jahr jahre années ans anni años yrs", "au": "ae ua", "deg": "° grad degrees degree",
+    "rad": "radian radians radiant",
 }  # fmt: skip
 _WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 """Units as people write them out, in the languages whose headings are known."""
 KINDS = ("length", "time", "mass", "charge", "velocity")
-_PIXEL = re.compile(r"\b(?:px|pixels?)\b", re.IGNORECASE)
+_PIXEL = re.compile(r"\b(?:px|pixels?|arcsec(?:ond)?s?|mas)\b", re.IGNORECASE)
+"""In the place of a length, see `bsp_gp.units.UNCALIBRATED`."""
+_MAS = re.compile(r"\bmas\b", re.IGNORECASE)
 _NUMBERED = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(.+)")
 _LENGTH = Unit.of(m=1)
 _TIME = Unit.of(s=1)
 COLUMN_KINDS = {"t": "time"} | {
     f"{prefix}{axis}": kind
     for axis in "xyz"
-    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"))
+    for prefix, kind in (("", "length"), ("s", "length"), ("v", "velocity"), ("sv", "velocity"))
 }
 """Kind of unit of the columns of a trajectory table."""
 
@@ -55,6 +58,7 @@ def _scale(text):
     factor, rest = (float(number.group(1)), number.group(2)) if number else (1.0, text)
     try:
         rest = _WORD_UNITS.get(rest.strip().lower(), rest)
+        factor *= 1e-3 if _MAS.search(rest) else 1.0
         scale, unit = parse_unit(_PIXEL.sub("m", rest))
     except (AssertionError, tokenize.TokenError) as error:  # pint, on "m/" and on "m("
         raise UnitError(f"unknown unit {text!r}; write SI units such as m, s, kg") from error
@@ -103,12 +107,12 @@ class Conversion:
             example = {"time": "s", "length": "m"}[missing[0]]
             self._fail(
                 f"[units] gives no unit of {missing[0]}",
-                remedy=f'add {missing[0]} = "{example}"'
+                remedy=f'add {missing[0]} = "{example}", or --units {missing[0]}={example}'
                 + (' (or "px" if the picture is not calibrated)' if missing == ["length"] else ""),
             )
         self._kinds = kinds
         self.system = UnitSystem.from_declared(kinds)
-        self.is_pixels = self.system.symbols.get("m") == "px"
+        self.is_pixels = self.system.symbols.get("m") in UNCALIBRATED.values()
         for kind in ("time", "mass", "charge"):
             if _PIXEL.search(kinds.get(kind, "")):
                 self._fail(f"the unit of {kind} must not be px, got {kinds[kind]!r}", kind)
@@ -123,7 +127,7 @@ class Conversion:
             raise DataError(f"[units]: {error}", file=self.file, column=key) from error
         if _PIXEL.search(text) and not self.is_pixels:
             self._fail(
-                f"unit {text!r} is in pixels but lengths are not",
+                f"unit {text!r} has no length in SI, but other lengths have",
                 key,
                 remedy='give every length in one system; length = "px" means not calibrated',
             )
@@ -153,7 +157,7 @@ class Conversion:
         text = self.declared.get(column, self.declared.get("velocity"))
         if text is not None:
             return self._read(column, text, _LENGTH / _TIME)[0]
-        return self.length(column[1:]) / self.time()
+        return self.length(column[-1]) / self.time()
 
     def property(self, name, columns=()):
         """Scale, unit and (where the unit was not declared) a note for one property.

@@ -23,11 +23,15 @@ PROVENANCE_KEYS = (
 )  # fmt: skip
 TOP_KEYS = (
     "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory",
-    "units", "axes", "columns", "latent", "split", "evaluation", "provenance",
+    "units", "axes", "columns", "initial", "latent", "split", "evaluation", "provenance",
 )  # fmt: skip
+FIRST_PLACES = ("exact", "measured")
+FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 ANGLE_FROM = ("x", "y")
 ANGLE_TURNS = ("counter-clockwise", "clockwise")
+SPELLINGS = {"counterclockwise": "counter-clockwise", "anticlockwise": "counter-clockwise"}
+"""Other words for the same."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Declaration:
         a mapping of bodies, or of globs of them, to their own.
     columns : mapping of str to str
         Our name of a column -> its name in the file.
+    first_position, first_velocity : str
+        What is known of the first row of every scene, of `FIRST_PLACES` and `FIRST_VELOCITIES`.
     latents : tuple of LatentDeclaration
     train, test : tuple of str
         Patterns as declared, see `select_scenes`.
@@ -66,6 +72,8 @@ class Declaration:
     noise_memory: float | None = None
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
+    first_position: str = "measured"
+    first_velocity: str = "unknown"
     latents: tuple[LatentDeclaration, ...] = ()
     train: tuple[str, ...] = ()
     test: tuple[str, ...] = ()
@@ -158,6 +166,7 @@ class _Reader:
 
     def choice(self, table, key, allowed, default=None):
         value = table.get(key, default)
+        value = SPELLINGS.get(value, value) if isinstance(value, str) else value
         if value is not None and value not in allowed:
             self.fail(f"{key} must be one of {', '.join(allowed)}, got {value!r:.60}")
         return value
@@ -188,6 +197,7 @@ class _Reader:
         self.known(self.content, TOP_KEYS, "at the top level")
         axes = self.table("axes", ("up", "angle_from", "angle_turns"))
         split = self.table("split", ("train", "test"))
+        initial = self.table("initial", ("position", "velocity"))
         columns = self.texts(self.table("columns"), "columns")
         velocity = self.choice(columns, "velocity", ("measured", "ignore"), "ignore")
         columns.pop("velocity", None)
@@ -206,6 +216,8 @@ class _Reader:
             noise_memory=self.noise_memory(),
             velocity=velocity,
             columns=columns,
+            first_position=self.choice(initial, "position", FIRST_PLACES, "measured"),
+            first_velocity=self.choice(initial, "velocity", FIRST_VELOCITIES, "unknown"),
             latents=self.latents(),
             train=self.patterns(split, "train"),
             test=self.patterns(split, "test"),

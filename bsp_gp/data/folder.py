@@ -14,6 +14,7 @@ from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
+from bsp_gp.units import UNCALIBRATED
 
 __all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
 
@@ -63,6 +64,7 @@ def _trajectories(dataset):
         for prefix, attribute in (("v", "velocities"), ("s", "sigma"))
     }
     axes = "xyz"[: dataset.n_dims]
+    is_begun = _initial(dataset)["velocity"] is not None
     pieces = []
     for scene in dataset.scenes:
         present = _present(scene)
@@ -75,6 +77,8 @@ def _trajectories(dataset):
                 continue
             for k, axis in enumerate(axes):
                 piece[prefix + axis] = math.nan if block is None else block[row, column, k]
+        if is_begun:
+            piece |= _first_cells(scene, row, column, axes, piece)
         for name, values in scene.inputs.items():
             here = values[row, column]
             parts = {name: here} if here.ndim == 1 else dict(
@@ -83,6 +87,36 @@ def _trajectories(dataset):
             piece |= parts
         pieces.append(pd.DataFrame(piece))
     return pd.concat(pieces, ignore_index=True)
+
+
+def _initial(dataset):
+    """What ``[initial]`` says of the first rows of scenes."""
+    firsts = [scene.first for scene in dataset.scenes if scene.first is not None]
+    errors = [f.velocity_error[np.isfinite(f.velocity)] for f in firsts]
+    errors = np.concatenate([np.zeros(0), *errors])
+    velocity = None if not len(errors) else "measured" if errors.any() else "exact"
+    if velocity == "measured" and not errors.all():
+        raise OutputError("some first velocities are exact and others are not: no words for that")
+    return {
+        "position": "exact" if any(f.is_placed for f in firsts) else None, "velocity": velocity,
+    }  # fmt: skip
+
+
+def _first_cells(scene, row, column, axes, piece):
+    """Velocities of the first row, and their errors where they have any, for a table."""
+    blank = np.full((len(row), len(axes)), np.nan)
+    first, out = scene.first, {}
+    for prefix, name in (("v", "velocity"), ("sv", "velocity_error")):
+        values = blank.copy()
+        if first is not None:
+            values[row == 0] = getattr(first, name)[column[row == 0]]
+        for k, axis in enumerate(axes):
+            kept = piece.get(f"{prefix}{axis}")
+            shown = np.isfinite(values[:, k])
+            out[f"{prefix}{axis}"] = values[:, k] if kept is None else np.where(
+                shown, values[:, k], kept
+            )  # fmt: skip
+    return out
 
 
 def _present(scene):
@@ -157,6 +191,7 @@ def _declaration(dataset):
         "units": _units(dataset),
         "axes": {"up": dataset.up},
         "columns": {"velocity": dataset.velocity},
+        "initial": _initial(dataset),
         "split": split if dataset.train or dataset.test else {},
         "evaluation": {
             "initial_rows": evaluation.initial_rows,
@@ -184,8 +219,8 @@ def _units(dataset):
     """Numbers in memory are SI, so these are SI units, or px, or nothing."""
     symbols = dataset.units.symbols
     units = {}
-    if symbols.get("m") in ("px", "rad") or "m" not in symbols:
-        units["length"] = {"px": "px", "rad": "rad"}.get(symbols.get("m"), "m")
+    if symbols.get("m") in (*UNCALIBRATED, "rad") or "m" not in symbols:
+        units["length"] = symbols.get("m", "m")
     for kind, base in (("time", "s"), ("mass", "kg")):
         if base not in symbols:
             units[kind] = base

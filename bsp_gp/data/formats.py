@@ -21,8 +21,8 @@ from bsp_gp.data.headings import (
     NUMBER_COLUMNS,
     TEXT_COLUMNS,
     UNKNOWN,
-    is_run,
     number_columns,
+    run_of,
     told,
 )
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
@@ -155,10 +155,11 @@ def long_table(
         rest = [h for h in found if h.sure == UNKNOWN]
         frame = frame.set_axis(names, axis=1)[[name for name in names if name]]
     is_named = {"entity", "scene"} & set(frame.columns)
-    if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not is_run(title):
+    if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not run_of(title):
         title = ""  # of Tracker it is the name of the mass; of others, anything
-    if title and is_run(title) and "scene" not in is_named:
-        frame, title = frame.assign(scene=title), ""
+    run = run_of(title)
+    if run and "scene" not in is_named:
+        frame, title = frame.assign(scene=run), ""
     for column in (c for c in TEXT_COLUMNS if c in frame.columns):
         frame[column] = frame[column].map(plain_cell)
     of_names = {n: u for n, u in zip(names, units, strict=True) if u and n in frame.columns}
@@ -171,7 +172,8 @@ def long_table(
                           for h in found if h.is_renamed),
         file=str(file), digest=digest, title=title or None, decimal=decimal,
         notes=(*notes, *unused, *date_notes, *filter(None, [told(found)])),
-        theirs={h.name: h.theirs for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
+        theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
+                for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_height else None,
     )  # fmt: skip
 
@@ -187,7 +189,7 @@ def _title(layout, head):
     is_second = layout.header_line == 1 or head[0].startswith("Vernier Format")
     if len(cells) != 1 or not is_second:
         return ""
-    title = cells[0] if is_run(cells[0]) else re.sub(r"^#?\s*(?:name:)?\s*", "", cells[0])
+    title = cells[0] if run_of(cells[0]) else re.sub(r"^#?\s*(?:name:)?\s*", "", cells[0])
     return title[:60]
 
 

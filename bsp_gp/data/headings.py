@@ -14,15 +14,15 @@ from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import in_python
-from bsp_gp.units import Unit
+from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_error", "is_run", "number_columns", "told",
+    "is_error", "is_run", "number_columns", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
-    "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz",
+    "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}
@@ -57,6 +57,12 @@ _ERROR_WORDS = _set(
     " genauigkeit likelihood confidence incertitude"
 )
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
+_ANGLE_WORDS = _set(
+    "angle winkel theta θ phi φ pa position angular positionswinkel auslenkwinkel drehwinkel angolo"
+    " ángulo angulo"
+)
+_FAR_WORDS = _set("separation sep rho ρ distance abstand radius r distanz distanza distancia")
+"""A distance from where an angle is measured."""
 _COUNT_WORDS = _set("nr no number num nummer index idx # id numéro número numero of the")
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
@@ -65,7 +71,7 @@ _GUESSES = {
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
                   " wurf throw drop shot recording aufnahme repetition scene szene"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
-                   " cart wagen"),
+                   " cart wagen track trajectory"),
     "y": _set("height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
     "x": _PLACE_WORDS | _set("distance strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
@@ -126,6 +132,12 @@ def is_run(text):
     return _RUN_NAME.fullmatch(text.strip()) is not None
 
 
+def run_of(title):
+    """The run that a title names, itself or at its end as in ``Position, Ch 1, Run #1``; or ""."""
+    match = re.search(rf"(?:^|,\s*)({_RUN_NAME.pattern})\s*$", title, re.IGNORECASE)
+    return match[1] if match else ""
+
+
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
     return bool(_words(text) & _ACCELERATION_WORDS)
@@ -166,7 +178,7 @@ def headings(cells, rename=None, *, is_track=True):
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
     found = [_read(cell, back, is_track) for cell in cells]
     if is_track:
-        found = _with_bodies(found)
+        found = _turned(_with_bodies(found))
         found = [_guessed(h, {f.name for f in found}) for h in found]
     return tuple(_settled(found))
 
@@ -209,6 +221,8 @@ def _split_unit(cell, back, is_track):
             name = _guess(stem)
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
             return stem, match[2].strip()
+        if is_track and _is_of(stem, _ANGLE_WORDS) and match[2].strip().lower() in ANGLES:
+            return stem, match[2].strip()
     return cell, ""
 
 
@@ -220,7 +234,8 @@ def _our_name(name):
     words = re.split(r"[\s_-]+", lower)
     symbols = [word for word in words if word in ("t", "x", "y", "z")]
     about = {word for word in words if word not in symbols}
-    if about and about <= _TIME_WORDS and symbols in ([], ["t"]):
+    is_time = about <= _TIME_WORDS or (symbols == ["t"] and about <= _PLACE_WORDS)
+    if about and is_time and symbols in ([], ["t"]):
         return "t", WORD
     if about and len(symbols) == 1 and symbols != ["t"]:
         if about <= _PLACE_WORDS:
@@ -238,6 +253,25 @@ def _guess(name):
         if counted and counted <= known:
             return ours
     return None
+
+
+def _is_of(text, known):
+    """Whether all words of a heading are of a kind."""
+    return bool(_words(text) - {""}) and _words(text) - {""} <= known
+
+
+def _turned(found):
+    """Where no column is a place: a distance and an angle, or an angle alone in that of x."""
+    if any(h.name in ("x", "y", "z") and h.sure < GUESS for h in found) or has_place(found):
+        return found
+    far = [h for h in found if h.sure == UNKNOWN and _is_of(h.name, _FAR_WORDS)]
+    angles = [h for h in found if h.sure == UNKNOWN and _is_of(h.name, _ANGLE_WORDS)
+              and (h.unit.lower() in ANGLES or (far and not h.unit))]  # fmt: skip
+    owners = [h.owner for h in angles]
+    if len(set(owners)) != len(owners) or (far and (len(far), owners) != (1, [("", "")])):
+        return found
+    names = {id(h): "angle" if far else "x" for h in angles} | {id(h): "distance" for h in far}
+    return [replace(h, name=names[id(h)], sure=GUESS) if id(h) in names else h for h in found]
 
 
 def _guessed(heading, names):

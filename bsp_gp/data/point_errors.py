@@ -5,6 +5,8 @@ No law can profit from what is left out.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 __all__ = ["gross_errors"]
@@ -25,6 +27,9 @@ LONG = 30
 """Points of a track in which one that is far off does not change what is usual."""
 TRIED = 3
 """Points of a shorter one that are looked at."""
+APART, MANY = 4 * REACH, 1000
+"""Points of which the furthest off is taken out in one turn, where a track has that many: one that
+is off is in the prediction of those beside it, and no further."""
 ALONE = 2
 """Points on either side that must not be far off as well."""
 BOTH = (-2, -1, 1, 2), 3
@@ -69,19 +74,31 @@ def gross_errors(times, positions, sigma, *, is_exact=False):
     most = max(int(MOST_GROSS * len(rows)), 1)
     for _ in range(most + 1):
         size, worst = _worst(times[rows], positions[np.ix_(rows, axes)], sigma[axes], is_exact)
-        if worst is None:
+        if not len(worst):
             return off
-        off[rows[worst]] = max(size, 1.0)
+        off[rows[worst]] = np.maximum(size, 1.0)
         rows = np.delete(rows, worst)
         if len(rows) < LEAST:
             return off
+        if np.count_nonzero(off > 1) > most:
+            break
     return np.ones(len(times))  # so many are off that the motion itself is rough
 
 
 def _worst(times, x, sigma, is_exact):
-    """The point that is furthest off, and its size in sigma; None where none is too far."""
+    """Sizes in sigma of points that are furthest off, and which they are, of each stretch one."""
     n = len(times)
     size, far, beyond = _deviations(times, x, sigma)
+    if n >= MANY:
+        order = np.flatnonzero(_is_peak(far) & (far > FAR))
+        is_inner = (order >= REACH) & (order < n - REACH) & (not is_exact)
+        kept = [
+            inner or _is_alone(times[part], x[part], sigma, row - part.start)
+            for row, inner in zip(order, is_inner, strict=True)
+            for part in [slice(max(row - MANY, 0), row + MANY)]
+        ]
+        worst = order[np.array(kept, dtype=bool)]
+        return size[worst], worst
     order = np.argsort(-far, kind="stable")
     if n >= LONG:
         order = order[: np.count_nonzero(far > FAR)]
@@ -90,8 +107,16 @@ def _worst(times, x, sigma, is_exact):
     for row in order:
         is_inner = REACH <= row < n - REACH
         if (n >= LONG and is_inner and not is_exact) or _is_alone(times, x, sigma, row):
-            return size[row], int(row)
-    return 1.0, None
+            return size[[row]], np.array([row])
+    return np.ones(0), np.zeros(0, dtype=int)
+
+
+def _is_peak(values):
+    """Whether a value is the first greatest of those up to `APART` / 2 before and after it."""
+    half = APART // 2
+    padded = np.pad(values, half, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, APART + 1)
+    return windows.argmax(axis=1) == half
 
 
 def _is_alone(times, x, sigma, row):
@@ -114,10 +139,15 @@ def _deviations(times, x, sigma, usual=None):
     n = len(times)
     usual = {} if usual is None else usual
     size, far, beyond = np.ones(n), np.full(n, np.inf), np.full(n, np.inf)
+    steps = np.diff(times)
+    is_even = np.ptp(steps) < 1e-9 * steps[0]
     for (offsets, degree), judged in _neighbours(n):
         rows = np.arange(max(-offsets[0], 0), n - max(offsets[-1], 0))
         nodes = rows[:, None] + np.array(offsets)
-        weights = _predicting(times[nodes], times[rows], degree)
+        if is_even:
+            weights = _evenly(offsets, degree)
+        else:
+            weights = _predicting(times[nodes], times[rows], degree)
         gap = np.abs(x[rows] - (weights[..., None] * x[nodes]).sum(axis=1)) / sigma
         z = gap / np.sqrt(1 + np.square(weights).sum(axis=1))[:, None]
         if (offsets, degree) not in usual:
@@ -126,7 +156,7 @@ def _deviations(times, x, sigma, usual=None):
         ratio = (z / usual[offsets, degree]).max(axis=1)
         if degree == 0:
             ratio *= FAR_ALONE / FAR_STEP
-        own = np.array(judged) - rows[0]
+        own = judged - rows[0]
         far[judged] = np.minimum(far[judged], ratio[own])
         beyond[judged] = np.minimum(beyond[judged], z.max(axis=1)[own])
         if (offsets, degree) in (BEFORE, AFTER, BOTH):
@@ -136,14 +166,19 @@ def _deviations(times, x, sigma, usual=None):
 
 def _neighbours(n):
     """Sets of neighbours, each with the degree of its polynomial, and the rows that it judges."""
-    inner = list(range(REACH, n - REACH))
-    yield BEFORE, [*inner, *range(n - REACH, n)]
-    yield AFTER, [*range(REACH), *inner]
-    yield BOTH, [*range(2, n - 2)]
+    yield BEFORE, np.arange(REACH, n)
+    yield AFTER, np.arange(n - REACH)
+    yield BOTH, np.arange(2, n - 2)
     for sign in (1, -1):
         for place, (offsets, degree) in ENDS.items():
             turned = offsets if sign > 0 else tuple(-k for k in reversed(offsets))
-            yield (turned, degree), [place if sign > 0 else n - 1 - place]
+            yield (turned, degree), np.array([place if sign > 0 else n - 1 - place])
+
+
+@lru_cache
+def _evenly(offsets, degree):
+    """The same at even times, (1, k)."""
+    return _predicting(np.array([offsets], dtype=float), np.zeros(1), degree)
 
 
 def _predicting(nodes, at, degree):
@@ -152,4 +187,7 @@ def _predicting(nodes, at, degree):
     s = s / np.abs(s).max(axis=1, keepdims=True)
     if np.ptp(s, axis=0).max() < 1e-9:  # even times: all rows have the same weights
         s = s[:1]
-    return np.linalg.pinv(s[..., None] ** np.arange(degree + 1))[:, 0]
+    powers = s[..., None] ** np.arange(degree + 1)
+    gram = np.swapaxes(powers, 1, 2) @ powers
+    first = np.eye(degree + 1)[None, :, :1]
+    return (powers @ np.linalg.solve(gram, first))[..., 0]

@@ -17,7 +17,10 @@ import numpy as np
 from bsp_gp.errors import DataError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
 
-__all__ = ["CHECK", "SHAPES", "Dataset", "Entity", "Evaluation", "LatentDeclaration", "Scene"]
+__all__ = [
+    "CHECK", "SHAPES", "Dataset", "Entity", "Evaluation", "FirstState", "LatentDeclaration",
+    "Scene",
+]  # fmt: skip
 
 CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""
@@ -106,6 +109,27 @@ def _readonly(array):
 
 
 @dataclass(frozen=True, eq=False)
+class FirstState:
+    """What is known of the first row of a scene beyond that its places were measured.
+
+    Attributes
+    ----------
+    velocity, velocity_error : ndarray, shape (N, d), m/s
+        nan = unknown; an error of 0 = exact.
+    is_placed : bool
+        Whether the places of the first row are exact.
+    """
+
+    velocity: np.ndarray
+    velocity_error: np.ndarray
+    is_placed: bool = False
+
+    def __post_init__(self):
+        for attribute in ("velocity", "velocity_error"):
+            object.__setattr__(self, attribute, _readonly(getattr(self, attribute)))
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """One recording: the same entities over strictly increasing times.
 
@@ -122,6 +146,7 @@ class Scene:
         Quoted standard errors per point; nan where none is quoted.
     inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
         What was logged beside the tracks, SI, for laws to name; nan = not logged there.
+    first : FirstState or None
     """
 
     name: str
@@ -131,6 +156,7 @@ class Scene:
     velocities: np.ndarray | None = None
     sigma: np.ndarray | None = None
     inputs: Mapping = field(default_factory=dict)
+    first: FirstState | None = None
 
     def __post_init__(self):
         inputs = {name: _readonly(values) for name, values in self.inputs.items()}
@@ -181,6 +207,8 @@ class Scene:
                     f"{where}: {attribute} must have the shape of positions "
                     f"{self.positions.shape}, got {value.shape}"
                 )
+        if self.first is not None and self.first.velocity.shape != self.positions.shape[1:]:
+            raise DataError(f"{where}: first velocities must be one per entity and axis")
         if self.sigma is not None and np.any(self.sigma < 0):
             raise DataError(f"{where}: quoted errors must not be negative")
         self._reject_coincident()
@@ -235,6 +263,7 @@ class Scene:
             None if self.velocities is None else self.velocities[cut],
             None if self.sigma is None else self.sigma[cut],
             {name: values[cut] for name, values in self.inputs.items()},
+            self.first if start in (0, None) else None,
         )
 
 
@@ -366,9 +395,9 @@ class Dataset:
         bodies = list(dict.fromkeys(name for scene in self.scenes for name in scene.names))
         listed = ", ".join(bodies[:6]) + (" ..." if len(bodies) > 6 else "")
         units = ", ".join(f"{kind} in {unit}" for kind, unit in self.units.declared.items())
-        n_rows = sum(len(scene.times) for scene in self.scenes)
+        n_rows, n = sum(len(scene.times) for scene in self.scenes), len(self.scenes)
         return "\n".join([
-            f"Dataset {self.name!r}: {len(self.scenes)} scene(s), {n_rows} rows, {self.n_dims}-D",
+            f"Dataset {self.name!r}: {n} scene{'s' * (n > 1)}, {n_rows} rows, {self.n_dims}-D",
             f"  bodies: {listed}", f"  properties: {', '.join(self.property_names) or 'none'}",
             f"  units: {units or 'none declared'}; up: {self.up or 'not declared'}",
             f"  notes: {len(self.notes)}",

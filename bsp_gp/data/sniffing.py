@@ -121,8 +121,8 @@ def _likely_header(head):
 def _finish(head, number, delimiter, found):
     units = [h.unit for h in found]
     data_line = number + 1
-    # Below the names there may be symbols (t, x) and below these, or at once, the units.
-    for line in (number + 1, number + 2):
+    # Below the names there may be others (symbols; a program's own words) and the units.
+    for line in range(number + 1, number + 4):
         row = split_line(head[line], delimiter) if line < len(head) else ()
         row = tuple(cell.strip("()[] ") for cell in row)
         if _is_unit_row(row, [h.name for h in found]):

@@ -8,10 +8,10 @@ import hashlib
 import io
 import itertools
 import re
-import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bsp_gp.data.horizons import is_horizons, plain_table
 from bsp_gp.errors import DataError, MissingDependencyError
 
 __all__ = ["Source", "open_source"]
@@ -27,10 +27,9 @@ _OWN_FORMATS = {
     ".cap": "a file of Capstone; there, choose File > Export Data",
     ".spklab": "a file of SPARKvue; there, choose Export Data",
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
-    ".xls": "a workbook of an old Excel; save it as .xlsx or as CSV UTF-8",
-    ".ods": "a workbook of LibreOffice; save it as .xlsx or as CSV",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
+_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ def open_source(path):
             "this format is not read", file=path,
             remedy=f"it is {_OWN_FORMATS[path.suffix.lower()]}, and give that file",
         )  # fmt: skip
-    return _workbook(path) if path.suffix.lower() in (".xlsx", ".xlsm") else _text_file(path)
+    return _workbook(path) if path.suffix.lower() in _WORKBOOKS else _text_file(path)
 
 
 def _text_file(path):
@@ -124,11 +123,25 @@ def _text_file(path):
         raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
     _require_rows(path, counts[b"\n"])
     if bad_line is None:
-        return Source(path, digest.hexdigest(), counts)
+        return _told_apart(Source(path, digest.hexdigest(), counts))
     if not _is_windows(path):
         _fail_encoding(path, bad_line)
     note = f"{path.name} is not UTF-8: read as Windows-1252, as Excel writes it"
     return Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,))
+
+
+def _told_apart(source):
+    """The source itself, or the plain table within an ephemeris of Horizons."""
+    with source.open() as stream:
+        head = stream.read(20)
+        if not head.startswith(("*" * 10, "API", "Ephemeris", "JPL", "{")):
+            return source
+        text = head + stream.read()
+    if not is_horizons(text):
+        return source
+    text = plain_table(text)
+    counts = {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
+    return replace(source, text=text, counts=counts)
 
 
 def _is_windows(path):
@@ -162,23 +175,21 @@ def _fail_encoding(path, line, name="WINDOWS-1252"):
 def _workbook(path):
     """The first sheet of a workbook that has rows, as text with tabs."""
     try:
-        import openpyxl
-        from openpyxl.utils.exceptions import InvalidFileException
+        from python_calamine import CalamineError, CalamineWorkbook
     except ImportError as error:
         raise MissingDependencyError(
-            f"{path}: reading .xlsx needs openpyxl: pip install openpyxl, or save it as CSV UTF-8"
+            f"{path}: reading a workbook needs python-calamine: pip install python-calamine, or "
+            "save it as CSV UTF-8"
         ) from error
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+        with CalamineWorkbook.from_path(path) as book:
+            names = book.sheet_names
+            sheets = {n: _rows(path, book.get_sheet_by_name(n).to_python()) for n in names}
+    except (CalamineError, ValueError, OSError) as error:
         raise DataError(
             f"this is no workbook that can be read ({error})", file=path,
             remedy="save it as .xlsx anew, or as CSV UTF-8",
         ) from error  # fmt: skip
-    try:
-        sheets = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
-    finally:
-        book.close()
     filled = [title for title, rows in sheets.items() if rows]
     if not filled:
         raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
@@ -192,12 +203,10 @@ def _workbook(path):
     return Source(path, digest, counts, text=text, notes=notes)
 
 
-def _rows(path, sheet):
+def _rows(path, cells):
     """Rows of cells as texts, all of one length, without empty ones at the end."""
-    rows = []
-    for row in sheet.iter_rows(values_only=True):
-        rows.append(["" if cell is None else _cell(cell) for cell in row])
-        _require_rows(path, len(rows))
+    _require_rows(path, len(cells))
+    rows = [[_cell(cell) for cell in row] for row in cells]
     while rows and not any(rows[-1]):
         rows.pop()
     width = max((k + 1 for row in rows for k, cell in enumerate(row) if cell), default=0)
@@ -207,4 +216,6 @@ def _rows(path, sheet):
 def _cell(value):
     if hasattr(value, "isoformat"):
         return value.isoformat()
-    return repr(value) if isinstance(value, float) else str(value).replace("\n", " ").strip()
+    if isinstance(value, float):  # as are all numbers of a sheet
+        return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+    return str(value).replace("\n", " ").strip()

@@ -34,6 +34,9 @@ from bsp_gp.output.mark import read_mark
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
 
+MAX_COLUMNS = 12
+"""Columns whose meaning is told."""
+
 
 def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=None, test=None):
     """Read a data set folder, or a lone delimited file.
@@ -251,15 +254,17 @@ def _assemble(table, roster, declaration, default_name):
         *split_note,
     ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
-    if has_velocity and declaration.velocity == "ignore":
+    is_used = declaration.velocity != "ignore" or declaration.first_velocity != "unknown"
+    if has_velocity and not is_used:
         notes.append(
             'velocity columns are not used; write [columns] velocity = "measured" if they were '
             "measured and are not differences of positions"
         )
     provenance = dict(declaration.provenance)
-    renamed = {ours: theirs for ours, theirs in table.theirs.items() if ours != theirs}
-    if renamed:
-        provenance["columns"] = ", ".join(f"{k} = {v!r}" for k, v in renamed.items())
+    theirs = [k if k == v else f"{k} = {v!r}" for k, v in table.theirs.items()]
+    if theirs != list(table.theirs):
+        more = f" and {len(theirs) - MAX_COLUMNS} more" if len(theirs) > MAX_COLUMNS else ""
+        provenance["columns"] = ", ".join(theirs[:MAX_COLUMNS]) + more
     for each in tables:
         if each.digest:
             provenance[f"sha256 of {Path(each.file).name}"] = each.digest

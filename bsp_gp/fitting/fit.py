@@ -526,7 +526,9 @@ class _Run:
         rows = np.zeros(0) if minimum.linearised is None else minimum.linearised.residual
         rows, pulled = rows[: len(row_scenes)], rows[len(row_scenes) :]  # priors stand last
         chisqr = minimum.chisqr - float(pulled @ pulled)
-        likelihood = log_likelihood(model, tracks.channels, tracks.residual)
+        missed, n_known = known_of(climb, minimum)
+        n_rows += n_known
+        likelihood = log_likelihood(model, tracks.channels, tracks.residual) - 0.5 * missed
         known = informed(self, climb, minimum, model)
         jacobian = _told_of_constants(self, climb, known)[: len(row_scenes)]
         at_bound = (constants <= self.low) | (constants >= self.high)
@@ -569,6 +571,15 @@ class _Run:
             if found.chisqr > dof + self.tolerances.refuted * np.sqrt(2 * dof):
                 return "refuted"
         return "converged"
+
+
+def known_of(climb, minimum):
+    """Sum of squares of what tracks miss of known first states, and how many those are."""
+    found = [
+        shooting.misfit_of_known(nodes)
+        for shooting, nodes in zip(climb.problem.shootings, minimum.point.nodes, strict=True)
+    ]
+    return tuple(map(sum, zip(*found, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

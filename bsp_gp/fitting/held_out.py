@@ -206,6 +206,9 @@ def _only(scene, kept):
     fields = ("positions", "velocities", "sigma")
     arrays = {name: getattr(scene, name) for name in fields}
     arrays = {name: None if a is None else a[:, kept] for name, a in arrays.items()}
+    if scene.first is not None:
+        own = {n: getattr(scene.first, n)[kept] for n in ("velocity", "velocity_error")}
+        arrays["first"] = replace(scene.first, **own)
     return replace(scene, entities=tuple(scene.entities[k] for k in kept), **arrays)
 
 

@@ -17,7 +17,12 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import FORCE, Unit
 
-__all__ = ["Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law"]
+__all__ = [
+    "NOTHING", "Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law",
+]  # fmt: skip
+
+NOTHING = "nothing"
+"""What is declared where bodies move on as they are."""
 
 
 @dataclass(frozen=True)
@@ -276,7 +281,8 @@ def read_law(dataset, texts: Sequence[str]):
     dataset : Dataset
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
-        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted.
+        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted. ``"nothing"`` is no force:
+        uniform motion.
 
     Returns
     -------
@@ -287,7 +293,12 @@ def read_law(dataset, texts: Sequence[str]):
 
     types = dataset_types(dataset)
     is_angle, terms, frame = dataset.units.is_angle, [], []
-    for text in (texts,) if isinstance(texts, str) else texts:
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    if NOTHING in (forces := [text.strip().lower() for text in texts if "=" not in text]):
+        if len(forces) > 1:
+            raise LawError(f"{NOTHING!r} means that no force is declared: leave out the others")
+        texts = [text for text in texts if "=" in text]
+    for text in texts:
         if "=" in text:
             frame.append(read_constraint(dataset, text))
             continue

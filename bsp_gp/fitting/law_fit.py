@@ -24,6 +24,7 @@ from bsp_gp.fitting.law_text import (
     fit_text,
     how_it_ended,
     strong_correlations,
+    variables,
     without_prediction,
 )
 from bsp_gp.fitting.noise_model import NoiseModel
@@ -42,8 +43,8 @@ __all__ = [
 ]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
-MAX_LINES = 10
-"""Of what a fit says of itself unasked."""
+MAX_TOLD = 5
+"""Constants that a fit tells unasked."""
 MISFIT = 1.5
 """Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
 UNTOLD = 0.9
@@ -137,8 +138,16 @@ class LawFit:
         return fit_text(self)
 
     def __repr__(self):
-        lines = self.text().splitlines()
-        return "\n".join(lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], "..."])
+        told = [line[2:] for line in variables(self.constants)]
+        if len(told) > MAX_TOLD:
+            told = [*told[: MAX_TOLD - 1], f"  and {len(told) - MAX_TOLD + 1} more"]
+        e = self.errors
+        return "\n".join([
+            f"LawFit of {self.dataset!r}: {self.status}", f"  F_i = {self.law_text}", *told,
+            f"  held-out position error {e.rollout_rmse:.4g} {e.unit}; reduced chi-square "
+            f"{self.chi2_red:.4g} of {self.n_rows} numbers",
+            f"  notes: {len(self.notes)}; text() tells all",
+        ])  # fmt: skip
 
     def _repr_html_(self):
         return f"<pre>{escape(repr(self))}</pre>"
@@ -216,7 +225,8 @@ def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, ti
     constants = constant_estimates(found, dataset, bounds)
     noise_told = about_noise(found.noise, said, dataset.units)
     return LawFit(
-        dataset=dataset.name, law=found.law, law_text=found.law.text(digits=False),
+        dataset=dataset.name, law=replace(found.law, up=dataset.up),
+        law_text=found.law.text(digits=False),
         constants=constants, correlation=_correlation(found.covariance), errors=errors,
         noise=noise_told, status=found.status,
         message=in_python(how_it_ended(found, constants, time_limit)), chisqr=found.chisqr,

@@ -8,7 +8,8 @@ from bsp_gp.data.scene import CHECK
 from bsp_gp.fitting.starts import roles_of
 
 __all__ = [
-    "doubts", "fit_text", "how_it_ended", "strong_correlations", "without_prediction",
+    "doubts", "fit_text", "how_it_ended", "strong_correlations", "variables",
+    "without_prediction",
 ]  # fmt: skip
 
 MIN_CORRELATION = 0.1
@@ -46,7 +47,7 @@ def fit_text(found):
         f"    one-step nrmse     = {e.one_step_nrmse:.4g} {e.unit}",
         f"    residual accel.    = {e.residual_acceleration:.4g} {e.acceleration_unit}",
         "[[Variables]] (± half of the 90 % interval)",
-        *(list(_variables(found.constants)) or ["    none: every number of the law is given"]),
+        *(list(variables(found.constants)) or ["    none: every number of the law is given"]),
     ]  # fmt: skip
     pairs = found.correlations()
     if pairs:
@@ -194,7 +195,8 @@ def label(constant):
     return f"{constant.name.partition('[')[0]}[{constant.entity}]"
 
 
-def _variables(constants):
+def variables(constants):
+    """A line for each constant: its value, and half of its 90 % interval."""
     width = max((len(label(c)) for c in constants), default=0) + 1
     for c in constants:
         head, unit = f"    {label(c) + ':':<{width}}", f" {c.unit}" if c.unit else ""

@@ -7,6 +7,7 @@ noise, which has no tails, they stay out, and that is told.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,7 +48,13 @@ def without_outliers(scenes, sigma):
     listed : str
         What is not seen any more; empty where that is nothing.
     """
-    sigma = np.asarray(sigma, dtype=float)
+    return _without_outliers(tuple(scenes), tuple(np.asarray(sigma, dtype=float).tolist()))
+
+
+@lru_cache(maxsize=2)
+def _without_outliers(scenes, sigma):
+    """The same; every fit of a run asks it of the same scenes."""
+    sigma = np.array(sigma)
     exact = is_exact(scenes, sigma)
     if exact:
         sigma = np.where(np.isfinite(sigma), RESOLUTION * _extent(scenes), sigma)

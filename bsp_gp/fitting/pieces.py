@@ -14,12 +14,9 @@ from bsp_gp.physics.geometry import Shapes
 
 __all__ = ["Pieces", "cut_pieces"]
 
-COORDINATES, COST = (300, 1200), 4e9
-"""Coordinates of a piece: at the most so few where there are many pieces, and so many where all
-pieces together take no more steps than that (the square of their length for each coordinate). Of
-one that is cut is lost what a force does slowly to the whole."""
+MOST_COORDINATES = 300
+"""Coordinates of a piece at the most, and its least number of rows."""
 LEAST_ROWS = 12
-"""Rows of a piece at the least."""
 MOST_PIECES = 64
 """Pieces of a group of chains that are looked at, spread evenly over it."""
 
@@ -31,6 +28,8 @@ class Pieces:
     Attributes
     ----------
     chain, first, stop : ndarray of int, shape (W,)
+    leads : ndarray of bool, shape (W,)
+        Whether the next piece begins where it ends: it has the first row of that, unseen, as well.
     count : int
         Pieces of one body, P.
     bodies : Bodies
@@ -40,6 +39,7 @@ class Pieces:
     chain: np.ndarray
     first: np.ndarray
     stop: np.ndarray
+    leads: np.ndarray
     count: int
     bodies: Bodies
 
@@ -49,18 +49,33 @@ class Pieces:
 
     @property
     def _gather(self):
-        rows = self.first + np.arange(int((self.stop - self.first).max()))[:, None]
-        inside = rows < self.stop
+        """Rows of the chains, (L, W), and which belong to a piece."""
+        end = self.stop + self.leads
+        rows = self.first + np.arange(int((end - self.first).max()))[:, None]
+        inside = rows < end
         return np.where(inside, rows, self.first), inside
+
+    def runs(self, most):
+        """Pieces that follow one another, at the most so many, as lists of their numbers."""
+        out, run = [], []
+        for k, leads in enumerate(self.leads):
+            run.append(k)
+            if not leads or len(run) == most:
+                out.append(run)
+                run = []
+        return out
 
     def chains(self, chains):
         """The pieces as chains of their own."""
-        return chains.pieces(self.chain, self.first, self.stop)
+        cut = chains.pieces(self.chain, self.first, self.stop + self.leads)
+        rows, _ = self._gather
+        seen = (rows < self.stop)[..., None, None]
+        return replace(cut, observed=np.where(seen, cut.observed, np.nan))
 
     def noise(self, noise):
         """The noise of their rows."""
         rows, inside = self._gather
-        inside_ = inside[..., None, None]
+        inside_ = (inside & (rows < self.stop))[..., None, None]
         return ChainNoise(
             np.where(inside, noise.times[rows, self.chain], np.nan),
             np.where(inside_, noise.variance[rows, self.chain], np.nan),
@@ -107,7 +122,7 @@ class Pieces:
         return whole[0], whole[1]
 
 
-def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
+def cut_pieces(chains, noise, batch, n_held=0):
     """Cut chains into pieces.
 
     Parameters
@@ -118,15 +133,11 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
         Of the scenes that the chains are of.
     n_held : int
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
-    per_row : int
-        Instants per row at which forces are evaluated.
     """
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
-    each = max(chains.n_moving * chains.n_dims - n_held, 1)
-    low, high = COORDINATES
-    most = np.sqrt(COST / max(each * int(chains.lengths.sum()), 1)) / per_row
-    rows = max(int(np.clip(most, low, high)) // each, LEAST_ROWS)
+    per_row = max(chains.n_moving * chains.n_dims - n_held, 1)
+    rows = max(MOST_COORDINATES // per_row, LEAST_ROWS)
     windows = cut_windows(chains.lengths[:n_scenes], rows)
     chosen = np.arange(len(windows.chain))
     if len(chosen) > MOST_PIECES:
@@ -136,10 +147,12 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
     driven = np.setdiff1d(np.arange(batch.bodies.shapes.code.shape[1]), moving)
     groups = [moving] if n_groups == 1 else [np.array([k]) for k in moving]
     order = [np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups]
+    follows = (scene[1:] == scene[:-1]) & (np.diff(chosen) == 1)
     return Pieces(
         chain=np.concatenate([g * n_scenes + scene for g in range(n_groups)]),
         first=np.tile(windows.first[chosen], n_groups),
         stop=np.tile(windows.stop[chosen], n_groups),
+        leads=np.tile(np.append(follows, False), n_groups),
         count=len(scene),
         bodies=_bodies(batch.bodies, scene, order, len(groups[0])),
     )

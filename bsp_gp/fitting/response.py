@@ -18,11 +18,13 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bsp_gp.fitting.links import link, orthonormal
 from bsp_gp.fitting.pieces import cut_pieces
+from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.language.formula import evaluate
-from bsp_gp.physics.bodies import law_inputs, stack
+from bsp_gp.physics.bodies import law_inputs, stack, subset
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
@@ -41,6 +43,8 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
 PASSES = 3
+MEMORIES = 3.0
+"""Correlation times that pieces must last for their noise to be independent of one another."""
 MOST_KEPT = 1 << 24
 """Moments of laws that are kept, in numbers."""
 NOTHING = 1e-12
@@ -143,8 +147,8 @@ class Response:
     free_gain : float, nats
         Log-evidence of such a force beside white noise alone of a level that is estimated; the
         level beside the force is the declared one, if all is declared.
-    is_cut : bool
-        Whether tracks were cut into pieces: what a force does slowly to whole ones is lost then.
+    free_height : float, nats
+        The same beside white noise of the level of the fit.
     """
 
     regression: ResponseRegression
@@ -152,7 +156,7 @@ class Response:
     share: float
     level: float = 1.0
     free_gain: float = 0.0
-    is_cut: bool = False
+    free_height: float = 0.0
 
     def left(self):
         """Residual and columns, as searches take them."""
@@ -184,8 +188,8 @@ def respond(fit, dataset, scenes=None):
     """
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, columns, levels, free, used, total = [], [], [], 0.0, 0, 0
-        first, is_cut = 0, False
+        batches, columns, levels, free, used, total = [], [], [], np.zeros(2), 0, 0
+        first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
@@ -196,21 +200,18 @@ def respond(fit, dataset, scenes=None):
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             pieces = cut_pieces(chains, noise, batch, n_held)
             group = _Group(fit, chains, nodes, noise, pieces)
-            if group.per_row > 1:  # so fine, shorter ones are as dear
-                pieces = cut_pieces(chains, noise, batch, n_held, group.per_row)
-                group = _Group(fit, chains, nodes, noise, pieces)
-            batches.append(group.batch())
-            columns.append(group.columns(batches[-1]))
+            batches += group.batches()
+            columns += group.columns(batches)
             levels.append(group.level)
-            free += group.free_gain
+            free += group.free_gain, group.free_height
             used += pieces.n_rows
-            is_cut |= len(pieces.chain) > chains.n_chains
             total += int(chains.lengths.sum())
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
     level = float(np.exp(np.mean(np.log(levels))))
-    return Response(regression, np.concatenate(columns), used / max(total, 1), level, free, is_cut)
+    share = used / max(total, 1)
+    return Response(regression, np.concatenate(columns), share, level, *free.tolist())
 
 
 def _noise(fit, chains, part):
@@ -237,7 +238,7 @@ class _Group:
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
-        self.level, self.free_gain = 1.0, 0.0
+        self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
         held = {name for part in constraints_of(fit.law) for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
@@ -357,7 +358,22 @@ class _Group:
         stacked = np.concatenate([moved, left[None]])
         rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
         white = self.noise.whiten(stacked, rows, np.arange(n_pieces))
-        return np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
+        white = np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
+        return np.concatenate([white, *self._known(white, first)], axis=1)
+
+    def _known(self, white, first):
+        """Rows of what is known of first states, none or one array (W, n, F + n + k + 1)."""
+        known = known_states(self.chains, self.noise)
+        if known is None:
+            return ()
+        values, errors = known
+        n = len(values)
+        left = np.nan_to_num((values - self.nodes[..., 0, :].reshape(n, -1)) / errors)
+        rows = np.zeros((white.shape[0], n, white.shape[2]))
+        own = np.arange(n)
+        rows[:, own, first - n + own] = np.nan_to_num(1.0 / errors).T
+        rows[:, :, -1] = left.T
+        return (rows,)
 
     def moments(self):
         """Tracks smoothed, then moments by force, of what is left, and which of them count.
@@ -374,7 +390,7 @@ class _Group:
             white = self._white(changes)
             n_forces = white.shape[2] - n - len(self.fit.values) - 1
             own = white[:, :, n_forces : n_forces + n]
-            q = _orthonormal(own)
+            q = orthonormal(own)
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             values, vectors = np.linalg.eigh(by_force @ np.swapaxes(by_force, 1, 2))
@@ -382,6 +398,8 @@ class _Group:
                 changes, white, by_force, left, values, vectors
             ):
                 break
+        self._linked = self._links(changes, white)
+        self._weigh(values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0])
         keep = self._kept(values, left)
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
@@ -390,7 +408,7 @@ class _Group:
         by_constant, force = beyond[:, :, n_forces + n : -1], turned @ by_force
         if self.held.any():  # what bodies are held by shows where no force does, too
             rest = by_constant[:, :, self.held]
-            more = np.swapaxes(_orthonormal(rest - vectors @ (turned @ rest)), 1, 2)
+            more = np.swapaxes(orthonormal(rest - vectors @ (turned @ rest)), 1, 2)
             turned = np.concatenate([turned, more], axis=1)
             keep = np.concatenate([keep, more.any(axis=2)], axis=1)
             force = np.concatenate([force, np.zeros((*more.shape[:2], n_forces))], axis=1)
@@ -419,7 +437,6 @@ class _Group:
             for s in (0.0, *STRENGTHS)
         ]
         best = int(np.argmax(height))
-        self._weigh(turned, scaled, height[best])
         if best == 0 or height[best] < height[0] + 1.0:
             return False
         strength = STRENGTHS[best - 1] / np.where(top > 0, top, 1.0)
@@ -440,27 +457,86 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _weigh(self, turned, scaled, height):
+    def _weigh(self, values, turned):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
         What a law leaves may have been taken for noise: its level is that of the pure error.
+
+        Parameters
+        ----------
+        values : ndarray, shape (W, m)
+            What forces show in the moments of pieces, squared.
+        turned : ndarray, shape (W, m)
+            Those moments.
         """
+        top = np.maximum(values, 0.0).max(axis=1, keepdims=True)
+        if not np.any(top > 0):
+            return
+        parts = [(turned, np.maximum(values, 0.0) / np.where(top > 0, top, 1.0))]
+        if self._linked is not None:
+            links = self._linked[0]
+            mean = np.where(links.pieces >= 0, top[links.pieces, 0], np.nan)
+            parts.append((links.left, links.values / np.nanmean(mean, axis=1)[:, None]))
+        square, scaled = (np.concatenate([part[k].ravel() for part in parts]) for k in (0, 1))
+        square, scaled = np.square(square), scaled
         known = scaled > NOTHING  # noise shows nothing in what states and the like take up
-        count = max(int(known.sum()), 1)
-        found = []
+        square, scaled = square[known], scaled[known]
+        count = max(len(square), 1)
+        given, freed = [], []
         for s in (0.0, *STRENGTHS):
-            size = 1 + s * scaled[known]
-            square = float((turned[known] / size).sum()) / count
-            found.append((-0.5 * (count * (np.log(square) + 1) + np.log(size).sum()), square))
-        best, square = max(found)
-        is_lower = square < MUCH_LOWER**2 and best > height + SURELY
-        self.level = float(np.sqrt(square)) if is_lower else 1.0
-        self.free_gain = (best if self.fit.noise.is_free.any() else height) - found[0][0]
+            size = 1 + s * scaled
+            rest, volume = float((square / size).sum()), float(np.log(size).sum())
+            given.append(-0.5 * (rest + volume))
+            level = max(rest / count, np.finfo(float).tiny)
+            freed.append((-0.5 * (count * (np.log(level) + 1) + volume), level))
+        best, level = max(freed)
+        is_lower = level < MUCH_LOWER**2 and best > max(given) + SURELY
+        self.level = float(np.sqrt(level)) if is_lower else 1.0
+        best = best if self.fit.noise.is_free.any() else max(given)
+        self.free_gain, self.free_height = best - freed[0][0], best - given[0]
 
-    # --- a batch of the regression ---------------------------------------------------------------
+    def _links(self, changes, white):
+        """Moments of what joins the pieces, and which count; None where nothing does."""
+        leads = self.pieces.leads
+        if not leads.any():
+            return None
+        if self.noise.amplitude.any():  # across pieces a memory is not followed
+            lasts = np.nanmax(self.fine.times, axis=0) - np.nanmin(self.fine.times, axis=0)
+            if lasts[leads].min() < MEMORIES * self.noise.correlation_time:
+                return None
+        links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
+        return links and links.kept(self._kept(links.values, links.left))
 
-    def batch(self):
-        """The pieces as a batch of a regression."""
+    # --- batches of the regression ---------------------------------------------------------------
+
+    def batches(self):
+        """The pieces as a batch of a regression, and what joins them as another, if anything."""
+        pieces = self._batch()
+        if self._linked is None:
+            return [pieces]
+        links, kept = self._linked
+        shape = (*links.by_force.shape[:2], -1, self.n_own, self.n_dims)
+        times, *tracks = (self._joined(a) for a in (pieces.times, pieces.positions,
+                          pieces.velocities, pieces.valid))  # fmt: skip
+        return [pieces, replace(
+            pieces, bodies=subset(pieces.bodies, links.pieces[:, 0]), times=times,
+            positions=tracks[0], velocities=tracks[1], valid=tracks[2],
+            target=np.zeros(tracks[2].shape), scale=np.ones(tracks[2].shape),
+            scene_names=tuple(pieces.scene_names[k] for k in links.pieces[:, 0]),
+            whitener=links.by_force.reshape(shape), kept=kept.T[..., None, None],
+            moments=links.left.T,
+        )]  # fmt: skip
+
+    def _joined(self, values):
+        """Values at the instants of pieces (L, W, ...) at those of runs of them, (V L, C, ...)."""
+        which = self._linked[0].pieces
+        taken = np.moveaxis(values[:, which], 2, 0)  # (V, L, C, ...)
+        inside = (which >= 0).T[:, None].reshape(-1, 1, len(which), *(1,) * (taken.ndim - 3))
+        blank = False if taken.dtype == bool else np.nan
+        joined = np.where(inside, taken, blank)
+        return joined.reshape(taken.shape[0] * taken.shape[1], *taken.shape[2:])
+
+    def _batch(self):
         by_force, left, kept = self.moments()
         times = self.fine.times
         positions, velocities = self.pieces.states(self.chains, times, self.nodes)
@@ -473,8 +549,14 @@ class _Group:
             scene_names=self.chains.scenes, whitener=by_force, kept=kept, moments=left.T,
         )  # fmt: skip
 
-    def columns(self, batch):
-        """Moments of the changes by the constants, (n, k), in the way that those of laws are."""
+    def columns(self, batches):
+        """Moments of the changes by the constants, (n, k), in the way that those of laws are.
+
+        Parameters
+        ----------
+        batches : sequence of ResponseBatch
+            The last ones are those of this group.
+        """
         row, chain = np.nonzero(np.isfinite(self.fine.times))
         flow = self._flow(self.fine)
         points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
@@ -483,17 +565,16 @@ class _Group:
         slopes = np.zeros((*self.fine.times.shape, self.n_own, k, self.n_dims))
         shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, k)
         slopes[row, chain] = np.swapaxes(shaped, 2, 3)
-        out = batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
-        # What constants of constraints change is more than forces: where bodies can be.
-        out[:, self.held] = self.by_constant.reshape(out.shape)[:, self.held]
-        return out
-
-
-def _orthonormal(matrices):
-    """Orthonormal bases of the columns of matrices (W, m, n); columns without effect give none."""
-    size = np.linalg.norm(matrices, axis=1, keepdims=True)
-    u, s, _ = np.linalg.svd(matrices / np.where(size > 0, size, 1.0), full_matrices=False)
-    return u * (s > 1e-9 * s.max(axis=1, keepdims=True))[:, None]
+        found = [(slopes, self.by_constant)]
+        if self._linked is not None:
+            found.append((self._joined(slopes), np.swapaxes(self._linked[0].by_constant, 0, 1)))
+        columns = []
+        for batch, (slopes, direct) in zip(batches[-len(found) :], found, strict=True):
+            out = batch.whiten(slopes)[:, :, 0, :, 0].reshape(batch.moments.size, k)
+            # What constants of constraints change is more than forces: where bodies can be.
+            out[:, self.held] = direct.reshape(out.shape)[:, self.held]
+            columns.append(out)
+        return columns
 
 
 def _refined(chains, per_row):

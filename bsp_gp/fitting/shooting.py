@@ -18,11 +18,13 @@ import numpy as np
 from bsp_gp.fitting.unseen import tied
 from bsp_gp.physics.engine.seen import sight
 
-__all__ = ["Condensed", "Shooting", "Windows", "cut_windows"]
+__all__ = ["Condensed", "Shooting", "Windows", "cut_windows", "known_states"]
 
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""
+EXACT = 1e-3
+"""Deviation of what is exact of a first state, in those of a row (and that over a span)."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
 ROUNDINGS = 16
@@ -88,6 +90,33 @@ class Condensed:
     factor: np.ndarray
 
 
+def known_states(chains, noise):
+    """Known first states of chains and their standard deviations, (n, S) each; nan = unknown.
+
+    Parameters
+    ----------
+    chains : Chains
+    noise : ChainNoise
+        Of their rows.
+
+    Returns
+    -------
+    (ndarray, ndarray) or None
+    """
+    if chains.begun is None or not np.isfinite(chains.begun).any():
+        return None
+    n_chains, half = chains.n_chains, chains.n_moving * chains.n_dims
+    variance = np.where(np.isfinite(noise.variance), noise.variance, np.inf)
+    level = np.sqrt(variance.min(axis=(0, 2, 3)))
+    size = np.abs(np.nan_to_num(chains.observed)).max(axis=(0, 2, 3), initial=0.0)
+    least = np.maximum(EXACT * level, ROUNDINGS * np.finfo(float).eps * size)
+    span = _spread(chains.times)
+    least = np.repeat(np.stack([least, least / np.where(span > 0, span, 1.0)]), half, axis=0)
+    values = chains.begun.reshape(2 * half, n_chains)
+    errors = np.maximum(chains.begun_errors.reshape(2 * half, n_chains), least)
+    return values, np.where(np.isfinite(values), errors, np.nan)
+
+
 class Shooting:
     """The tracks of some chains as a least-squares problem in the constants.
 
@@ -106,6 +135,7 @@ class Shooting:
         self._number = np.full(self.chains.times.shape, -1)
         self._number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         self.prior = self._prior()
+        self.known = known_states(self.chains, noise)
         self._tied = tied(flow.motion)
         self._extents = self._window_extents()
         size = np.abs(np.nan_to_num(self.chains.observed)).max(axis=(0, 2, 3), initial=0.0)
@@ -169,7 +199,7 @@ class Shooting:
             columns = self._columns(group, transitions, gaps, self._begun(group, values, nodes))
             rows, _ = self._rows(group, len(columns))
             shown = seen.shown(columns, rows, self.windows.chain[group], n)
-            factor = self._factor(group, shown, seen.places)
+            factor = self._factor(group, shown, seen.places, nodes)
             condensed.append(Condensed(columns, shown, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
             jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
@@ -268,7 +298,25 @@ class Shooting:
             columns[row + 1, open_] = after
         return columns
 
-    def _factor(self, group, shown, places):
+    def _pulls(self, group, nodes):
+        """How far first nodes are from what is known of them, and how sure that is, (W, n) each."""
+        n, (values, errors) = self.flow.n_state, self.known
+        first, chain = self.windows.first[group], self.windows.chain[group]
+        there, surely = values[:, chain], 1.0 / errors[:, chain]
+        now = nodes.reshape(n, *nodes.shape[3:])[:, first, chain]
+        is_known = np.isfinite(there) & (first == 0)
+        return (np.where(is_known, v, 0.0).T for v in (there - now, surely))
+
+    def misfit_of_known(self, nodes):
+        """Sum of squares of what nodes miss of known first states, and how many those are."""
+        if self.known is None:
+            return 0.0, 0
+        values, errors = self.known
+        left = (values - nodes.reshape(self.flow.n_state, *nodes.shape[3:])[:, 0]) / errors
+        half = len(left) // 2  # a place that is exact is a row already
+        return float(np.nansum(np.square(left))), int(np.isfinite(left[half:]).sum())
+
+    def _factor(self, group, shown, places, nodes):
         """Triangular factor of the whitened columns and residual of each window."""
         n, k = self.flow.n_state, self.flow.n_constants
         chains, windows = self.chains, self.windows
@@ -285,7 +333,12 @@ class Shooting:
         white = np.moveaxis(white, 2, 0).reshape(n_windows, n + k + 1, -1)
         matrix = np.zeros((n_windows, white.shape[2] + n, n + k + 1))
         matrix[:, : white.shape[2]] = np.swapaxes(white, 1, 2)
-        matrix[:, white.shape[2] + np.arange(n), np.arange(n)] = self.prior[:, chain].T
+        own = white.shape[2] + np.arange(n)
+        matrix[:, own, np.arange(n)] = self.prior[:, chain].T
+        if self.known is not None:
+            away, surely = self._pulls(group, nodes)
+            matrix[:, own, np.arange(n)] += surely
+            matrix[:, own, -1] = away * surely
         return _triangles(matrix)
 
     def _reined(self, change, inside, group, nodes):

@@ -47,6 +47,8 @@ def simulated(found, dataset, scenes, count, rng):
             track = values[: shape[0], order].reshape(shape)
             # Along an axis on which nothing moves everything stays as it was measured.
             track = np.where(np.isfinite(track), track, scene.positions[:, scene.dynamic])
+            if scene.first is not None and scene.first.is_placed:
+                track[0] = scene.positions[0, scene.dynamic]
             copy.append(replace(scene.on_track(track), name=f"{scene.name}{COPY}{number}"))
         copies.append(copy)
     return copies

@@ -21,9 +21,7 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = [
-    "Score", "Tangent", "as_pair", "instrument_columns", "law_columns", "p_of_gain",
-]  # fmt: skip
+__all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
 
 INDEPENDENT = 1e-9
 """Part of the length of a column, squared, that must lie beyond all that is free."""
@@ -126,21 +124,8 @@ def instrument_columns(fit, part):
     """What a part changes of the tracks of a fit per unit of each of its numbers, (c, T, C)."""
     zero = dict.fromkeys(part.names, 0.0)
     law = replace(fit.law, frame=(*fit.law.frame, part), constants={**fit.law.constants, **zero})
-    return law_columns(fit, law, part.names)
-
-
-def law_columns(fit, law, names):
-    """What constants of a law change of whole tracks of a fit, to first order, (c, T, C).
-
-    Parameters
-    ----------
-    fit : Fit
-    law : ForceLaw
-        That is the law of the fit where these constants are zero.
-    names : sequence of str
-    """
-    parameters = (*fit.parameters, *((name, "") for name in names))
-    values = np.concatenate([fit.values, np.zeros(len(names))])
+    parameters = (*fit.parameters, *((name, "") for name in part.names))
+    values = np.concatenate([fit.values, np.zeros(len(part.names))])
     level, out = STEP_ERROR * np.nanmin(fit.noise.levels), []
     for chains, nodes in zip(fit.groups, fit.nodes, strict=True):
         motion = Motion(law, chains, parameters)

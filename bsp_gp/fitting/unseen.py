@@ -49,6 +49,18 @@ def with_entity(scene, entity, track=None, values=()):
         scene.name, scene.times, more(scene.positions, track[0]), (*others, entity),
         more(scene.velocities, track[1]), more(scene.sigma, blank[0]),
         {name: more(v, np.full_like(v[:, 0], np.nan)) for name, v in scene.inputs.items()},
+        _one_more(scene.first),
+    )  # fmt: skip
+
+
+def _one_more(first):
+    """First states of a scene with one more body, of which nothing is known."""
+    if first is None:
+        return None
+    blank = np.full((1, first.velocity.shape[1]), np.nan)
+    return replace(
+        first, velocity=np.concatenate([first.velocity, blank]),
+        velocity_error=np.concatenate([first.velocity_error, blank]),
     )  # fmt: skip
 
 

@@ -2,9 +2,11 @@
 
 A file has ``[grammar]`` (name, start, kind), ``[types]`` (nonterminal = "shape unit", where ``*``
 is open), ``[inputs]``, ``[constants]`` and ``[rules]`` (alternatives separated by ``|``, written
-as calls); optionally ``[operators]`` (which version of an operator a name means) and
-``[each_property]`` (rules that are repeated for every property column of a data set). Rule
-bodies are read with `ast` from whitelisted nodes and never evaluated.
+as calls); optionally ``[operators]`` (which version of an operator a name means),
+``[each_property]`` (rules that are repeated for every property column of a data set), ``[inside]``
+(forms with constants inside, and the ranges of these) and ``[beyond]`` (rules with such constants,
+for searches that draw laws). Rule bodies are read with `ast` from whitelisted nodes and never
+evaluated.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ from bsp_gp.units import Unit, parse_unit
 __all__ = ["Grammar", "Rule", "Slot", "grammar_directory", "load_grammar", "read_grammar"]
 
 KINDS = ("pair", "field")
+PLACED = ("origin", "middle", "centre")
+"""Points that rules ``[beyond]`` may name: zero, the middle of the data, one that is sought."""
 VELOCITY = Unit.of(m=1, s=-1)
 
 
@@ -118,6 +122,22 @@ class Grammar:
     def inside(self):
         """Forms with constants inside: texts, lists of what their braces stand for, ranges."""
         return self.source.get("inside", {})
+
+    @functools.cached_property
+    def beyond(self):
+        """The grammar with its rules ``[beyond]`` as well; nothing is masked in it."""
+        if "beyond" not in self.source:
+            return self
+        source = json.loads(json.dumps(dict(self.source)))
+        more = source.pop("beyond")
+        source["types"] |= more.get("types", {})
+        for name in PLACED:
+            source["inputs"].setdefault(name, "point m")
+        source["constants"] |= dict.fromkeys(self.inside.get("ranges", {}), "scalar *")
+        for nonterminal, bodies in more.get("rules", {}).items():
+            known = source["rules"].get(nonterminal)
+            source["rules"][nonterminal] = f"{known} | {bodies}" if known else bodies
+        return read_grammar(source)
 
     @functools.cached_property
     def rules_of(self):
@@ -301,7 +321,7 @@ def read_grammar(source):
 class _Reader:
     tables = {
         "grammar", "types", "inputs", "constants", "rules", "operators", "each_property",
-        "each_vector", "each_velocity", "common", "inside",
+        "each_vector", "each_velocity", "common", "inside", "beyond",
     }  # fmt: skip
 
     def __init__(self, source):
@@ -327,6 +347,7 @@ class _Reader:
         if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
             raise GrammarError("[common] needs laws, a list of texts")
         _check_inside(self.source.get("inside", {}))
+        _check_beyond(self.source)
         rules = self.rules()
         grammar = Grammar(
             name=head.get("name", "unnamed"),
@@ -340,6 +361,10 @@ class _Reader:
             source=MappingProxyType(self.source),
         )
         self.check(grammar)
+        try:
+            _ = grammar.beyond
+        except GrammarError as error:
+            raise GrammarError(f"with its rules [beyond]: {error}") from None
         return grammar
 
     def start(self, head):
@@ -477,6 +502,18 @@ def _check_inside(table):
             raise GrammarError(
                 f"[inside.ranges] {name} = {text!r}: give numbers as in '-4 .. 4', or a formula"
             )
+
+
+def _check_beyond(source):
+    """Rules for searches that draw are texts, as are the types of their nonterminals."""
+    table = source.get("beyond", {})
+    parts = table.values() if isinstance(table, dict) and set(table) <= {"types", "rules"} else [0]
+    are_texts = all(
+        isinstance(part, dict) and all(isinstance(text, str) for text in part.values())
+        for part in parts
+    )
+    if not are_texts or not isinstance(source.get("constants", {}), dict):
+        raise GrammarError("[beyond] has [beyond.types] and [beyond.rules], texts as in the others")
 
 
 def _alternatives(bodies):

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
 
 import numpy as np
 
@@ -53,6 +55,9 @@ class Operator:
         of None is zero. None for operators without one (conditions).
     latex : str
         A template with ``{0}``, ``{1}``; infix operators are handled by the renderer.
+    function, partials : callable and tuple of callable
+        Of an operator of a user's own (`bsp_gp.language.own_operators`): values and derivatives by
+        each argument, numbers being all it takes.
     """
 
     name: str
@@ -61,6 +66,27 @@ class Operator:
     evaluate: Callable
     derivative: Callable | None
     latex: str = ""
+    function: Callable | None = None
+    partials: tuple = ()
+
+
+class _Operators(dict):
+    """Operators by name; those of installed packages are loaded when they are first asked for."""
+
+    def __contains__(self, name):
+        return super().__contains__(name) or self._is_loaded(name)
+
+    def _is_loaded(self, name):
+        point = _offered().pop(name, None) if isinstance(name, str) else None
+        if point is not None:
+            point.load()()  # it registers the operator
+        return super().__contains__(name)
+
+
+@cache
+def _offered():
+    """Operators of installed packages that are not loaded yet, by name."""
+    return {point.name: point for point in entry_points(group="bsp_gp.operators")}
 
 
 # --- shapes and units -------------------------------------------------------------------------
@@ -515,7 +541,7 @@ def _table():
                 rf"\operatorname{{{{{name}}}}}\left({{0}}\right)",
             )
         )
-    return {operator.name: operator for operator in operators}
+    return _Operators({operator.name: operator for operator in operators})
 
 
 OPERATORS = _table()

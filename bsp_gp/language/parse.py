@@ -2,7 +2,8 @@
 
 ``c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)``; a number may carry its unit in
 brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[body]`` and
-``c[scene]`` constants of which every receiver or scene has its own.
+``c[scene]`` constants of which every receiver or scene has its own. ``x_i`` and ``vx_i`` are
+components of place and velocity.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ _TOKEN = re.compile(
     )""",
     re.VERBOSE,
 )
+_COMPONENT = re.compile(r"(v?)([xyz])_([ij])")
 _BINARY = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
 _CONVENIENCE = {"unit": "normalize", "magnitude": "norm"}
 
@@ -213,6 +215,9 @@ class _Builder:
             return Constant(f"{name}[{index}]")
         if name in self.types:
             return Input(name, self.types[name])
+        component = _COMPONENT.fullmatch(name)
+        if component and {f"p_{component[3]}", f"e_{component[2]}"} <= self.types.keys():
+            return self.component(*component.groups())
         if name in ("up", "down"):
             self.fail(
                 f'{name!r} needs a declared vertical: [axes] up = "y" in dataset.toml, or --up y; '
@@ -229,6 +234,12 @@ class _Builder:
         self._reject_near_property(name)
         self._reject_misspelling(name)
         return Constant(name)
+
+    def component(self, speed, axis, role):
+        """``x_i``, a coordinate of a place, or ``vx_i``, a component of a velocity."""
+        vector = self.name(f"v_{role}" if speed else f"p_{role}")
+        vector = vector if speed else self.call("sub", vector, self.name("origin"))
+        return self.call("dot", vector, self.name(f"e_{axis}"))
 
     def _reject_near_property(self, name):
         """A misspelt property must not silently become a constant to fit."""

@@ -25,6 +25,9 @@ class Clock:
         self.limit = limit
         self._end = math.inf if limit is None else time.monotonic() + limit
 
+    def __reduce__(self):  # clocks of other machines begin elsewhere
+        return Clock, (self.left,)
+
     @property
     def left(self):
         """Seconds that are left, at least 0; None = no limit."""

@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
@@ -46,6 +47,7 @@ from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
 from bsp_gp.randomness import generator
 from bsp_gp.search.choice import BUDGET
+from bsp_gp.workers import Crew
 
 __all__ = ["close_loop"]
 
@@ -57,7 +59,7 @@ def close_loop(
     dataset, declared=(), *, rng=None, grammar="physics", criteria=None, alpha=None, max_rounds=5,
     max_levels=8, search="exhaustive", search_budget=BUDGET, starts=None, bounds=None,
     time_limit=None, n_bootstrap=40, exclude=("t",), seed=None, workers=None, progress=None,
-    on_round=None, earlier=None,
+    on_round=None, earlier=None, all_rows=False,
 ):  # fmt: skip
     """Find what a declared model lacks, add it, and report the error before and after.
 
@@ -92,14 +94,17 @@ def close_loop(
         Inputs that laws may not use.
     seed : int, optional
         Recorded in the report.
-    workers : concurrent.futures.Executor, optional
-        Not used so far: rounds are faster than handing data to workers.
+    workers : concurrent.futures.Executor or distributed.Client, optional
+        Who else may work; the answer does not depend on it.
     progress : callable, optional
         ``progress(text)`` at every stage.
     on_round : callable, optional
         ``on_round(round)`` after every round; `bsp_gp.loop.kept.text_of` makes text of them.
     earlier : str, optional
         Such text of a run with the same data and settings, to go on from.
+    all_rows : bool
+        Take every row as it is; by default long tracks of dense rows are averaged, see
+        `bsp_gp.data.blocks`.
 
     Returns
     -------
@@ -121,6 +126,7 @@ def close_loop(
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
     split_rng, round_rng, account_rng, swapped_rng, asked_rng = generator(rng).spawn(5)
     says("reading the data set")
+    dataset = dataset if all_rows else in_blocks(dataset)
     ready = _Ready(dataset, declared, split_rng)
     grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
     unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})
@@ -132,6 +138,7 @@ def close_loop(
     settings = {
         "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
         "clock": clock, "progress": progress, "looks": 2 if ready.has_more else 1,
+        "crew": Crew(workers),
     }  # fmt: skip
 
     def look(ready, rng, **more):

@@ -18,7 +18,7 @@ from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
-from bsp_gp.loop.whole import on_whole_tracks
+from bsp_gp.workers import Crew
 
 __all__ = ["Round", "run_rounds"]
 
@@ -97,7 +97,7 @@ class Round:
 
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
-    clock=None, on_round=None, earlier=None, progress=None, looks=1,
+    clock=None, on_round=None, earlier=None, progress=None, looks=1, crew=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -124,13 +124,15 @@ def run_rounds(
     progress : callable, optional
     looks : int
         Data sets, this one among them, of which any may show that something is missing.
+    crew : Crew, optional
+        By whom proposals are fitted.
 
     Returns
     -------
     list of Round
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
-               progress or (lambda text: None), looks)  # fmt: skip
+               progress or (lambda text: None), looks, crew or Crew())  # fmt: skip
     rounds = [done for done in earlier or () if not done.left_out]
     if rounds:
         found, hypothesis = rounds[-1].after, rounds[-1].continuing
@@ -160,7 +162,8 @@ class _Run:
     bounds: dict
     clock: Clock
     says: object
-    looks: int = 1
+    looks: int
+    crew: Crew
 
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
@@ -173,7 +176,6 @@ class _Run:
                 view.noise_findings = noise_findings(view)
             turn.propose(number, view)
             asked = self.asked(view)
-            turn.families = on_whole_tracks(view, turn.families)
             turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value <= self.criteria.alpha:
                 asked |= self.traced(view, turn)
@@ -279,6 +281,7 @@ class _Turn:
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
         n_first, above, asked = len(queue), {}, set()
+        fits = self._fits(queue)
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
@@ -287,7 +290,8 @@ class _Turn:
             measures = {self.measure.get(source, False)} if is_first else {False, True}
             if self._is_behind(proposal, measures, is_again=k >= n_first):
                 continue
-            row = self._fitted(source, proposal)
+            self.run.says(f"fitting {proposal.text}")
+            row = self._fitted(source, proposal, fits.result(k))
             if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
@@ -348,29 +352,23 @@ class _Turn:
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
-    def _fitted(self, source, proposal):
-        """Fit a proposal and add its row."""
-        self.run.says(f"fitting {proposal.text}")
+    def _fits(self, queue):
+        """The fits of a queue of proposals, as `Work`; what is far behind is not begun early."""
         run = self.run
+        both = {False, True}
+        return run.crew.work(
+            _fit_of, (self.base, run.dataset, run.criteria, run.bounds, run.clock), queue,
+            lambda job: not self._is_behind(job[1], both, is_again=False),
+        )  # fmt: skip
 
-        def fitted(proposal):
-            new = proposal.fitted(
-                self.base, run.dataset, criteria=run.criteria, bounds=run.bounds,
-                deadline=run.clock.left,
-            )  # fmt: skip
-            return new, log_evidence(new, proposal.hypothesis, run.criteria)
-
-        try:
-            new, evidence = fitted(proposal)
-            best = new
-            if proposal.judged is not None and not new.is_failed:
-                other, theirs = fitted(replace(proposal, hypothesis=proposal.judged))
-                if theirs > evidence:
-                    best, evidence = other, theirs
-                self.judged[len(self.rows)] = best.chi2_red
-        except FAULTS:
+    def _fitted(self, source, proposal, found):
+        """Add the row of a proposal that was fitted."""
+        if found is None:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
+        new, best, evidence = found
+        if proposal.judged is not None and not new.is_failed:
+            self.judged[len(self.rows)] = best.chi2_red
         self.fits[len(self.rows)] = new
         return self._add(
             source, proposal, new.status, evidence, best.log_likelihood, best.n_free,
@@ -401,6 +399,26 @@ class _Turn:
             )
         )  # fmt: skip
         return self.rows[-1]
+
+
+def _fit_of(shared, job):
+    """The fit of a proposal, that which it is judged by, and its evidence; None if it has none."""
+    (base, dataset, criteria, bounds, clock), (_, proposal) = shared, job
+
+    def fitted(proposal):
+        new = proposal.fitted(base, dataset, criteria=criteria, bounds=bounds, deadline=clock.left)
+        return new, log_evidence(new, proposal.hypothesis, criteria)
+
+    try:
+        new, evidence = fitted(proposal)
+        best = new
+        if proposal.judged is not None and not new.is_failed:
+            other, theirs = fitted(replace(proposal, hypothesis=proposal.judged))
+            if theirs > evidence:
+                best, evidence = other, theirs
+    except FAULTS:
+        return None
+    return new, best, evidence
 
 
 def _chosen(every, clear, criteria):

@@ -7,7 +7,7 @@ intervals. Words are made of this in the room of reports.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
@@ -17,8 +17,10 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.accounts import Ratio
+from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord"]
+__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord",
+           "law_record"]  # fmt: skip
 
 SCHEMA = "bsp_gp/report/2"
 
@@ -265,16 +267,22 @@ class LoopReport:
     hypothesis: object = field(default=None, repr=False)
     extras: tuple = field(default=(), repr=False)
 
+    def __post_init__(self):
+        if isinstance(self.law, ForceLaw):
+            object.__setattr__(self, "law", replace(self.law, up=self.dataset.get("up")))
+
     def __repr__(self):
         before, after, floor = (self.total[name] for name in ("before", "after", "floor"))
         errors = [e.rollout_rmse for e in (before, after, floor) if e is not None]
         told = " -> ".join(f"{e:.4g}" for e in errors[:2])
+        n = len(self.equivalents)
+        ties = [f"  these data do not tell it from {n} other form{'s' * (n > 1)}"] if n else []
         return "\n".join([
             f"LoopReport of {self.dataset.get('name')!r}: {self.verdict}",
             f"  law: F_i = {self.law_text}",
-            f"  held-out position error: {told} {before.unit}; floor {errors[-1]:.4g}",
-            f"  probability {self.probability:.2g}, {len(self.equivalents)} not told apart",
-            f"  {len(self.rounds)} round(s), {self.n_fits} fits; stopped: {self.stop_reason}",
+            f"  held-out position error: {told} {before.unit}; noise floor {errors[-1]:.4g}",
+            *ties,
+            f"  rounds: {len(self.rounds)}, fits: {self.n_fits}; in full: bsp_gp.write_report",
         ])  # fmt: skip
 
     def _repr_html_(self):
@@ -320,14 +328,7 @@ class LoopReport:
         )  # fmt: skip
         law = {
             "text": self.law_text, "latex": self.law_latex, "constants": self.constants,
-            "terms": [
-                {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
-                for t in self.law.terms
-            ],
-            "values": {
-                name: dict(value) if hasattr(value, "items") else value
-                for name, value in self.law.constants.items()
-            },
+            **law_record(self.law),
         }  # fmt: skip
         return plain(
             {
@@ -348,7 +349,20 @@ class LoopReport:
         for done in self.rounds:
             for row in done.hypotheses:
                 held_out = {f"held_out_{k}": v for k, v in row["held_out"].items()}
-                flat = {k: v for k, v in row.items() if k != "held_out"}
+                flat = {k: v for k, v in row.items() if k not in ("held_out", "model")}
                 rows.append({"round": done.number, **flat, **held_out})
         return pd.DataFrame(rows)
 
+
+def law_record(law):
+    """Terms and constants of a law, as `bsp_gp.loop.stored.law_of` reads them."""
+    return {
+        "terms": [
+            {"text": to_text(t.formula), "kind": t.kind, "is_declared": t.is_declared}
+            for t in law.terms
+        ],
+        "values": {
+            name: dict(value) if hasattr(value, "items") else value
+            for name, value in law.constants.items()
+        },
+    }

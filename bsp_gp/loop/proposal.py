@@ -63,8 +63,6 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
-    at_zero : tuple of str
-        Of a declared term with another number: numbers at whose zero it is the law as it is.
     """
 
     code: str
@@ -85,7 +83,6 @@ class Proposal:
     is_sole: bool = False
     patience: int = 1
     is_afresh: bool = False
-    at_zero: tuple = ()
 
     @cached_property
     def key(self):

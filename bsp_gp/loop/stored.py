@@ -20,7 +20,7 @@ from bsp_gp.loop.trace import Channel, Trace
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit, UnitSystem
 
-__all__ = ["load_report"]
+__all__ = ["law_of", "load_report"]
 
 _TUPLES = ("hypotheses", "held_out", "varies_with", "noise_findings", "equivalents", "entities",
            "exponents", "at", "values", "errors")  # fmt: skip
@@ -60,7 +60,7 @@ def load_report(path):
 
 
 def _report(data, residuals):
-    law = _law(data["law"], data["dataset"])
+    law = law_of(data["law"], data["dataset"])
     rounds = tuple(_round(record, data["dataset"]) for record in data["rounds"])
     total = {name: _errors(data["total"][name]) for name in ("before", "after", "floor")}
     kept = ("dataset", "grammar", "search", "seed", "criteria", "noise", "verdict", "stop_reason",
@@ -138,7 +138,20 @@ def _power(text):
     return int(power) if power.denominator == 1 else power
 
 
-def _law(record, dataset):
+def law_of(record, dataset):
+    """A law of its record in ``report.json``; terms that are no force are left out.
+
+    Parameters
+    ----------
+    record : mapping
+        With ``terms`` and ``values``.
+    dataset : mapping
+        That of the report.
+
+    Returns
+    -------
+    ForceLaw
+    """
     terms = []
     for told in record.get("terms") or ():
         formula = _formula(told["text"], dataset)

@@ -8,9 +8,12 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
@@ -42,15 +45,18 @@ class View:
         they are known.
     search_rng : numpy.random.Generator
         For searches that draw.
+    drawn : tuple of Candidate
+        Laws with constants inside that these have found, once they are known.
     noise_findings : tuple of Finding
         Of the noise of the fit, once it was asked.
     """
 
     def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
         self.criteria = criteria or Criteria()
-        self._fit, self.hypothesis, self.dataset = fit, hypothesis, hypothesis.seen(dataset)
+        self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
+        self.dataset = hypothesis.seen(dataset)
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
-        self.noise_findings = ()
+        self.noise_findings, self.drawn = (), ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
 
@@ -61,13 +67,39 @@ class View:
     @cached_property
     def _found(self):
         """The fit, under the noise that a free force leaves if it is estimated; its response."""
-        response = self._as_fitted
-        noise = self._fit.noise
+        found, response = self._without_memory or (self._fit, self._as_fitted)
+        noise = found.noise
         if response.level == 1.0 or not noise.is_free.all():
-            return self._fit, response
+            return found, response
         levels = tuple(level * response.level for level in noise.levels)
-        fit = replace(self._fit, noise=replace(noise, levels=levels))
-        return fit, respond(fit, self.dataset)
+        found = replace(found, noise=replace(noise, levels=levels))
+        return found, respond(found, self.dataset)
+
+    @cached_property
+    def _without_memory(self):
+        """A fit under noise without memory, and its response, or None.
+
+        What forces do slowly looks like noise with a memory: where a force that knows no physics
+        is likelier than the memory that was estimated, laws are looked for without it.
+        """
+        noise = self._fit.noise
+        if not noise.correlated or noise.is_correlation_known or self._fit.is_failed:
+            return None
+        plain = TrackNoise(replace(noise, correlated=0.0, correlation_time=0.0), is_given=True)
+        try:
+            found = fit(self.hypothesis + plain, self._dataset)
+        except FAULTS:
+            return None
+        if found.is_failed:
+            return None
+        response = respond(found, self.dataset)
+        needed = self._fit.log_likelihood - found.log_likelihood + self.criteria.noise_nats
+        return (found, response) if response.free_height > needed else None
+
+    @property
+    def is_memory_doubted(self):
+        """Whether a force that knows no physics is likelier than the memory of the noise."""
+        return self._without_memory is not None
 
     @property
     def fit(self):
@@ -80,7 +112,8 @@ class View:
     @property
     def free_gain(self):
         """Log-evidence of a force that knows no physics beside white noise, nats."""
-        return self._as_fitted.free_gain
+        found = self._without_memory
+        return (found[1] if found else self._as_fitted).free_gain
 
     @cached_property
     def noise_chance(self):
@@ -89,6 +122,8 @@ class View:
         1 where a force that knows no physics explains what noise of another level does not: what
         laws lack may be quicker than the functions of time beside which the noise is asked.
         """
+        if self.is_memory_doubted:  # unless a law is likelier, it is a memory all the same
+            return 0.0
         is_force = self.free_gain > self.criteria.noise_nats
         return 1.0 if is_force else least_chance(self.noise_findings)
 

@@ -17,6 +17,7 @@ __all__ = ["whereabouts"]
 N_PROPOSED, N_DRAWS = 8000, 600
 SHARE_90 = 0.9
 SHOWN_ROWS = 60
+LENGTH = Unit.of(m=1)
 
 
 def whereabouts(dataset, part, fit, rng):
@@ -48,10 +49,15 @@ def whereabouts(dataset, part, fit, rng):
     scene = max(dataset.scenes, key=lambda s: len(s.times))
     rows = np.unique(np.linspace(0, len(scene.times) - 1, SHOWN_ROWS).astype(int))
     visible = np.swapaxes(scene.positions[rows], 0, 1).tolist()
+    unit = _strength_unit(part, dataset)
+    speed = dataset.units.text(LENGTH / Unit.of(s=1))
+    units = dict.fromkeys(part.places, dataset.units.text(LENGTH))
+    units |= dict.fromkeys(part.speeds, speed) | ({part.strength: unit} if part.column else {})
     return {
         "motion": part.motion, "epoch": part.epoch, "names": names, "best": best.tolist(),
-        "property": part.column, "unit": dataset.units.text(part.unit(dataset)),
-        "length_unit": dataset.units.text(Unit.of(m=1)), "draws": draws.tolist(),
+        "property": part.column, "unit": unit, "units": units,
+        "length_unit": dataset.units.text(LENGTH),
+        "draws": draws.tolist(),
         "n_eff": float(n_eff), "centre": centre.tolist(),
         "radius_90": float(np.quantile(away, SHARE_90)),
         "track": part.track(fit, scene.times)[rows].tolist(),
@@ -60,6 +66,13 @@ def whereabouts(dataset, part, fit, rng):
             for name, places in zip(scene.names, visible, strict=True)
         },
     }  # fmt: skip
+
+
+def _strength_unit(part, dataset):
+    """Unit of a strength: a mass that gravity tells is in kilograms, whatever masses are in."""
+    units, own = dataset.units, part.unit(dataset)
+    is_weighed = units.is_calibrated(LENGTH / Unit.of(s=1)) and part.column == "mass"
+    return own.text() if is_weighed else units.text(own)
 
 
 class _Prior:

@@ -15,7 +15,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.decide import share_of_listed
-from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord
+from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
@@ -26,10 +26,12 @@ __all__ = [
 HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
-"""Why a law only describes the tracks, by what is likelier beside it than nothing."""
+"""Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
+LEAST_LIKELY = 1e-4
+"""Rows less likely are told without their constants."""
 
 
 def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, criteria):
@@ -56,26 +58,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
-    effect, table, unlisted = None, done.table, None
-    if decision.best is not None:
-        known = _known(done, constancy)
-        table = table.beside(decision.best, known.unknown, criteria)
-        share, unlisted = share_of_listed(table, decision.best)
-        best = next(row for row in table.rows if row.id == decision.best.id)
-        effect = _effect(done, dataset, bounds, known, criteria)
-        is_fact = effect.is_fact and constancy is not None and share >= criteria.sure
-        unlisted = unlisted if share < 0.5 else None
-        varies = {v["variable"]: v for v in effect.varies_with}
-        for one in known.unknown if unlisted is not None else ():
-            if one.text == unlisted.text and one.term is not None:
-                term = to_text(one.term)
-                varies.setdefault(
-                    one.variable, {"term": term, "variable": one.variable, "p_value": math.nan}
-                )
-        effect = replace(
-            effect, is_fact=is_fact, probability=best.probability,
-            varies_with=tuple(varies.values()),
-        )  # fmt: skip
+    effect, table, unlisted = _judged(done, dataset, bounds, constancy, criteria)
     if is_removed:
         verdict, reason = "seen, not adopted", "superseded"
     elif verdict == "effect adopted" and effect.varies_with:
@@ -89,7 +72,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
             dataset.units.text(ACCELERATION),
         ),
         effect=effect,
-        hypotheses=tuple(_hypothesis(row, done.table.p_value) for row in table.rows),
+        hypotheses=tuple(_hypothesis(row, done) for row in table.rows),
         adopted=decision.is_adopted and not is_removed,
         verdict=verdict,
         reason=reason,
@@ -138,27 +121,74 @@ def bound_of(bound, units):
     }  # fmt: skip
 
 
-def _hypothesis(row, p_value):
+def _hypothesis(row, done):
     """One row of a table; what was fitted shares the p-value of the selection."""
+    p_value = done.table.p_value
     return {
         "id": row.id, "code": row.code, "law": row.text, "source": row.source,
         "status": row.status, "log_evidence": row.log_evidence,
         "held_out": asdict(row.held_out),
         "p_value": p_value if math.isnan(row.p_value) and row.id else row.p_value,
-        "probability": row.probability,
+        "probability": row.probability, "model": _model(row, done),
     }  # fmt: skip
 
 
-def _known(done, constancy):
-    """What was asked of the terms that a round has brought in."""
+def _model(row, done):
+    """The law of a likely row with its constants, for predictions; None of one that has no more.
+
+    Of what was only scored the constants are those of the linear look, without errors.
+    """
+    if not row.probability >= LEAST_LIKELY or row.id not in done.hypotheses:
+        return None
+    found = done.fits.get(row.id)
+    if found is None:
+        law, names, covariance = done.hypotheses[row.id].law, (), ()
+        starts = done.proposals[row.id].starts
+        law = law.with_constants({n: v for n, v in starts.items() if n in law.names})
+    else:
+        law = found.law
+        known = [k for k, (n, entity) in enumerate(found.parameters)
+                 if n in law.names and not entity and np.isfinite(found.covariance[k, k])]
+        names = tuple(found.parameters[k][0] for k in known)
+        covariance = found.covariance[np.ix_(known, known)].tolist()
+    return {**law_record(law), "uncertain": names, "covariance": covariance}
+
+
+def _judged(done, dataset, bounds, constancy, criteria):
+    """The likeliest cause of a round beside what nobody lists.
+
+    Returns
+    -------
+    Effect or None
+    HypothesisTable
+        That of the round, with what nobody lists in it.
+    Unknown or None
+        What is likelier than that cause alone.
+    """
     best = done.decision.best
-    if constancy is None or not done.decision.is_adopted or best.kind == "noise":
-        return Constancy()
-    return constancy.of(_added(done, done.fits[best.id]) if best.kind == "force" else ())
+    if best is None:
+        return None, done.table, None
+    known = Constancy()
+    if constancy is not None and done.decision.is_adopted and best.kind != "noise":
+        known = constancy.of(_added(done, done.fits[best.id]) if best.kind == "force" else ())
+    table = done.table.beside(best, known.unknown, criteria)
+    share, top = share_of_listed(table, best)
+    unlisted = next((u for u in known.unknown if share < 0.5 and u.text == top.text), None)
+    effect = _effect(done, dataset, bounds, known, criteria)
+    varies = {v["variable"]: v for v in effect.varies_with}
+    if unlisted is not None and unlisted.term is not None:
+        one = {"term": to_text(unlisted.term), "variable": unlisted.variable, "p_value": math.nan}
+        varies.setdefault(unlisted.variable, one)
+    effect = replace(
+        effect, varies_with=tuple(varies.values()),
+        is_fact=effect.is_fact and constancy is not None and share >= criteria.sure,
+        probability=next(row.probability for row in table.rows if row.id == best.id),
+    )  # fmt: skip
+    return effect, table, unlisted
 
 
 def _effect(done, dataset, bounds, known, criteria):
-    """The likeliest cause of a round."""
+    """The likeliest cause of a round, as its own table has it."""
     best, proposal = done.decision.best, done.proposals[done.decision.best.id]
     fit = done.fits[best.id]
     old = {name for name, _ in done.entering.parameters}
@@ -183,7 +213,7 @@ def _effect(done, dataset, bounds, known, criteria):
             if c.name not in old
         ),
         p_value=done.table.p_value,
-        probability=math.nan,
+        probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact and is_apart and not varies,
         exponents=tuple(_exponent(e, criteria) for e in known.exponents),
@@ -226,7 +256,8 @@ def told(constants, details):
     out = []
     for c in constants:
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
-        out.append(replace(c, low=low, high=high))
+        unit = details.get("units", {}).get(c.name, c.unit)
+        out.append(replace(c, low=low, high=high, unit=unit))
     return tuple(out)
 
 

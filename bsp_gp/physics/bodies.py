@@ -8,7 +8,7 @@ padded with nan. `PairInputs` and `FieldInputs` look up what a formula names, co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = [
     "Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "input_types_of", "law_inputs",
-    "stack",
+    "stack", "subset",
 ]  # fmt: skip
 
 
@@ -86,6 +86,26 @@ class Bodies:
         sign = (-1.0 if self.up.startswith("-") else 1.0) * (-1.0 if name == "down" else 1.0)
         vector["xyz".index(self.up[-1])] = sign
         return vector
+
+
+def subset(bodies, scenes):
+    """The bodies of some of the scenes.
+
+    Parameters
+    ----------
+    bodies : Bodies
+    scenes : ndarray of int, shape (S,)
+    """
+    shapes = bodies.shapes
+    return replace(
+        bodies,
+        names=tuple(bodies.names[s] for s in scenes),
+        properties={name: values[scenes] for name, values in bodies.properties.items()},
+        shapes=Shapes(
+            *(getattr(shapes, name)[scenes] for name in ("code", "radius", "width", "height"))
+        ),
+        scenes=tuple(bodies.scenes[s] for s in scenes) if bodies.scenes else (),
+    )
 
 
 class _Inputs(Mapping):

@@ -188,7 +188,7 @@ def simulated_scene(law, scene, states=None, times=None, *, up=None, substeps=16
     unknown = sorted(set(states or {}) - set(names))
     if unknown:
         raise SettingsError(
-            f"states name {unknown[0]!r}, which does not move; those that do are {', '.join(names)}"
+            f"states name {unknown[0]!r}, which is no moving body; moving are {', '.join(names)}"
         )
     starts = [
         (states or {}).get(name) or _first_state(scene, k)

@@ -141,12 +141,15 @@ class ForceLaw:
         alone know of it (`bsp_gp.physics.engine.seen`, `bsp_gp.physics.engine.owners`).
     unseen : tuple of Unseen
         Bodies whose first states are constants (`bsp_gp.fitting.unseen`).
+    up : str or None
+        Axis that points up in the data of which a fit or a report has the law, for `simulate`.
     """
 
     terms: tuple[Term, ...] = ()
     constants: Mapping = field(default_factory=dict)
     frame: tuple = ()
     unseen: tuple[Unseen, ...] = ()
+    up: str | None = field(default=None, compare=False)
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
@@ -161,7 +164,7 @@ class ForceLaw:
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in self.constants.items()
         }
-        return (ForceLaw, (self.terms, plain, self.frame, self.unseen))
+        return (ForceLaw, (self.terms, plain, self.frame, self.unseen, self.up))
 
     @property
     def names(self):
@@ -265,7 +268,7 @@ class ForceLaw:
         times : sequence of float, optional
             Seconds; by default those of the scene.
         up : str, optional
-            Axis that points up, where the law needs it.
+            Axis that points up, where the law needs it; by default that of the law.
         substeps : int
             Steps from one time to the next.
 
@@ -273,7 +276,7 @@ class ForceLaw:
         -------
         Scene
         """
-        return simulated_scene(self, scene, states, times, up=up, substeps=substeps)
+        return simulated_scene(self, scene, states, times, up=up or self.up, substeps=substeps)
 
     predict = simulate
 
@@ -292,8 +295,12 @@ class ForceLaw:
         for term in self.terms:
             body = to_latex(term.formula, values if digits else {}, units or {})
             body = re.sub(r"^--(?=\d)", "", body)
-            parts.append(rf"\sum_{{j\ne i}} {body}" if term.kind == "pair" else body)
-        return r"\mathbf{F}_i = " + (" + ".join(parts) if parts else r"\mathbf{0}")
+            if term.kind == "pair":  # the sign stands before the sum
+                sign, body = ("- ", body[1:].lstrip()) if body.startswith("-") else ("", body)
+                body = rf"{sign}\sum_{{j\ne i}} {body}"
+            parts.append(body)
+        total = " + ".join(parts).replace(" + -", " -") if parts else r"\mathbf{0}"
+        return rf"\mathbf{{F}}_i = {total}"
 
 
 def key_of(key, table):

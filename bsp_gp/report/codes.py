@@ -31,7 +31,7 @@ KINDS = {
     "declared_term_change": "change of a declared term", "noise": "noise",
 }  # fmt: skip
 FINDINGS = {
-    "hidden_body": "an unseen body acts on these ({})",
+    "hidden_body": "{} acts on these",
     "constraint": "what moves is held ({})",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",

@@ -66,6 +66,11 @@ _STYLE = {
 }
 _DAY_S = 86400.0
 _YEAR_S = 365.25 * _DAY_S
+_LENGTHS = {
+    ("m", -9): (1e9, "nm"), ("m", -6): (1e6, "µm"), ("m", -3): (1e3, "mm"), ("m", 3): (1e-3, "km"),
+    ("m", 6): (1e-6, "10³ km"), ("m", 9): (1e-9, "10⁶ km"), ("m/s", 3): (1e-3, "km/s"),
+} | {("m", k): (1 / 149597870700.0, "au") for k in (12, 15)}  # fmt: skip
+"""Metres to a power of ten, as people call them: factor and unit."""
 _TIMES = ((3 * _YEAR_S, _YEAR_S, "years"), (3 * _DAY_S, _DAY_S, "days"))
 
 
@@ -132,6 +137,8 @@ def scaled(unit, *arrays):
     if size == 0 or not math.isfinite(size) or 1e-2 <= size < 1e4:
         return 1.0, unit
     exponent = 3 * math.floor(math.log10(size) / 3)
+    if (unit, exponent) in _LENGTHS:
+        return _LENGTHS[unit, exponent]
     digits = str(exponent).translate(str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"))
     return 10.0**-exponent, f"10{digits} {unit}".strip()
 

@@ -26,6 +26,7 @@ from bsp_gp.report.drawing import (
 from bsp_gp.report.hidden_map import draw_hidden_map
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import adopted_rounds
+from bsp_gp.report.told import Told
 from bsp_gp.report.traces import trace_figure
 from bsp_gp.report.tracks import (
     draw_errors,
@@ -117,9 +118,9 @@ def units_of(report):
     before = report.total.get("before")
     length = before.unit if before is not None else ""
     acceleration = before.acceleration_unit if before is not None else ""
-    units = report.dataset.get("units")
-    time = (units.get("time") if hasattr(units, "get") else None) or "s"
-    return length or "", acceleration or "", str(time)
+    told = Told(report.dataset.get("units") or {}, report.dataset.get("symbols") or {})
+    time = told.own["s"][1] if "s" in told.own else "s"
+    return length or "", acceleration or "", time
 
 
 def _tracks_caption(report, picked):
@@ -138,7 +139,7 @@ def _headline(report):
     as_errors = wants_errors([overlay])
     draw = draw_errors if as_errors else draw_tracks
     figure = new_figure(lambda f: draw(f, [overlay], length, time, has_adopted), 2.7, _NARROW)
-    return "The held-out track with the largest error before.", figure
+    return "Held-out track, largest error before.", figure
 
 
 def _tracks(report):

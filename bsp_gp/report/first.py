@@ -6,7 +6,7 @@ import re
 
 from bsp_gp.language.inputs import SHORT
 from bsp_gp.report.numbers import format_constant, format_number, is_number
-from bsp_gp.report.sentences import adopted_rounds, constant_groups, hidden_sentence, verdict_parts
+from bsp_gp.report.sentences import adopted_rounds, constant_groups, force_text, verdict_parts
 from bsp_gp.report.typeset import to_svg
 
 __all__ = ["bound_sentence", "else_sentence", "legend", "plain_sentence", "told_constants"]
@@ -14,6 +14,8 @@ __all__ = ["bound_sentence", "else_sentence", "legend", "plain_sentence", "told_
 _MAX_CONSTANTS = 2
 LEAST = 0.01
 """Probability that is worth telling: shares of a large class say nothing."""
+PERCENT = 0.01, 100.0
+"""Shares of the declared force that say more than newtons."""
 LONGEST = 60
 """Letters of a law that the first screen quotes."""
 _SYMBOLS = {
@@ -73,7 +75,7 @@ def else_sentence(report):
     n = len(effect.equivalents)
     if n and len(effect.equivalents[0]) <= LONGEST:
         more = f" (and {n - 1} more)" if n > 1 else ""
-        out.append(f"It could also be: {effect.equivalents[0]}{more}.")
+        out.append(f"These data do not tell it from {effect.equivalents[0]}{more}.")
     elif n:
         out.append(f"These data do not tell it from {n} other form{'s' * (n > 1)}, listed below.")
     elif out:
@@ -82,7 +84,11 @@ def else_sentence(report):
 
 
 def bound_sentence(report):
-    """How much may still be hidden beside the final law."""
-    return hidden_sentence(report).replace("A constant force of up to", "Up to").replace(
-        "is not excluded (95 %)", "of constant force may still hide"
-    )
+    """How much may still be hidden beside the final law, in the words that say most."""
+    bound = report.bound
+    if bound is None or not is_number(bound.force):
+        return ""
+    size = force_text(bound)
+    if is_number(bound.percent) and PERCENT[0] <= bound.percent <= PERCENT[1]:
+        size = f"{format_number(bound.percent, 2)} % of the declared one"
+    return f"A constant force of up to {size} may still hide."

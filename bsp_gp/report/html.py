@@ -57,7 +57,7 @@ _ERRORS = (
     ("rollout_rmse", "Position error of rollouts (RMS)", "unit"),
     ("endpoint", "Position error at the end point (median)", "unit"),
     ("endpoint_mean", "Position error at the end point (mean)", "unit"),
-    ("one_step_nrmse", "One-step error (nRMSE)", "unit"),
+    ("one_step_nrmse", "One-step error (mean)", "unit"),
     ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
 )
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from bsp_gp.errors import UnitError
-from bsp_gp.units import Unit, parse_unit
-
 __all__ = [
     "NOT_KNOWN",
     "format_constant",
@@ -16,8 +13,8 @@ __all__ = [
     "format_p",
     "format_ratio",
     "format_value",
-    "in_own_unit",
     "is_number",
+    "length_text",
     "pretty_unit",
     "rounded",
     "with_unit",
@@ -29,6 +26,8 @@ FINEST_RATIO = 1e-4
 """Of errors: what is closer is the same to any reader."""
 
 _MAX_DIGITS = 13
+_MANY, _TOO_MANY = 1e4, 1e9
+"""Metres that are told in kilometres."""
 _PLAIN = (1e-3, 1e5)  # sizes written without a power of ten
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
 _POWER = re.compile(r"(?:\^|\*\*)(?:([-+]?\d+)(?![\d.])|\(([-+]?\d+)\))")
@@ -165,7 +164,8 @@ def format_ratio(ratio):
         return NOT_KNOWN
     low, high = ratio.low, ratio.high
     if is_number(low) and is_number(high) and high - low < FINEST_RATIO:
-        low, high = min(low, ratio.value - FINEST_RATIO), max(high, ratio.value + FINEST_RATIO)
+        low = max(min(low, ratio.value - FINEST_RATIO), min(low, 0.0))
+        high = max(high, ratio.value + FINEST_RATIO)
     return format_value(ratio.value, low, high)
 
 
@@ -189,21 +189,14 @@ def format_p(p):
     return f"p = {p:.2g}" if p < 0.995 else "p = 1"
 
 
-def in_own_unit(value, unit, own):
-    """A length in the user's unit, the metres beside it if that is another.
+def length_text(value, unit):
+    """A length with its unit, many metres in km.
 
     Examples
     --------
-    >>> in_own_unit(0.25, "m", "cm"), in_own_unit(0.25, "m", "m"), in_own_unit(3.0, "px", "px")
-    ('25.0 cm (0.250 m)', '0.250 m', '3.00 px')
+    >>> length_text(0.25, "m"), length_text(5e4, "m"), length_text(5e4, "px")
+    ('0.250 m', '50.0 km', '50000 px')
     """
-    text = with_unit(format_number(value), unit)
-    if unit != "m" or not own or own.strip() == "m" or not is_number(value):
-        return text
-    try:
-        scale, of = parse_unit(own)
-    except UnitError:  # such as "0.17 um"
-        return text
-    if of != Unit.of(m=1):
-        return text
-    return f"{with_unit(format_number(value / scale), own)} ({text})"
+    if unit == "m" and is_number(value) and _MANY <= abs(value) < _TOO_MANY:
+        return with_unit(format_number(value / 1000), "km")
+    return with_unit(format_number(value), unit)

@@ -9,6 +9,8 @@ from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
+from bsp_gp.report.told import retold
+from bsp_gp.report.unseen_body import name_of, rivals_of
 
 __all__ = ["page_of"]
 
@@ -37,7 +39,7 @@ def page_of(report):
         "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras",
     )  # fmt: skip
     total = {**report.total, "ratio": _ratio(report.total["ratio"])}
-    return SimpleNamespace(
+    page = SimpleNamespace(
         **{name: getattr(report, name) for name in kept},
         total=total, rounds=rounds, bound=_bound(report.hidden_bound),
         stop_reason=STOPS[report.stop_reason], notes=tuple(_notes(report)),
@@ -47,6 +49,13 @@ def page_of(report):
             if r.adopted and not r.removed and r.effect.kind in ("measurement", "hidden_body")
         ),
     )  # fmt: skip
+    page = retold(page)
+    for r in page.rounds:
+        if r.effect is not None:
+            if r.effect.kind == "hidden_body":
+                r.effect.name = name_of(r.effect)
+            r.effect.equivalents = rivals_of(r.effect.equivalents)
+    return page
 
 
 def _ratio(ratio):
@@ -144,7 +153,7 @@ def _name(effect, parts, other):
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:
-        return f"{_COUNTS.get(len(parts), len(parts))} more forces"
+        return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
         return describe(effect.formula, value, other, effect.exponents)

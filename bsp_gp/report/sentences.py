@@ -14,8 +14,9 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_ratio,
-    in_own_unit,
+    format_value,
     is_number,
+    length_text,
     pretty_unit,
     rounded,
     with_unit,
@@ -25,6 +26,7 @@ __all__ = [
     "adopted_rounds",
     "caveats",
     "constant_groups",
+    "force_text",
     "group_range",
     "headline",
     "hidden_sentence",
@@ -47,7 +49,9 @@ _METRICS = (
     ("one_step_nrmse", "held-out one-step error"),
     ("residual_acceleration", "held-out residual acceleration"),
 )
-_UNCALIBRATED = ("", "1", "px", "pixel", "pixels", "frame", "frames", "unit", "units", "a.u.")
+_UNCALIBRATED = (
+    "", "1", "px", "pixel", "pixels", "arcsec", "frame", "frames", "unit", "units", "a.u.",
+)  # fmt: skip
 _UNKNOWN = ("", "unknown", "none", "not known", "assumed")
 
 
@@ -100,6 +104,8 @@ def verdict_parts(report):
     last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:
         text = _findings(adopted)
+        if not report.declared:
+            text = text.replace("the declared model lacks", "the motion shows")
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "effective law" and adopted:
         text = f"On these tracks the motion is as if there were {_joined(map(_either, adopted))}."
@@ -149,34 +155,41 @@ def hidden_sentence(beside):
     """
     bound, parts = beside.bound, []
     if bound is not None and is_number(bound.force):
-        size = with_unit(format_number(bound.force, 2), _SHORT.get(bound.unit, bound.unit))
         share = f" ({format_number(bound.percent, 2)} % of the declared force)"
         share = share if is_number(bound.percent) else ""
-        parts.append(f"A constant force of up to {size}{share} is not excluded (95 %).")
+        parts.append(
+            f"A constant force of up to {force_text(bound)}{share} is not excluded (95 %)."
+        )
     if bound is not None and is_number(bound.snr):
         snr = format_number(bound.snr, 2)
         parts.append(f"Whatever is left has a signal-to-noise ratio of {snr} at most (95 %).")
     return " ".join(parts)
 
 
+def force_text(bound):
+    """The force of a bound with its unit."""
+    return with_unit(format_number(bound.force, 2), _SHORT.get(bound.unit, bound.unit))
+
+
 def powers_sentence(round_):
     """Which powers of speed and distance the data allow in what a round found; "" if none."""
     effect = round_.effect
     told = [
-        f"{_SIZES.get(e['of'], e['of'])} to the {format_number(e['value'], 2)} "
-        f"({format_number(e['low'], 2)} to {format_number(e['high'], 2)}, 90 %), "
-        f"written as {format_number(e['stated'], 2)}"
+        f"{_SIZES.get(e['of'], e['of'])} to the {format_value(e['value'], e['low'], e['high'])}"
+        + (f", written as {e['stated']:g}".replace("-", "−") if is_number(e["stated"]) else "")
         for e in (effect.exponents if effect is not None else ())
         if e["stated"] or not e["low"] <= 0 <= e["high"]  # what a law rightly lacks is not told
     ]
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
-    parts = [f"Powers that the data allow: {'; '.join(told)}."] if told else []
+    parts = [f"Powers that the data allow (90 %): {'; '.join(told)}."] if told else []
     parts += [f"Its strength is not constant: it changes with {_joined(varies)}."] if varies else []
     return " ".join(parts)
 
 
-_SIZES = {"norm(v_i)": "speed", "norm(p_i - p_j)": "distance"}
+_SIZES = {
+    "norm(v_i)": "speed", "norm(p_i - p_j)": "distance", "norm(v_i - v_j)": "relative speed",
+}
 
 
 def noise_sentence(round_):
@@ -295,8 +308,7 @@ def headline(report):
             return NOT_KNOWN
         is_force = metric == "residual_acceleration"
         unit = errors.acceleration_unit if is_force else errors.unit
-        own = (report.dataset.get("units") or {}).get("length")
-        return in_own_unit(getattr(errors, metric), unit, own)
+        return length_text(getattr(errors, metric), unit)
 
     out = {
         "label": label[:1].upper() + label[1:],

@@ -6,7 +6,13 @@ import textwrap
 
 from bsp_gp.data.scene import CHECK
 from bsp_gp.report.first import plain_sentence
-from bsp_gp.report.numbers import format_constant, format_number, format_p, format_value, with_unit
+from bsp_gp.report.numbers import (
+    format_constant,
+    format_number,
+    format_p,
+    format_value,
+    length_text,
+)
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
     caveats,
@@ -96,10 +102,8 @@ def _rounds(report):
                 state = "adopted, and taken back"
             text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
             if r.after is not None:
-                text += (
-                    f", rollout error {format_number(r.before.rollout_rmse)} → "
-                    f"{with_unit(format_number(r.after.rollout_rmse), r.after.unit)}"
-                )
+                sizes = (length_text(e.rollout_rmse, e.unit) for e in (r.before, r.after))
+                text += f", held-out position error {' → '.join(sizes)}"
         out.append((f"Round {r.number}: {text}", "  "))
     return out
 

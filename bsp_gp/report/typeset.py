@@ -29,21 +29,21 @@ _BETTER = (
 
 
 def split_terms(latex):
-    r"""Cut a sum at its outer plus signs.
+    r"""Cut a sum at its outer signs.
 
     Examples
     --------
-    >>> split_terms(r"a = b + \left(c + d\right) + {e + f}")
-    ['a = b', '+ \\left(c + d\\right)', '+ {e + f}']
+    >>> split_terms(r"a = b + \left(c + d\right) - {e + f}")
+    ['a = b', '+ \\left(c + d\\right)', '- {e + f}']
     """
     parts, start, depth = [], 0, 0
-    for match in re.finditer(r"\\left|\\right|\\[{}]|[{}]| \+ ", latex):
+    for match in re.finditer(r"\\left|\\right|\\[{}]|[{}]|(?<![=(]) [-+](?= )", latex):
         token = match.group()
         if token in ("{", r"\left"):
             depth += 1
         elif token in ("}", r"\right"):
             depth -= 1
-        elif token == " + " and depth == 0:
+        elif token in (" +", " -") and depth == 0:
             parts.append(latex[start : match.start()].strip())
             start = match.start() + 1
     parts.append(latex[start:].strip())

@@ -6,9 +6,12 @@ genetic programming take any grammar, and go deeper, for as many laws as they ar
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.errors import GrammarError, SettingsError
+from bsp_gp.language.expression import derive
 from bsp_gp.search.candidate import SearchResult
 from bsp_gp.search.cross_entropy import CrossEntropy
 from bsp_gp.search.exhaustive import search_exhaustive
@@ -20,7 +23,8 @@ __all__ = ["BUDGET", "SEARCHES", "Searching", "searches_for"]
 
 SEARCHES = ("exhaustive", "cross_entropy", "genetic", "auto")
 BUDGET = 5_000
-"""Laws that differ on the data which a guided search may score."""
+"""Laws that differ on the data which a guided search may score; those with constants inside count
+several times."""
 DEEPER = 2
 """Levels beyond the bound of the exhaustive search to which "auto" goes."""
 KEPT, N_IDLE = 40, 10
@@ -81,17 +85,26 @@ class Searching:
         Laws that each guided search may score for one kind of law.
     missing_inputs : tuple of str
         For the certificate.
+    beyond : Grammar, optional
+        What is drawn from, if it is not the same; masked to the data.
     """
 
-    def __init__(self, searches, grammar, budget=BUDGET, missing_inputs=()):
+    def __init__(self, searches, grammar, budget=BUDGET, missing_inputs=(), beyond=None):
         self.searches, self.grammar, self.budget = searches, grammar, budget
-        self.missing_inputs = missing_inputs
+        self.missing_inputs, self.beyond = missing_inputs, beyond or grammar
 
     @property
     def is_exhaustive(self):
         return "exhaustive" in self.searches
 
-    def run(self, name, regression, kind, rng, *, target, nuisance, null, max_ties, progress):
+    @property
+    def is_guided(self):
+        return set(self.searches) > {"exhaustive"} or not self.is_exhaustive
+
+    def run(
+        self, name, regression, kind, rng, *, target, nuisance, null, max_ties, progress,
+        inner=None, known=(),
+    ):  # fmt: skip
         """What one of the searches finds.
 
         Parameters
@@ -102,6 +115,10 @@ class Searching:
         rng : numpy.random.Generator
         target, nuisance, null, max_ties, progress
             As of `search_exhaustive`.
+        inner : InnerSearch, optional
+            Scores laws with constants inside.
+        known : sequence of Formula
+            Laws from which a guided search sets out.
 
         Returns
         -------
@@ -116,7 +133,11 @@ class Searching:
                 null_targets=null, max_ties=max_ties, progress=progress,
             )  # fmt: skip
             return result, result.certificate.text()
-        result = self._guided(name, regression, kind, rng, target, nuisance, null, progress)
+        objective = Objective(
+            regression, self.beyond, kind, target=target, nuisance=nuisance, beta=1.0,
+            null_targets=null, inner=inner,
+        )  # fmt: skip
+        result = self._guided(name, objective, rng, known, progress)
         best = max(result.candidates, key=lambda c: c.gain, default=None)
         share = "none" if best is None else f"the best explains {best.share:.1%}"
         text = (
@@ -125,31 +146,28 @@ class Searching:
         )
         return result, text
 
-    def _guided(self, name, regression, kind, rng, target, nuisance, null, progress):
-        levels = self.searches[name]
-        if self.grammar.min_levels[self.grammar.start[kind]] > levels:
-            return SearchResult(None, (), (), 0, 0, 0.0, null_gains=(0.0,) * null.shape[1])
-        objective = Objective(
-            regression, self.grammar, kind, target=target, nuisance=nuisance, beta=1.0,
-            null_targets=null,
-        )  # fmt: skip
+    def _guided(self, name, objective, rng, known, progress):
+        levels, kind = self.searches[name], objective.kind
+        start = self.beyond.start[kind]
+        if self.beyond.min_levels[start] > levels:
+            nothing = (0.0,) * objective.null.shape[1]
+            return SearchResult(None, (), (), 0, 0, 0.0, null_gains=nothing)
+        seeds = (derive(formula, self.beyond, start) for formula in known)
+        seeds = tuple(s for s in seeds if s is not None and s.levels <= levels)
         budget = Budget(n_scored=self.budget, n_idle=N_IDLE)
         result = run_search(
-            _strategy(name, levels), objective, budget, rng=rng, keep=KEPT,
+            _strategy(name, levels, seeds), objective, budget, rng=rng, keep=KEPT,
             callback=None if progress is None else lambda step, _: bool(progress(step, step)),
             is_part=True,
         )  # fmt: skip
         sizes = np.square(objective.null).sum(axis=0)
         gains = tuple(objective.null_gain / np.where(sizes > 0, sizes, 1.0))
-        return SearchResult(
-            result.best, result.candidates, result.front, result.n_evaluated, result.n_failed,
-            result.seconds, None, gains,
-        )  # fmt: skip
+        return replace(result, certificate=None, null_gains=gains)
 
 
-def _strategy(name, max_levels):
+def _strategy(name, max_levels, seeds):
     if name == "cross_entropy":
-        return CrossEntropy(max_levels=max_levels)
+        return CrossEntropy(max_levels=max_levels, seeds=seeds)
     from bsp_gp.search.genetic import Genetic  # DEAP is slow to import
 
-    return Genetic(max_levels=max_levels)
+    return Genetic(max_levels=max_levels, seeds=seeds)

@@ -42,6 +42,8 @@ class CrossEntropy:
     pool : (int, int) or None
         Scalars and vectors of the pools whose products make up a population, which are cheap to
         score (`Pcfg.sample_crossed`); None draws tree by tree.
+    seeds : tuple of Expression
+        In the first population, beside what is drawn.
     """
 
     population: int = 2000
@@ -53,10 +55,11 @@ class CrossEntropy:
     patience: int | None = 8
     pool: tuple[int, int] | None = (64, 4)
     name: str = "cross_entropy"
+    seeds: tuple = ()
 
     def init(self, objective, rng):
         """Draw from the uniform grammar."""
-        return self._drawn(Pcfg.uniform(objective.grammar), objective, rng, None, 0)
+        return self._drawn(Pcfg.uniform(objective.grammar), objective, rng, None, 0, self.seeds)
 
     def step(self, state, objective, rng):
         """Refit to the elite and draw again; begin anew when stuck."""
@@ -67,9 +70,10 @@ class CrossEntropy:
         pcfg = fitted.mixed(uniform, self.uniform_share)
         return self._drawn(pcfg, objective, rng, state["best"], state["stuck"])
 
-    def _drawn(self, pcfg, objective, rng, best, stuck):
+    def _drawn(self, pcfg, objective, rng, best, stuck, seeds=()):
         where = (rng, objective.start, self.max_levels, self.population)
         trees = pcfg.sample_crossed(*where, self.pool) if self.pool else pcfg.sample_many(*where)
+        trees = [*seeds, *trees]
         scores = objective.score(trees)
         order = np.argsort([score.cost for score in scores], kind="stable")
         elite, seen = [], set()

@@ -53,6 +53,8 @@ class Genetic:
         Part of the offspring drawn from the PCFG, against stagnation.
     patience : int or None
         Generations without a law of lower cost after which all but the best are drawn anew.
+    seeds : tuple of Expression
+        In the first population, beside what is drawn.
     """
 
     population: int = 200
@@ -62,12 +64,13 @@ class Genetic:
     immigrants: float = 0.15
     patience: int | None = 12
     name: str = "genetic"
+    seeds: tuple = ()
 
     def init(self, objective, rng):
         """Draw from the uniform PCFG."""
         pcfg = Pcfg.uniform(objective.grammar)
         trees = pcfg.sample_many(rng, objective.start, self.max_levels, self.offspring)
-        return self._selected(trees, [], objective, None, 0)
+        return self._selected([*self.seeds, *trees], [], objective, None, 0)
 
     def step(self, state, objective, rng):
         """Breed, score, select."""

@@ -8,6 +8,7 @@ function of its inner constants alone. It is scored on a grid, and where it does
 from __future__ import annotations
 
 import re
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import product as every
 
@@ -20,7 +21,7 @@ from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.evaluation import Settling
-from bsp_gp.physics.force import Term, kind_of
+from bsp_gp.physics.force import Term, kind_of, split_linear
 
 __all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
 
@@ -28,6 +29,10 @@ N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
 """Values of a constant that is alone inside, of each of several; places, and along an axis."""
 BEYOND = 4.0
 """Times that a length may be shorter than the shortest in the data, or longer than the longest."""
+COARSE = 2
+"""Times as coarse that grids are for laws that are drawn, of which there are many."""
+MOST_INNER = 3
+"""Inner constants of a law that was drawn; coordinates of a place count each."""
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
 ZOOMS, CLOSER = 5, 3.0
@@ -230,6 +235,12 @@ class InnerSearch:
         self.middle = np.round((rows.min(axis=0) + rows.max(axis=0)) / 2 / grain) * grain
         self._known = {}
 
+    def of_target(self, target):
+        """The same for another target, beside what constants take up."""
+        other = copy(self)
+        other.target = target
+        return other
+
     def axes_of(self, form):
         """Ranges of the inner constants of a form; None where one has none on these data."""
         names = list(form.term.formula.constants)
@@ -253,7 +264,7 @@ class InnerSearch:
             return Axis(name, *map(float, text.split("..")))
         formula = parse_formula(text, self._types)
         found = self._values(self.placed(formula))
-        if not isinstance(formula, Call) or formula.operator != "norm":
+        if not isinstance(formula, Call) or formula.operator not in ("norm", "abs"):
             return Axis(name, found.min(), found.max()) if len(found) and np.ptp(found) else None
         found = found[found > 0]
         if not len(found):
@@ -271,21 +282,37 @@ class InnerSearch:
             found.append(value[shown & np.isfinite(value)])
         return np.concatenate(found)
 
-    def scan(self, form):
-        """A form on its first grid; None if it has none."""
+    def of_law(self, formula, kind):
+        """The scan of a law, a strength times a form; None if it is no such law.
+
+        A law with more inner constants than `MOST_INNER` gains nothing.
+        """
+        name, rest = split_linear(formula)
+        names = [n for n in rest.constants if not n.startswith(PLACE)]
+        if name is None or name in names or not set(names) <= set(self._texts):
+            return None
+        form = Form(Term(rest, kind), 0.0)
+        axes = self.axes_of(form)
+        if not axes or len(axes) > MOST_INNER:
+            nothing = np.zeros(self.draws.shape[1])
+            return Scan(form, axes or (), 0, 0.0, nothing, 0.0, 0.0, np.zeros(0), np.zeros(0))
+        return self.scan(form, COARSE)
+
+    def scan(self, form, coarse=1):
+        """A form on its first grid, or one so many times as coarse; None if it has none."""
         axes = self.axes_of(form)
         if axes is None:
             return None
         n_places = sum(axis.cauchy is not None for axis in axes)
-        alone = N_POINTS if len(axes) == 1 else N_ACROSS
-        across = min(round(N_PLACES ** (1 / n_places)), N_LINE) if n_places else 0
+        alone = -(-(N_POINTS if len(axes) == 1 else N_ACROSS) // coarse)
+        across = min(round(N_PLACES ** (1 / n_places)), N_LINE) // coarse if n_places else 0
         lines = [axis.line(across if axis.cauchy else alone) for axis in axes]
         grid = np.array(list(every(*lines)))  # (C, k, 2)
         unit = self._unit(form, axes, grid[..., 0])
         gains = np.square(unit.T @ self.target)
         k = int(np.argmax(gains))
         volume = float(np.log(np.mean(np.exp(0.5 * (gains - gains[k])))))
-        null = np.square(unit.T @ self.draws).max(axis=0)
+        null = np.square(unit.T @ self.draws).max(axis=0, initial=0.0)
         best = float(gains[k])
         return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T)
 

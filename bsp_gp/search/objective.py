@@ -72,6 +72,8 @@ class Objective:
         Start points of constants that do not multiply a term.
     null_targets : ndarray, shape (n, B), optional
         Simulated targets.
+    inner : InnerSearch, optional
+        Scores laws whose inner constants have ranges on grids, beside the same free constants.
 
     Attributes
     ----------
@@ -101,6 +103,7 @@ class Objective:
         beta=1e-3,
         starts=3,
         null_targets=None,
+        inner=None,
     ):
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
@@ -109,13 +112,13 @@ class Objective:
         self._given = {
             "regression": regression, "grammar": grammar, "kind": kind, "target": target,
             "nuisance": nuisance, "criterion": criterion, "beta": beta, "starts": starts,
-            "null_targets": null_targets,
+            "null_targets": null_targets, "inner": inner,
         }  # fmt: skip
         self.regression = regression
         self.grammar = grammar
         self.kind = kind
         self.start = grammar.start[kind]
-        self.criterion = criterion
+        self.criterion, self.inner = criterion, inner
         self.beta = beta
         self.starts = starts
         self.rows = Rows(regression, kind)
@@ -129,7 +132,7 @@ class Objective:
         self.null_gain = np.zeros(self.null.shape[1])
         self.columns = Columns(self.rows, self.y, self.q)
         self.projected = Projected(regression, self.y, self.q)
-        self.n_trees = self.n_scored = self.n_repeats = self.n_failed = 0
+        self.n_trees = self.n_scored = self.n_repeats = self.n_failed = self.n_grids = 0
         self._log_probs = _log_probs(grammar)
         self._complexities = {}
         self._scores = {}
@@ -302,6 +305,13 @@ class Objective:
 
     def _fit_whole(self, key, formula):
         """Laws whose constants do not all multiply a term: the full inner level."""
+        scan = None if self.inner is None else self.inner.of_law(formula, self.kind)
+        if scan is not None:
+            self.null_gain = np.maximum(self.null_gain, scan.null)
+            self._fits[formula] = scan
+            self.n_grids += 1
+            self._settle(key, 0.5 * (self.total - scan.gain) if scan.gain > 0 else np.inf, 1)
+            return
         law = self._law(formula, dict.fromkeys(formula.constants, 1.0))
         try:
             fit = fit_constants(self.projected, law, starts=self.starts)
@@ -330,6 +340,11 @@ class Objective:
         formula = self.recogniser.formula(expression)
         law = self.recogniser.law(expression)
         names = formula.constants
+        if law.whole is not None and not isinstance(self._fits[law.whole], tuple):
+            # Its inner constants are where the grid has it; a fit sets out from there.
+            gain = self.total - 2 * score.loss
+            return Candidate(formula, self.kind, {}, score.loss, score.complexity, gain,
+                             self.total, expression)  # fmt: skip
         if law.whole is not None:
             constants = dict(zip(names, self._fits[law.whole], strict=True))
             residual = self.projected.residual(self._law(formula, constants))

@@ -29,6 +29,7 @@ from bsp_gp.search.banks import fingerprints
 
 __all__ = ["BoundedCache", "CACHE_BYTES", "Law", "Recogniser"]
 
+_SOUGHT = frozenset(("centre", "middle"))
 CACHE_BYTES = 1 << 28
 """Bound on the values kept, and on those of subtrees."""
 
@@ -73,6 +74,7 @@ class Recogniser:
     def __init__(self, grammar, rows):
         self.grammar = grammar
         self.rows = rows
+        self._ranged = frozenset(grammar.inside.get("ranges", ()))
         self._patterns = [_pattern(rule, grammar) for rule in grammar.rules]
         self._laws = {}
         self._singles = {}
@@ -152,7 +154,7 @@ class Recogniser:
             return None
         names = [name for law in laws for name in law.constants]
         if any(law.whole is not None for law in laws) or len(set(names)) < len(names):
-            return Law((), (), _canonical(self.formula(expression)))
+            return Law((), (), _canonical(self.formula(expression), self._ranged))
         terms = sorted({term for law in laws for term in law.terms})
         return Law(tuple(terms), tuple(names))
 
@@ -160,7 +162,7 @@ class Recogniser:
         known = self._factors[role]
         if children not in known:
             formulas = [self.formula(child) for child in children]
-            is_free = all(formula.is_constant_free for formula in formulas)
+            is_free = all(map(_is_settled, formulas))
             known[children] = self._class(role, product(formulas)) if is_free else "whole"
         return known[children]
 
@@ -170,7 +172,7 @@ class Recogniser:
         for part in summands(formula):
             parts = _parts(part)
             if parts is None:
-                return Law((), (), _canonical(formula))
+                return Law((), (), _canonical(formula, self._ranged))
             name, coefficient, direction = parts
             a = self._class("coefficient", coefficient)
             b = self._class("direction", direction)
@@ -179,7 +181,7 @@ class Recogniser:
             terms.append((a, b))
             names.append(name)
         if len(set(names)) < len(names):
-            return Law((), (), _canonical(formula))
+            return Law((), (), _canonical(formula, self._ranged))
         return Law(tuple(sorted(set(terms))), tuple(names))
 
     def _class(self, role, formula):
@@ -304,11 +306,11 @@ def _parts(formula):
     vectors = [f for f in above if f.type.shape == "vector"]
     if len(constants) != 1 or len(vectors) != 1:
         return None
-    if not all(f.is_constant_free for f in below):
+    if not all(map(_is_settled, below)):
         return None
     conditions = [f for f in above if f.type.shape == "bool"]
     scalars = [f for f in above if f.type.shape == "scalar" and not isinstance(f, Constant)]
-    if not all(f.is_constant_free for f in (*scalars, *vectors)):
+    if not all(map(_is_settled, (*scalars, *vectors))):
         return None
     coefficient = product(scalars)
     if below:
@@ -316,7 +318,12 @@ def _parts(formula):
     return constants[0].name, coefficient, product([*vectors, *conditions])
 
 
-def _canonical(formula):
-    """The formula with its constants named c1, c2, ... in order of appearance."""
-    names = {name: f"c{k}" for k, name in enumerate(formula.constants, 1)}
-    return rename_constants(formula, names)
+def _is_settled(formula):
+    """Whether a formula has values without any constant, or place that is sought."""
+    return formula.is_constant_free and _SOUGHT.isdisjoint(formula.inputs)
+
+
+def _canonical(formula, kept):
+    """The formula with its constants named c1, c2, ... in order of appearance, but for some."""
+    free = (name for name in formula.constants if name not in kept)
+    return rename_constants(formula, {name: f"c{k}" for k, name in enumerate(free, 1)})

@@ -27,6 +27,9 @@ from bsp_gp.search.candidate import SearchResult
 
 __all__ = ["Budget", "Search", "run_search"]
 
+GRID = 5
+"""Laws for which one counts whose inner constants are scored on a grid: it takes as long."""
+
 
 class Search(Protocol):
     """A search strategy."""
@@ -47,7 +50,8 @@ class Budget:
     Attributes
     ----------
     n_scored : int or None
-        Laws that differ on the data. Reproducible.
+        Laws that differ on the data; one with constants on a grid counts `GRID` times.
+        Reproducible.
     seconds : float or None
         Not reproducible by itself: the result records its counts so that it can be replayed.
     n_steps : int or None
@@ -68,10 +72,14 @@ class Budget:
     def is_spent(self, objective, started, steps, idle=0):
         return (
             idle >= self.n_idle
-            or (self.n_scored is not None and objective.n_scored >= self.n_scored)
+            or (self.n_scored is not None and _spent(objective) >= self.n_scored)
             or (self.seconds is not None and time.perf_counter() - started >= self.seconds)
             or (self.n_steps is not None and steps >= self.n_steps)
         )
+
+
+def _spent(objective):
+    return objective.n_scored + (GRID - 1) * objective.n_grids
 
 
 def run_search(

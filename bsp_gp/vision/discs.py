@@ -202,7 +202,7 @@ def place(image, kind, start, others, behind=None, iterations=8):
     measured = coverage(pixels, kind.colour, surround)[:, 0].astype(float)
     for _ in range(iterations):
         dx, dy = px - centre[0], py - centre[1]
-        d = np.sqrt(dx * dx + dy * dy)
+        d = np.maximum(np.sqrt(dx * dx + dy * dy), 1e-9)  # the centre itself may be a pixel
         u = (d - kind.radius) / kind.edge
         used = np.abs(u) < EDGE
         slope = np.exp(-0.5 * u * u) / (np.sqrt(2 * np.pi) * kind.edge)

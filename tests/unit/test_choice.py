@@ -6,11 +6,15 @@ import pytest
 from bsp_gp.errors import GrammarError, SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View, selected
 from bsp_gp.search.choice import searches_for
 from tests.fitted_tracks import body, dataset_of, scene_of
+from tests.unit.test_inside import is_within
+from tests.unit.test_inside import pushed as pushed_by
 
 UPWARD = {
     "grammar": {"name": "upward", "start": "Force", "kind": "field"},
@@ -83,3 +87,41 @@ def test_guided_searches_draw_the_same_again():
     one, other = (proposed(data, load_grammar("physics"), "genetic") for _ in range(2))
     assert [p.text for p in one.proposals] == [p.text for p in other.proposals]
     np.testing.assert_array_equal(one.null, other.null)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("search", ["cross_entropy", "genetic"])
+def test_a_law_with_constants_inside_that_no_form_lists_is_drawn(search):
+    """A drag that saturates and acts above a height only: found by drawing or not at all."""
+
+    def push(place, velocity, time):
+        size = np.linalg.norm(velocity)
+        return -1.2 * (place[1] > 0.9) * velocity / (1 + size / 2.0)
+
+    data = pushed_by(push)
+    hypothesis = Hypothesis.from_laws(data, [])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    laws = Laws(load_grammar("physics"), data, search=search)
+    laws.propose(view)
+    inside = Inside(laws, data)
+    best = max(inside.propose(view).proposals, key=lambda p: p.promise)
+    assert "sign(dot(p_i - origin, e_y) - h_y1)" in best.text and {"n1", "u1"} & set(best.starts)
+    (formula,) = best.formulas
+    assert canonical_key(formula) not in {canonical_key(f.term.formula) for f in inside.forms}
+    found = fit(best.hypothesis, data, starts=best.starts)
+    assert is_within(found, h_y=0.9)
+
+
+def test_near_the_level_of_chance_noise_is_searched_anew(monkeypatch):
+    data = pushed()
+    hypothesis = Hypothesis.from_laws(data, ["0.4 [m/s^2] * m_i * e_y"])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    proposer = Laws(load_grammar("physics"), data, max_levels=5, search="genetic", budget=100)
+    null = np.zeros(view.moment_draws.shape[1])
+    assert proposer._searched_anew(view, 100.0, null + 4.0)[0] == 4.0  # far beyond any chance
+    assert proposer._searched_anew(view, 2.0, null + 4.0)[0] == 4.0  # far below
+    monkeypatch.setattr("bsp_gp.loop.proposers.laws.MOST_ANEW", 3)
+    near = next(g for g in np.arange(4.0, 60.0, 0.5)
+                if 1e-4 < selected(g, 1, null + 4.0, view.noise_dof) < 0.01)  # fmt: skip
+    anew = proposer._searched_anew(view, near, null + 4.0)
+    assert len(anew) == 3 and (anew > 4.0).all() and (anew < 60.0).all()

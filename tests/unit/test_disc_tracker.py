@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from bsp_gp.errors import DataError
 from bsp_gp.vision.colour import parse_colour
 from bsp_gp.vision.disc_tracker import DiscTracker, track_discs
+from bsp_gp.vision.discs import DiscKind, place
 from bsp_gp.vision.smoothing import calibrated
 from bsp_gp.vision.video import open_video
 from tests.renders import bouncing, frame, write_video
@@ -140,3 +142,13 @@ def test_stated_covariance_is_calibrated(tmp_path, ending, effects):
         )
     print(ending, effects, np.round(ratios, 2), np.mean(ratios))
     assert 0.8 < np.mean(ratios) < 1.25
+
+
+def test_a_small_disc_that_is_centred_on_a_pixel_is_placed():
+    kind = DiscKind(np.array([0.0, 0.0, 200.0]), 4.0, 0.8, 4.5, np.array([255.0] * 3))
+    y, x = np.mgrid[:41, :41]
+    share = 0.5 * (1 - erf((np.hypot(x - 20.0, y - 20.0) - 4.0) / (0.8 * np.sqrt(2))))
+    image = (255 + share[..., None] * (kind.colour - 255)).astype(np.uint8)
+    fit = place(image, kind, (20.0, 20.0), [])
+    assert not fit.reason
+    assert fit.position == pytest.approx([20, 20], abs=0.02)

@@ -6,20 +6,20 @@ import pytest
 from bsp_gp.cli import main
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, on_command_line
-from tests.logger_tables import LOOKED_AT, SET_ASIDE
+from tests.logger_tables import LATER, LOOKED_AT, SET_ASIDE
 
-SAMPLES = LOOKED_AT | SET_ASIDE
+SAMPLES = LOOKED_AT | SET_ASIDE | LATER
 
 
-def test_there_are_thirty_of_them_half_of_them_set_aside():
-    assert len(LOOKED_AT) == len(SET_ASIDE) == 15 and len(SAMPLES) == 30
+def test_there_are_thirty_of_them_half_set_aside_and_fifteen_of_another_day():
+    assert len(LOOKED_AT) == len(SET_ASIDE) == len(LATER) == 15 and len(SAMPLES) == 45
 
 
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
     sample = SAMPLES[name]
     if not sample.content:
-        pytest.skip("what writes such a file is not installed: pip install 'bsp_gp[tables]'")
+        pytest.skip("what writes such a file is not installed: pip install 'bsp_gp[test,parquet]'")
     path = tmp_path / sample.name
     path.write_bytes(sample.content)
     if sample.refused:

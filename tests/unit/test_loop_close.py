@@ -46,6 +46,7 @@ ROUND = {
 }  # fmt: skip
 HYPOTHESIS = {
     "id", "code", "law", "source", "status", "log_evidence", "held_out", "p_value", "probability",
+    "model",
 }  # fmt: skip
 
 

@@ -355,3 +355,12 @@ def test_brackets_are_written_where_they_are_needed(formula):
     again = parse_formula(to_text(formula), {})
     values = [evaluate(f, {}, {"a": 1.7, "b": -0.6, "c": 0.9}) for f in (formula, again)]
     np.testing.assert_array_equal(*values)
+
+
+@pytest.mark.parametrize(
+    ("short", "long"),
+    [("-K * (x_i - X) * e_x", "-K * (dot(p_i - origin, e_x) - X) * e_x"),
+     ("-c * vy_i * e_y", "-c * dot(v_i, e_y) * e_y")],
+)  # fmt: skip
+def test_components_by_name(short, long):
+    assert parse_formula(short, TYPES) == parse_formula(long, TYPES)

@@ -44,6 +44,7 @@ def test_a_period_is_found_with_its_rate_axis_and_mass(has_mass):
     assert "e_x" in best.text
     assert "e_y" not in best.text
     assert found["w1"] == pytest.approx(RATE, rel=0.02)
+    assert best.starts["w1"] == pytest.approx(found["w1"], rel=0.003)  # sought between the grid's
     assert np.hypot(found["a1"], found["b1"]) == pytest.approx(force, rel=0.1)
     assert heights[k] > log_evidence(view.fit, view.hypothesis) + 10
 

@@ -53,7 +53,7 @@ def test_one_text_is_a_law_and_a_fit_needs_no_more(data):
     assert found.constants[0].value == pytest.approx(C, rel=0.02)
     lines = repr(found).splitlines()
     assert 3 < len(lines) <= 10 and "c" in repr(found)
-    assert repr(found).splitlines()[0] in found._repr_html_()
+    assert repr(found).splitlines()[1].strip() in found._repr_html_()
     again = bsp_gp.simulate_law(data, found.law)
     assert np.abs(again.scenes[0].positions - data.scenes[0].positions).max() < 0.01
     noisy = [bsp_gp.simulate_law(data, found.law, noise=0.01, rng=r) for r in (None, 0, 1)]
@@ -73,7 +73,7 @@ def test_a_law_moves_bodies_from_any_start(data):
     assert made.positions[:, 0, 0] == pytest.approx(x, rel=1e-6)
     own = law.predict(scene, up="y")
     assert np.abs(own.positions - scene.positions).max() < 0.1
-    with pytest.raises(SettingsError, match="'ball'.*those that do are object"):
+    with pytest.raises(SettingsError, match="'ball'.*moving are object"):
         law.simulate(scene, {"ball": ([0, 0], [0, 0])}, up="y")
     with pytest.raises(SettingsError, match="2 numbers"):
         law.simulate(scene, {"object": ([0, 0, 0], [0, 0, 0])}, up="y")
@@ -103,7 +103,7 @@ def test_accounts_are_ten_lines_at_most(data):
         names=tuple(f"m{k}" for k in range(20)), draws=np.ones((5, 20)), weights=np.full(5, 0.2),
         log_prob=np.zeros(5), method="emcee", n_eff=np.ones(20), r_hat=np.ones(20),
     )  # fmt: skip
-    told = {"Dataset 'falls': 4 scene(s)": data, "ForceLaw: F_i = ": law,
+    told = {"Dataset 'falls': 4 scenes": data, "ForceLaw: F_i = ": law,
             "Posterior by emcee": posterior, "LoopReport of 'Thrown balls': effect adopted":
             sample.adopted()}  # fmt: skip
     for words, thing in told.items():
@@ -154,3 +154,10 @@ def test_options_are_arguments_in_python(text, python):
         assert python in str(kind(text))
     with on_command_line():
         assert in_python(text) == text and str(LawError(text)) == text
+
+
+def test_a_law_of_a_fit_knows_what_is_up(data):
+    law = bsp_gp.fit_law(data, "g * m_i * down").law
+    start = {"object": ([0.0, 2.0], [0.0, 0.0])}
+    scene = law.predict(data.scenes[0], start, times=[0.0, 0.05, 0.1])
+    assert scene.positions[2, 0, 1] == pytest.approx(2.0 - 0.5 * law.constants["g"] * 0.01)

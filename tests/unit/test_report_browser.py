@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -105,21 +106,66 @@ for (const width of widths) {
 </script>"""
 
 
-def looked_at(folder, *options):
-    """What the probe finds in `report.html` of a folder, and what the console says."""
-    (folder / "probe.html").write_text(PROBE.replace("WIDTHS_HERE", str(list(WIDTHS))), "utf-8")
+AXE = """<script src="axe.min.js"></script><script>
+addEventListener("load", async () => {
+  for (const fold of document.querySelectorAll("details")) fold.open = true;
+  const found = await axe.run(document);
+  const told = found.violations.map(v => [v.impact, v.id, v.nodes[0].html.slice(0, 200)]);
+  document.body.innerHTML = '<pre id="out"></pre>';
+  document.getElementById("out").textContent = JSON.stringify(told);
+});
+</script></body>"""
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium here: apt-get install chromium"
+)
+
+
+def dumped(file, *options):
+    """What a page has written into its element `out`, and what the console says."""
     run = subprocess.run(
         [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
          "--allow-file-access-from-files", "--window-size=1400,900", "--virtual-time-budget=20000",
-         f"--user-data-dir={folder / 'profile'}", *options, "--dump-dom",
-         (folder / "probe.html").as_uri()],
+         f"--user-data-dir={file.parent / 'profile'}", *options, "--dump-dom", file.as_uri()],
         capture_output=True, text=True, timeout=240, check=True,
     )  # fmt: skip
     text = re.search(r'<pre id="out">(.*?)</pre>', run.stdout, re.DOTALL)[1]
     return json.loads(html.unescape(text)), re.findall(r"CONSOLE.*", run.stderr)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+def looked_at(folder, *options):
+    """What the probe finds in `report.html` of a folder, and what the console says."""
+    (folder / "probe.html").write_text(PROBE.replace("WIDTHS_HERE", str(list(WIDTHS))), "utf-8")
+    return dumped(folder / "probe.html", *options)
+
+
+def axe_finds(folder, page, *options):
+    """What axe-core finds in a page whose folds are all open: impact, rule, the first element."""
+    axe = pytest.importorskip("axe_core_python", reason="pip install axe-core-python")
+    shutil.copy(Path(axe.__file__).parent / "axe.min.js", folder)
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
+    (folder / "axe.html").write_text(page.replace("</body>", AXE), "utf-8")
+    return dumped(folder / "axe.html", *options)[0]
+
+
+@needs_browser
+@pytest.mark.parametrize("options", [
+    (), pytest.param(("--force-dark-mode",), marks=pytest.mark.slow)
+], ids=["light", "dark"])  # fmt: skip
+@pytest.mark.parametrize("name", [
+    "adopted", pytest.param("cannot_tell", marks=pytest.mark.slow), *PAGES[2:]
+])  # fmt: skip
+def test_axe_finds_nothing_to_mend(tmp_path, name, options):
+    assert axe_finds(tmp_path, render_html(sample.ALL[name]()), *options) == []
+
+
+@needs_browser
+@pytest.mark.slow
+def test_axe_would_find_what_is_wrong(tmp_path):
+    page = render_html(sample.adopted()).replace("</main>", '<img src="x.png"></main>')
+    assert [told[:2] for told in axe_finds(tmp_path, page)] == [["critical", "image-alt"]]
+
+
+@needs_browser
 @pytest.mark.parametrize("options", [(), ("--force-dark-mode",)], ids=["light", "dark"])
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_in_a_browser(tmp_path, name, options):

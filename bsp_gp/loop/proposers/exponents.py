@@ -82,7 +82,6 @@ def _freed(view, index, code, text, factor, name, score):
     return Proposal(
         code, text, with_term_at(view.hypothesis, index, formula, {name: 0.0}),
         -view.criteria.cause_nats, score.statistic, starts={name: float(score.amplitudes[0])},
-        at_zero=(name,),
     )  # fmt: skip
 
 

@@ -1,4 +1,8 @@
-"""A body that no track shows: places far and near, each with the pull that visible bodies have."""
+"""A body that no track shows: places far and near, each with the pull that visible bodies have.
+
+Beside that an attraction as the inverse square of the distance is asked for: one body alone, or
+bodies of which no force on each other is declared, may go round what nobody sees.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,16 @@ import numpy as np
 
 from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
+from bsp_gp.language.inputs import STATE_INPUTS, input_types
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.units import Unit
 
-__all__ = ["Hidden", "Sources", "Stage", "apart", "pulls_of", "still"]
+__all__ = ["Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of", "still"]
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -25,6 +32,15 @@ ALIKE = 0.95
 N_STARTS = 2
 CHUNK = 1 << 22
 """Numbers in one array at a time."""
+ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
+GRAVITY = f"6.6743e-11 [m^3/(kg s^2)] * m_j * {ATTRACTION}"
+ASTRONOMICAL = 1e6
+"""Size of the data from which an attraction is gravity, m."""
+AWAY = 0.1
+"""Part of the data's size that a fit may miss and still lead to what extends it."""
+SAME = 1e-6
+"""By which two pulls may differ that are one."""
+
 
 class Sources:
     """What proposers of unseen bodies share."""
@@ -60,9 +76,13 @@ class Hidden(Sources):
         stage = Stage(view)
         null = np.zeros(view.moment_draws.shape[1])
         proposals, n_tried = [], 0
-        for terms in pulls_of(view, stage.strength):
+        known = []
+        for terms in (*pulls_of(view, stage.strength), attraction(view, stage)):
             parts = [stage.columns(terms, still(part)) for part in stage.chunks]
             unit, size = stage.beside(np.concatenate(parts, axis=1))
+            if any(_are_same(unit, other) for other in known):
+                continue
+            known.append(unit)
             gains = np.square(unit.T @ view.left)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
@@ -91,6 +111,25 @@ def pulls_of(view, strength):
         if pull is not None:
             columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
     return [tuple(both) for both in columns.values()]
+
+
+def attraction(view, stage):
+    """The pull of a source as the inverse square of the distance, as of `pulls_of`.
+
+    It is gravity where the data are as large as that takes, else one of its own strength.
+    """
+    dataset = view.dataset
+    is_gravity = stage.size > ASTRONOMICAL and dataset.units.is_calibrated(Unit.of(m=1, s=1))
+    types = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
+    formula = parse_formula(GRAVITY if is_gravity else ATTRACTION, types)
+    term = Term(formula, "pair")
+    return ((term, Term(unit_pull(term, stage.strength)[0], "pair")),)
+
+
+def _are_same(unit, other):
+    """Whether the columns of two pulls are the same at every place."""
+    cosines = np.abs(np.einsum("nc,nc->c", unit, other))
+    return bool(np.all(cosines[(unit != 0).any(axis=0)] > 1 - SAME))
 
 
 def still(places):
@@ -178,10 +217,12 @@ class Stage:
         pulls = tuple(pull_of(term, self.strength, self.names) for term, _ in terms)
         rest = ForceLaw(pulls, _known(view, terms, starts))
         part = HiddenSource(rest, None, self.names, (), **self.common, between=_between(terms))
+        is_afresh = self.is_led_away
         out = [
             Proposal(
                 "hidden_body", f"at rest: {texts}", view.hypothesis + part,
                 -view.criteria.cause_nats, gain, 1 + self.n_dims, starts, kind="hidden_body",
+                is_afresh=is_afresh,
             )
         ]  # fmt: skip
         if len(view.dataset.scenes) == 1:
@@ -202,7 +243,14 @@ class Stage:
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part,
             -view.criteria.cause_nats, gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
+            is_afresh=self.is_led_away,
         )  # fmt: skip
+
+    @property
+    def is_led_away(self):
+        """Whether the fit is so far from the data that what is missing leads it elsewhere."""
+        left = self.view.fit.residual
+        return bool(np.nanmax(np.abs(left)) > AWAY * self.size)
 
 
 def _between(terms):

@@ -12,10 +12,10 @@ from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, fresh_names
-from bsp_gp.search.inner import InnerSearch, read_forms
+from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
+from bsp_gp.search.inner import Form, InnerSearch, read_forms
 
-__all__ = ["Inside"]
+__all__ = ["Inside", "inner_search"]
 
 MOST = 8
 """Forms that are looked at more closely."""
@@ -37,7 +37,7 @@ class Inside:
     name = "inside"
 
     def __init__(self, laws, dataset):
-        self.ranges = laws.grammar.inside.get("ranges", {})
+        self.grammar = laws.grammar
         self.forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
 
     def propose(self, view):
@@ -47,16 +47,14 @@ class Inside:
         ----------
         view : View
         """
-        search = InnerSearch(
-            view.response.regression, view.left, view.draws_left, view.beside,
-            np.isfinite(view.fit.noise.levels), self.ranges, dataset_types(view.dataset),
-        )  # fmt: skip
+        search = inner_search(view, self.grammar, view.moment_draws)
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.
         left = view.left @ view.left - (view.explained if view.fit.law.terms else 0.0)
         is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
+        drawn = [Form(Term(split_linear(c.formula)[1], c.kind), c.complexity) for c in view.drawn]
         scans = []
-        for form in self.forms:
+        for form in (*self.forms, *drawn):
             if view.tick is not None:
                 view.tick()
             axes = search.axes_of(form)
@@ -82,6 +80,15 @@ class Inside:
             f"{len(scans)} forms with constants inside scored at {count} places on grids",
             n_tried=count,
         )  # fmt: skip
+
+
+def inner_search(view, grammar, draws):
+    """Grids for the constants inside of a grammar, on what a view's law leaves, and on noise."""
+    return InnerSearch(
+        view.response.regression, view.left, view.beside(draws), view.beside,
+        np.isfinite(view.fit.noise.levels), grammar.inside.get("ranges", {}),
+        dataset_types(view.dataset),
+    )  # fmt: skip
 
 
 def _proposal(view, search, scan):

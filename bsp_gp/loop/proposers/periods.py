@@ -17,6 +17,8 @@ __all__ = ["Periods"]
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
 NYQUIST = 0.9
+ZOOMS, CLOSER = 4, 4.0
+"""Finer rates about the best, and how much finer each time."""
 BLOCK = 128
 """Frequencies that are scored at a time."""
 
@@ -41,13 +43,14 @@ class Periods:
         scan = _Scan(view, rates, np.column_stack([view.left, view.draws_left]))
         proposals, best = [], 0.0
         for has_mass, weights, ties in _variants(view):
-            gains = scan.gains([scan.kernels(weights, axis) for axis in axes])
-            for along, gain in gains.items():
+            kernels = [scan.kernels(weights, axis) for axis in axes]
+            for along, gain in scan.gains(kernels).items():
                 even = as_pair(gain, 2 * len(along))  # all as if of two numbers
                 null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
                 k = int(np.argmax(gain[:, 0]))
+                rate, most = scan.closer([kernels[a] for a in along], rates[k], gain[k, 0])
                 chosen = tuple(axes[list(along)])
-                proposals.append(_proposal(view, rates, k, chosen, has_mass, gain[k, 0], ties))
+                proposals.append(_proposal(view, rates, rate, chosen, has_mass, most, ties))
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), float(best), 2, null,
@@ -80,6 +83,19 @@ class _Scan:
             for along, found in out.items():
                 found.append(self._gain(np.concatenate([waves[k] for k in along], axis=2)))
         return {along: np.concatenate(found) for along, found in out.items()}
+
+    def closer(self, kernels, rate, gain):
+        """The best rate near one of those that were scored, and what all axes gain with it."""
+        step = self.rates[1] - self.rates[0] if len(self.rates) > 1 else 0.0
+        for zoom in range(ZOOMS):
+            near = rate + step / CLOSER**zoom * np.linspace(-1, 1, 9)
+            near = np.clip(near, self.rates[0], self.rates[-1])
+            columns = np.concatenate([self._waves(kernel, near) for kernel in kernels], axis=2)
+            found = self._gain(columns)[:, 0]
+            k = int(np.argmax(found))
+            if found[k] > gain:
+                rate, gain = near[k], found[k]
+        return float(rate), float(gain)
 
     def _waves(self, kernel, rates):
         """Moments of cosines and sines, (n, F, 2)."""
@@ -123,10 +139,10 @@ def _variants(view):
         yield True, [np.ones(b.valid.shape[1:3]) for b in batches], False
 
 
-def _proposal(view, rates, k, axes, has_mass, gain, ties):
+def _proposal(view, rates, rate, axes, has_mass, gain, ties):
     terms, constants = _push(view, axes, has_mass)
     name = next(reversed(constants))
-    constants[name] = rate = float(rates[k])
+    constants[name] = rate
     other = [_text(_push(view, axes, True)[0])] if ties else []
     return Proposal(
         "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),

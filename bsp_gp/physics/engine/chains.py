@@ -48,6 +48,8 @@ class Chains:
         ``direction(name)`` gives the unit vector of a lab axis.
     series : Series
         Measured inputs.
+    begun, begun_errors : ndarray, shape (2, R, d, S), or None
+        Known states of first rows and their errors; nan = unknown, an error of 0 = exact.
     """
 
     scenes: tuple
@@ -67,6 +69,8 @@ class Chains:
     height: np.ndarray
     direction: object
     series: Series
+    begun: np.ndarray | None = None
+    begun_errors: np.ndarray | None = None
 
     @property
     def n_chains(self):
@@ -112,6 +116,10 @@ class Chains:
         )
         tracks = ("times", "observed", "sigma", "velocities")
         driven = ("driven_times", "driven", "driven_velocities")
+        if self.begun is not None:
+            whole = replace(
+                whole, begun=self.begun[..., chain], begun_errors=self.begun_errors[..., chain]
+            )
         return whole._cut(chain, first, stop, (*tracks, *driven))
 
     def cut(self, first, stop):
@@ -135,7 +143,10 @@ class Chains:
             kept = inside.reshape(*inside.shape, *(1,) * (values.ndim - 2))
             return np.where(kept, values[rows, chain], np.nan)
 
-        return replace(self, **{name: taken(getattr(self, name)) for name in names})
+        begun = self.begun
+        if begun is not None:  # of what begins later nothing is known
+            begun = np.where(first == 0, begun, np.nan)
+        return replace(self, begun=begun, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
         """What margins of contacts are measured with, arrays (R, J, S).
@@ -221,6 +232,7 @@ def _chains(batch, coupled):
     owners = [order[g][:n_own] for g in range(len(groups)) for _ in range(n_scenes)]
     shapes = batch.bodies.shapes
     times = np.concatenate([batch.times] * len(groups), axis=1)
+    begun, begun_errors = _begun(batch.scenes, [rows[:n_own] for rows in order])
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
@@ -239,4 +251,26 @@ def _chains(batch, coupled):
         height=of_bodies(shapes.height),
         direction=batch.bodies.direction,
         series=batch.bodies.series,
+        begun=begun,
+        begun_errors=begun_errors,
     )
+
+
+def _begun(scenes, owners):
+    """Known first states of chains and their errors, (2, R, d, G * S) each; None where none is."""
+    if all(scene.first is None for scene in scenes):
+        return None, None
+    values, errors = [], []
+    for own in owners:
+        for scene in scenes:
+            known = np.full((2, len(own), scene.n_dims), np.nan)
+            error = known.copy()
+            if scene.first is not None:
+                seen = np.isfinite(scene.positions[0, own])
+                known[1] = np.where(seen, scene.first.velocity[own], np.nan)
+                error[1] = scene.first.velocity_error[own]
+                if scene.first.is_placed:
+                    known[0], error[0] = scene.positions[0, own], 0.0
+            values.append(known)
+            errors.append(error)
+    return np.stack(values, axis=-1), np.stack(errors, axis=-1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.language.operators import GUARD
+from bsp_gp.language.operators import GUARD, OPERATORS
 
 __all__ = ["LEAVES", "Graph", "Tape"]
 
@@ -45,6 +45,29 @@ UFUNCS = {
     "inverse_guarded": _array(_inverse_guarded), "log_positive": _array(_log_positive),
 }  # fmt: skip
 LEAVES = ("number", "input", "constant")
+BY = "'"
+"""Between the name of a user's operator and the argument by which it is derived."""
+STEP = 1e-5
+"""Part of an argument by which the derivative of a derivative of a user's operator is taken."""
+
+
+def _function(op):
+    """What a node computes: of `UFUNCS`, or a user's operator, or a derivative of it."""
+    if op in UFUNCS:
+        return UFUNCS[op]
+    name, *by = op.split(BY)
+    if len(by) < 2:
+        return OPERATORS[name].partials[int(by[0])] if by else OPERATORS[name].function
+    *rest, last = by
+    below = _function(BY.join([name, *rest]))
+
+    def slope(*args):
+        step = STEP * np.maximum(np.abs(args[int(last)]), STEP)
+        low, high = ([*args] for _ in range(2))
+        low[int(last)], high[int(last)] = args[int(last)] - step, args[int(last)] + step
+        return (below(*high) - below(*low)) / (2 * step)
+
+    return slope
 
 
 class Graph:
@@ -166,7 +189,7 @@ class Graph:
         return simple[n]() if n in simple else self._fold("pow", a, b)
 
     def call(self, op, *args):
-        """A function of `UFUNCS` of other nodes."""
+        """A function of `UFUNCS`, or a user's operator, of other nodes."""
         if op in ("square", "abs") and self._is_negative(args[0]):
             args = (self._positive(args[0]),)
         return self._fold(op, *args)
@@ -188,7 +211,7 @@ class Graph:
         values = [self.value_of(arg) for arg in args]
         if all(value is not None for value in values):
             with np.errstate(all="ignore"):
-                return self.number(UFUNCS[op](*map(np.float64, values)))
+                return self.number(_function(op)(*map(np.float64, values)))
         return self._intern(op, *args)
 
     # --- derivatives --------------------------------------------------------------------------
@@ -211,7 +234,11 @@ class Graph:
             return self.zero
         if op in _BINARY:
             return _BINARY[op](self, node, args, parts)
-        return self.mul(_UNARY[op](self, node, args[0]), parts[0])
+        if op in _UNARY:
+            return self.mul(_UNARY[op](self, node, args[0]), parts[0])
+        return self.sum(
+            self.mul(self.call(f"{op}{BY}{k}", *args), part) for k, part in enumerate(parts)
+        )
 
 
 def _slope_div(g, node, args, parts):
@@ -287,10 +314,10 @@ class Tape:
             elif op in LEAVES:
                 self._leaves.append((node, op, args[0]))
             elif changing.isdisjoint(args):
-                self.settled.append((UFUNCS[op], node, args))
+                self.settled.append((_function(op), node, args))
             else:
                 changing.add(node)
-                self.steps.append((UFUNCS[op], node, args))
+                self.steps.append((_function(op), node, args))
         read = {arg for _, _, args in self.steps for arg in args} | set(outputs)
         self._kept = sorted(read - changing)
         # The same with places in the order of computing, in which `run` puts the values.

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from bsp_gp.errors import LawError
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import OPERATORS
 from bsp_gp.physics.engine.graph import LEAVES
 
 __all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
@@ -92,6 +93,8 @@ class Lowering:
             return self._input(node)
         if node.operator in _CONDITIONS:
             return self._condition(node)
+        if OPERATORS[node.operator].partials:
+            return g.call(node.operator, *(self.lower(arg) for arg in node.args))
         handler = getattr(self, f"_{node.operator}", None)
         if handler is None:
             raise LawError(f"the operator {node.operator!r} has no derivative for fits to tracks")

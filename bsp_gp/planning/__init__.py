@@ -1,0 +1,1 @@
+"""The next experiment: what would part the rivals, and the loop closed by running it."""

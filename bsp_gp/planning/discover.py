@@ -1,0 +1,491 @@
+"""The loop closed by the next measurement: plan, run, find what is missing, until a law stands.
+
+What a law is found from first are the *calm* rows of every experiment, those before forces have
+led a body off by a good part of its distance to the next one: a few rows show where it was there.
+Then the law is fitted to whole recordings, asked what it lacks, and its rivals are weighed on all
+that was seen. Experiments are chosen by what they promise to tell the rivals apart.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.outcome import law_record
+from bsp_gp.output.place import whole_file
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
+from bsp_gp.planning.apparatus import Recording, recording_of
+from bsp_gp.planning.means import Experiment
+from bsp_gp.planning.plan import N_DRAWS, NOTHING, SURE, moved_by, plan
+from bsp_gp.planning.rivals import Rival, rivals_of
+from bsp_gp.randomness import generator
+
+__all__ = ["Discovery", "calm", "discover"]
+
+CALM = 0.4
+"""Part of the distance to the next body within which forces may have led a body off."""
+LEAST_ROWS = 4
+ENOUGH = 2
+"""Experiments for every number that may be chosen before a law is looked for."""
+FEW = 0.5
+"""Shorter experiments are made where fewer of the rows are calm."""
+SEEN = 8.0
+"""Standard deviations by which forces should lead a body off for them to be seen at all."""
+PATIENCE = 3
+"""Rounds after which whole recordings that no law of calm rows fits are asked what is missing."""
+PATIENT = 8
+"""Times the usual effort of a fit that rivals may take on all recordings."""
+REACH = 10.0
+"""Times that what is foreseen may be off by more than the draws show."""
+FITS = 1.5
+"""Reduced chi-squared up to which a law of known noise fits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """What was found out.
+
+    Attributes
+    ----------
+    law : ForceLaw or None
+        The likeliest, with its constants; ``law.simulate`` predicts.
+    posterior : tuple of Rival
+        What may be true, the likeliest first, weighed on all recordings.
+    stands : bool
+        Whether the law is sure, fits, and nothing is missing beside it.
+    open : tuple of str
+        Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "inseparable".
+    inseparable : tuple of (str, str)
+        Rivals that no experiment within the means parts.
+    rounds : int
+    experiments, recordings : tuple
+    dataset : Dataset or None
+    report : LoopReport or None
+        Of the last closing of the loop.
+    """
+
+    law: ForceLaw | None
+    posterior: tuple
+    stands: bool
+    open: tuple
+    inseparable: tuple
+    rounds: int
+    experiments: tuple = field(repr=False)
+    recordings: tuple = field(repr=False)
+    dataset: object = field(repr=False, default=None)
+    report: object = field(repr=False, default=None)
+
+    def __repr__(self):
+        told = "none" if self.law is None else self.law.text()
+        lines = [f"Discovery after {self.rounds} round(s), {len(self.experiments)} experiments",
+                 f"  law: F_i = {told}{' (stands)' if self.stands else ''}"]  # fmt: skip
+        lines += [f"  {r.probability:.3f}  {r.text}" for r in self.posterior[:5]]
+        return "\n".join([*lines, f"  open: {', '.join(self.open) or 'nothing'}"])
+
+    def to_dict(self):
+        """For a file: JSON with plain numbers."""
+        return {
+            "law": None if self.law is None else {"text": self.law.text(), **law_record(self.law)},
+            "posterior": [{"law": r.text, "probability": r.probability} for r in self.posterior],
+            "stands": self.stands, "open": list(self.open), "rounds": self.rounds,
+            "inseparable": [list(pair) for pair in self.inseparable],
+        }  # fmt: skip
+
+
+def discover(
+    run, means, rounds=16, *, rng=None, declared=(), out=None, grammar="physics", criteria=None,
+    most_rounds=4, time_limit=None, progress=None,
+):  # fmt: skip
+    """Find a law by experiments of one's own.
+
+    Parameters
+    ----------
+    run : callable
+        ``run(experiment) -> recording``: an `Experiment` in; a `Recording`, or a mapping with
+        ``rows`` of (entity, t, x, y[, z]) and maybe ``sigma``, out.
+    means : Means
+    rounds : int
+        At the most.
+    rng : numpy.random.Generator, int or None
+    declared : str or sequence of str
+        Laws that are believed beforehand.
+    out : path-like, optional
+        Folder in which every round is kept; one that is there is gone on from.
+    grammar : str, path or Grammar
+    criteria : Criteria, optional
+    most_rounds : int
+        Causes that one closing of the loop may add.
+    time_limit : float, optional
+        Seconds of every closing of the loop.
+    progress : callable, optional
+        ``progress(text)``.
+
+    Returns
+    -------
+    Discovery
+    """
+    if rounds < 1:
+        raise SettingsError(f"rounds must be at least 1, got {rounds!r}")
+    settings = {
+        "grammar": grammar, "criteria": criteria or Criteria(), "max_rounds": most_rounds,
+        "time_limit": time_limit, "n_bootstrap": 0,
+    }  # fmt: skip
+    state = _State(means, (declared,) if isinstance(declared, str) else tuple(declared), settings,
+                   progress or (lambda text: None), out)  # fmt: skip
+    streams = generator(rng).spawn(rounds)
+    number = state.resume()
+    for stream in () if state.stands else streams[number:]:
+        number += 1
+        plan_rng, loop_rng = stream.spawn(2)
+        chosen = state.next(plan_rng)
+        if not chosen:
+            number -= 1
+            break
+        state.says(f"round {number}: {len(chosen)} experiment(s)")
+        for experiment in chosen:
+            state.add(experiment, recording_of(run(experiment), experiment))
+        state.learn(loop_rng, is_last=number == rounds)
+        state.keep(number)
+        if state.stands:
+            break
+    return state.result(number)
+
+
+class _State:
+    """What is known so far."""
+
+    def __init__(self, means, declared, settings, says, out):
+        self.means, self.declared, self.settings, self.says = means, declared, settings, says
+        self.out = None if out is None else Path(out)
+        self.experiments, self.recordings = [], []
+        self.rivals = ()
+        self.report, self.stands, self.left, self.inseparable = None, False, ("no_law",), ()
+        self.part, self.is_misfit, self.n_misfits = 1.0, False, 0
+
+    # --- what is tried ---------------------------------------------------------------------------
+
+    def next(self, rng):
+        """The experiments of the next round; none where no experiment would tell anything."""
+        count = self.means.at_once
+        if self.rivals and not self.is_misfit:
+            found = plan(self.rivals, self.means, rng=rng, n_told=max(count, 1))
+            self.inseparable = found.inseparable
+            if found.options and found.options[0].bits > NOTHING:
+                return [o.experiment for o in found.options[:count]]
+            if self.left == ("rivals",):
+                return []
+        return [self.means.draw(rng, self.part) for _ in range(count)]
+
+    def add(self, experiment, recording):
+        """Remember what was seen."""
+        self.experiments.append(experiment)
+        self.recordings.append(recording)
+
+    # --- what is learned -------------------------------------------------------------------------
+
+    def scenes(self):
+        """All recordings."""
+        return [
+            _scene(f"experiment {k}", e, r, self.means)
+            for k, (e, r) in enumerate(zip(self.experiments, self.recordings, strict=True), 1)
+        ]
+
+    @property
+    def dataset(self):
+        return self.means.dataset(self.scenes())
+
+    def learn(self, rng, is_last=False):
+        """Weigh the rivals on everything, and close the loop where they do not do.
+
+        Too few experiments are no reason to believe anything, unless there will be no more.
+        """
+        if len(self.experiments) < ENOUGH * self.means.n_choices and not is_last:
+            return
+        calm_rng, whole_rng, cut_rng = rng.spawn(3)
+        scenes = self.scenes()
+        calm_scenes = [calm(s) for s in scenes]
+        self._choose_part(scenes, calm_scenes)
+        calm_scenes = [s for s in calm_scenes if len(s.times) >= LEAST_ROWS] or scenes
+        if self.rivals:
+            whole = self._foreseeable(scenes, cut_rng)
+            self._weigh(whole)
+        if not self.rivals or self.is_misfit:
+            base = self._from_calm(self.means.dataset(calm_scenes), calm_rng)
+            self.says(f"found: {base.text()}")
+            if self.rivals:
+                self._weigh(self.means.dataset(calm_scenes))
+                whole = self._foreseeable(scenes, cut_rng)
+                self._weigh(whole)
+        self._judge()
+        self.n_misfits = self.n_misfits + 1 if self.is_misfit else 0
+        if not self.left or self.n_misfits >= PATIENCE:
+            self._ask_whole(whole, whole_rng)
+
+    def _foreseeable(self, scenes, rng):
+        """Recordings up to where the likeliest law no longer foresees where bodies are.
+
+        After a close pass what is unknown of a constant leads to anywhere: such rows tell little,
+        and a descent is lost among them. The better constants are known, the more rows there are.
+        """
+        best = self.rivals[0]
+        draws = best.draws(rng, N_DRAWS)
+        cut = []
+        for scene in scenes:
+            track = moved_by(best.law, draws, [with_unit_masses(scene)], self.means, rng)[:, :, 0]
+            spread = np.linalg.norm(track[1:] - track[0], axis=-1).max(axis=(0, 2))
+            is_seen = REACH * np.nan_to_num(spread, nan=np.inf) < CALM * nearest(scene)
+            count = len(is_seen) if is_seen.all() else int(np.argmin(is_seen))
+            if count >= LEAST_ROWS:
+                cut.append(scene if count == len(scene.times) else scene.rows(None, count))
+        return self.means.dataset(cut or scenes)
+
+    def _choose_part(self, scenes, calm_scenes):
+        """Shorter experiments where forces lead bodies far off, longer where they hardly do."""
+        kept = sum(len(s.times) for s in calm_scenes) / sum(len(s.times) for s in scenes)
+        shown = np.median([_departure(s)[-1] / max(self._noise(s), 1e-300) for s in scenes])
+        if kept < FEW:
+            self.part = max(self.part / 2, 1e-3)
+        elif shown < SEEN:
+            self.part = min(self.part * 2, 1.0)
+
+    def _noise(self, scene):
+        return float(np.median(self.means.sigma(scene.positions[:, scene.dynamic])))
+
+    def _from_calm(self, dataset, rng):
+        """Close the loop on calm rows; the law that it ends with."""
+        self.says("closing the loop on calm rows")
+        self.report = close_loop(
+            dataset, self.declared, rng=rng, progress=self.says, **self.settings
+        )
+        self._take(self.report)
+        return self.report.law
+
+    def _take(self, report):
+        """The rivals of a report, and its law with what every round has found."""
+        found = list(rivals_of(report))
+        text = report.law.text(digits=False)
+        if report.law.terms and not any(r.law.text(digits=False) == text for r in found):
+            found = [_final(report), *found]
+        self.rivals = tuple(r for r in found if r.law.terms)
+
+    def _weigh(self, dataset):
+        """Fit every rival to all recordings; those that cannot be fitted are left out."""
+        kept, heights, reduced = [], [], []
+        for rival in self.rivals:
+            self.says(f"fitting {rival.text}")
+            hypothesis = Hypothesis.from_laws(with_usable_masses(dataset), rival.law)
+            found = fit(hypothesis, with_usable_masses(dataset),
+                        effort=PATIENT * self.settings["criteria"].effort)  # fmt: skip
+            height = log_evidence(found, hypothesis, self.settings["criteria"])
+            if not math.isfinite(height):
+                continue
+            kept.append(_fitted(rival, found))
+            heights.append(height)
+            reduced.append(found.chi2_red)
+        self.is_misfit = not kept
+        if not kept:
+            return
+        weights = np.exp(np.array(heights) - max(heights))
+        order = np.argsort(-weights)
+        self.rivals = tuple(
+            replace(kept[k], probability=float(weights[k] / weights.sum())) for k in order
+        )
+        is_known = self.means.noise > 0 or self.means.noise_share > 0
+        self.is_misfit = bool(is_known and reduced[order[0]] > FITS)
+
+    def _judge(self):
+        """What is not settled."""
+        left = []
+        if not self.rivals:
+            left.append("no_law")
+        elif self.rivals[0].probability < SURE:
+            left.append("rivals")
+        if self.rivals and self.is_misfit:
+            left.append("misfit")
+        self.left = tuple(left)
+
+    def _ask_whole(self, dataset, rng):
+        """Close the loop on whole recordings with the likeliest law declared."""
+        self.says("asking whole recordings what is missing")
+        self.report = report = close_loop(
+            dataset, _declared(self.rivals[0].law), rng=rng, progress=self.says, **self.settings
+        )
+        is_new = any(done.adopted for done in report.rounds)
+        if is_new:
+            self._take(report)
+            self._weigh(dataset)
+            self._judge()
+        elif report.verdict == "nothing missing" and not self.is_misfit:
+            self.stands = True
+        if report.verdict not in ("nothing missing",) and not is_new:
+            self.left = (*self.left, "missing")
+        last = report.rounds[-1]
+        if is_new and last.verdict == "nothing missing" and not self.left:
+            self.stands = True
+
+    # --- what is kept ----------------------------------------------------------------------------
+
+    def keep(self, number):
+        """Write what was seen and is believed; a run that is interrupted goes on from here."""
+        if self.out is None:
+            return
+        self.out.mkdir(parents=True, exist_ok=True)
+        content = {
+            "schema": "bsp_gp/discovery/1", "round": number, "stands": self.stands,
+            "open": list(self.left), "part": self.part, "is_misfit": self.is_misfit,
+            "experiments": [
+                {**e.to_dict(), "seen": _plain(r)}
+                for e, r in zip(self.experiments, self.recordings, strict=True)
+            ],
+            "rivals": [
+                {
+                    "law": r.text, "probability": r.probability, **law_record(r.law),
+                    "uncertain": list(r.names), "covariance": np.asarray(r.covariance).tolist(),
+                }
+                for r in self.rivals
+            ],
+        }  # fmt: skip
+        with whole_file(self.out / "discovery.json") as part:
+            part.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+    def resume(self):
+        """Take up a run that was interrupted; how many rounds it had ended."""
+        file = None if self.out is None else self.out / "discovery.json"
+        if file is None or not file.exists():
+            return 0
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            for record in content["experiments"]:
+                experiment = Experiment.from_dict(record)
+                self.add(experiment, _recording(record["seen"]))
+            scenes = self.dataset
+            self.rivals = tuple(_rival(r, scenes) for r in content["rivals"])
+            self.left, self.stands = tuple(content["open"]), content["stands"]
+            self.part, self.is_misfit = content["part"], content["is_misfit"]
+            return int(content["round"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DataError(f"this is no discovery to go on from ({error})", file=file,
+                            remedy="choose another folder") from error  # fmt: skip
+
+    def result(self, number):
+        """The discovery."""
+        left = self.left
+        if self.inseparable and "rivals" in left:
+            left = (*left, "inseparable")
+        return Discovery(
+            self.rivals[0].law if self.rivals else None, self.rivals, self.stands, left,
+            self.inseparable, number, tuple(self.experiments), tuple(self.recordings),
+            self.dataset if self.experiments else None, self.report,
+        )  # fmt: skip
+
+
+def _scene(name, experiment, recording, means):
+    """A recording as a scene; where bodies begin is known, whether or not it was looked at."""
+    times, positions = np.asarray(recording.times), np.asarray(recording.positions, dtype=float)
+    sigma = recording.sigma
+    is_begun = bool(times[0] <= experiment.times[0])
+    if not is_begun and not means.position_error:
+        begin = np.array([b.position for b in experiment.bodies], dtype=float)
+        times = np.concatenate([[experiment.times[0]], times])
+        positions = np.concatenate([begin[None], positions])
+        sigma = None if sigma is None else np.concatenate([sigma[:1], sigma])
+        is_begun = True
+    if sigma is None and means.noise_share:
+        sigma = means.sigma(positions)
+        sigma = np.maximum(sigma, 1e-9 * np.nanmax(np.abs(positions)))
+    if sigma is not None and sigma.shape[-1] == 1:
+        sigma = np.pad(sigma, ((0, 0), (0, 0), (0, 1)), mode="edge")
+    seen = replace(experiment, times=tuple(times.tolist()))
+    scene = seen.scene(name, positions, means.errors, sigma)
+    return scene if is_begun else replace(scene, first=None)
+
+
+def _departure(scene):
+    """How far forces have led any body off at every row, m, shape (T,)."""
+    if scene.first is None:
+        return np.zeros(len(scene.times))
+    t = (scene.times - scene.times[0])[:, None, None]
+    free = scene.positions[0] + np.nan_to_num(scene.first.velocity) * t
+    off = np.linalg.norm((scene.positions - free)[:, scene.dynamic], axis=-1)
+    return np.nanmax(np.nan_to_num(off), axis=1)
+
+
+def calm(scene):
+    """The first rows of a scene, in which forces have not yet led any body far off.
+
+    Parameters
+    ----------
+    scene : Scene
+        With known first states; others are returned as they are.
+
+    Returns
+    -------
+    Scene
+    """
+    if scene.first is None or len(scene.entities) < 2:
+        return scene
+    is_calm = _departure(scene) < CALM * nearest(scene)
+    count = len(is_calm) if is_calm.all() else int(np.argmin(is_calm))
+    return scene if count == len(scene.times) else scene.rows(None, max(count, 3))
+
+
+def nearest(scene):
+    """How near any moving body has been to another one, m, shape (T,); inf where there is none."""
+    moving = list(scene.dynamic)
+    gaps = scene.positions[:, moving, None] - scene.positions[:, None]
+    gaps = np.linalg.norm(gaps, axis=-1)
+    gaps[:, np.arange(len(moving)), moving] = np.inf
+    return np.minimum.accumulate(np.fmin.reduce(gaps.reshape(len(gaps), -1), axis=1))
+
+
+def _declared(law):
+    """A law as it may be declared: all its terms, constants where they are."""
+    terms = tuple(replace(t, is_declared=True) for t in law.terms)
+    return ForceLaw(terms, law.constants, law.frame)
+
+
+def _fitted(rival, found):
+    """A rival with the constants of a fit."""
+    known = [k for k, (n, entity) in enumerate(found.parameters)
+             if not entity and n in found.law.names and np.isfinite(found.covariance[k, k])]
+    names = tuple(found.parameters[k][0] for k in known)
+    return replace(rival, law=found.law, names=names,
+                   covariance=found.covariance[np.ix_(known, known)])  # fmt: skip
+
+
+def _final(report):
+    """The law that a report ends with, as a rival."""
+    return _fitted(Rival(report.law.text(digits=False), report.law, 1.0), report.fit)
+
+
+def _rival(record, dataset):
+    law = read_law(dataset, [t["text"] for t in record["terms"]])
+    law = law.with_constants({k: v for k, v in record["values"].items() if k in law.names})
+    count = len(record["uncertain"])
+    covariance = np.array(record["covariance"], float).reshape(count, count)
+    return Rival(record["law"], law, record["probability"], tuple(record["uncertain"]), covariance)
+
+
+def _plain(recording):
+    out = {"times": np.asarray(recording.times).tolist(),
+           "positions": np.asarray(recording.positions).tolist()}  # fmt: skip
+    if recording.sigma is not None:
+        out["sigma"] = np.asarray(recording.sigma).tolist()
+    return out
+
+
+def _recording(record):
+    sigma = record.get("sigma")
+    return Recording(np.array(record["times"]), np.array(record["positions"], dtype=float),
+                     None if sigma is None else np.array(sigma, dtype=float))  # fmt: skip

@@ -1,0 +1,1 @@
+"""The page of ``bsp-gp serve``: drop a file, declare, run, read, download."""

@@ -1,0 +1,157 @@
+"""The fenced blocks of a page, run from its top to its end in one empty folder.
+
+``sh`` and ``python`` blocks are run, a ``text`` block right below one is what it prints (``...``
+stands for anything), and ``<!-- file: NAME -->`` above a block of any kind makes it a file. With
+``<!-- not run: WHY -->`` above it a block is left alone. ``<!-- slow -->`` marks a page, and
+``<!-- needs: NAME -->`` one that runs where the module, or the folder of reference data, is there.
+"""
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from bsp_gp.cli import main
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("BSP_GP_DATA", ROOT.parent / "shared" / "data"))
+_BLOCK = re.compile(
+    r"(?:^<!-- (?P<mark>file|not run): (?P<note>[^\n]*?) -->\n+)?"
+    r"^(?P<fence>```+)(?P<kind>[\w-]+|\{[\w-]+\}[^\n]*)?\n(?P<text>.*?)^(?P=fence)$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block: its kind, its text, its line, and the mark above it."""
+
+    kind: str
+    text: str
+    line: int
+    mark: str = ""
+    note: str = ""
+
+
+def blocks(text):
+    """The blocks of a page, in order."""
+    return [
+        Block(m["kind"] or "", m["text"], text[: m.start("fence")].count("\n") + 1,
+              m["mark"] or "", m["note"] or "")
+        for m in _BLOCK.finditer(text)
+    ]  # fmt: skip
+
+
+def pages():
+    """Pages whose snippets are run: the README, CONTRIBUTING and whatever lies under docs."""
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def is_slow(path):
+    return "<!-- slow -->" in path.read_text("utf-8")
+
+
+def missing(path):
+    """What a page needs and is not here; empty if nothing is."""
+    for name in re.findall(r"<!-- needs: (\S+) -->", path.read_text("utf-8")):
+        if not (DATA / name).is_dir() if "/" in name else find_spec(name) is None:
+            return name
+    return ""
+
+
+def prepare(folder, path):
+    """Make the folder in which a page runs, with the examples and the data that it needs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copytree(ROOT / "examples", folder / "examples", dirs_exist_ok=True)
+    for name in re.findall(r"<!-- needs: (\S+/\S+) -->", path.read_text("utf-8")):
+        shutil.copytree(DATA / name, folder / Path(name).name, dirs_exist_ok=True)
+
+
+def run_page(path, tell=False):
+    """Run the blocks of a page in the current folder; an AssertionError names the line."""
+    names, printed = {"__name__": "page"}, None
+    for block in blocks(path.read_text("utf-8")):
+        where = f"{path.name}:{block.line}"
+        if block.mark == "not run":
+            printed = None
+        elif block.mark == "file":
+            target = Path(block.note)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(block.text, "utf-8")
+        elif block.kind == "sh":
+            printed = "".join(_run(line, where) for line in _commands(block.text))
+        elif block.kind == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                code = compile("\n" * block.line + block.text, str(path), "exec")
+                exec(code, names)
+            printed = out.getvalue()
+        elif block.kind == "text" and printed is not None:
+            _compare(block.text, printed, where)
+            printed = None
+        if tell and printed is not None:
+            print(f"--- {where}\n{printed}", flush=True)
+
+
+def _commands(text):
+    """Lines of a shell, those ending in a backslash joined, comments left out."""
+    lines = text.replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _run(line, where):
+    """What a line prints, errors too; bsp-gp in this process, where all is imported already."""
+    words = shlex.split(line, comments=True)
+    if words[0] == "bsp-gp" and not set(words) & {"|", ">", "&&", "||", ">>", "<"}:
+        with (
+            contextlib.redirect_stdout(io.StringIO()) as out,
+            contextlib.redirect_stderr(io.StringIO()) as err,
+        ):
+            status = main(words[1:])
+        shown = out.getvalue() + "".join(  # progress comes and goes with the time
+            f"{text}\n" for text in err.getvalue().splitlines() if text.startswith("bsp-gp:")
+        )
+        assert status == 0 or "error:" in shown, f"{where}: {line}\n{err.getvalue()}"
+        return shown
+    with _command_folder() as folder:
+        env = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, env=env)
+    assert done.returncode == 0, f"{where}: {line}\n{done.stderr}"
+    return done.stdout
+
+
+@contextlib.contextmanager
+def _command_folder():
+    """A folder with the command bsp-gp of this source tree, and its Python as python."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        for name, run in (("bsp-gp", f'"{sys.executable}" -m bsp_gp'),
+                          ("python", f'"{sys.executable}"')):  # fmt: skip
+            script = Path(folder) / name
+            script.write_text(f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec {run} "$@"\n', "utf-8")
+            script.chmod(0o755)
+        yield folder
+
+
+def _compare(expected, printed, where):
+    """Whether what is shown is what was printed, up to blanks at line ends; ``...`` is anything."""
+    shown = " ".join(expected.split())
+    pattern = r".*?".join(map(re.escape, shown.split("...")))
+    real = " ".join(printed.split())
+    assert re.search(pattern, real), (
+        f"{where} shows\n{expected}\nwhat is printed is\n{printed}"
+    )
+
+
+if __name__ == "__main__":  # python -m tests.snippets PAGE FOLDER: run a page, keep what it makes
+    page, folder = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
+    prepare(folder, page)
+    os.chdir(folder)
+    run_page(page, tell=True)

@@ -1,0 +1,72 @@
+"""Every snippet of the README and the pages runs and prints what is shown; links lead somewhere."""
+
+import re
+
+import pytest
+
+from tests.snippets import ROOT, Block, blocks, is_slow, missing, pages, prepare, run_page
+
+FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"!?\[[^\]]*\]\(<?([^)\s>]+)>?[^)]*\)")
+
+
+def named(path):
+    marks = [pytest.mark.slow] if is_slow(path) else []
+    return pytest.param(path, id=path.relative_to(ROOT).as_posix(), marks=marks)
+
+
+@pytest.mark.parametrize("path", [named(p) for p in pages() if blocks(p.read_text("utf-8"))])
+def test_snippets_run_and_print_what_is_shown(path, tmp_path, monkeypatch):
+    if missing(path):
+        pytest.skip(f"the page needs {missing(path)}")
+    prepare(tmp_path, path)
+    monkeypatch.chdir(tmp_path)
+    run_page(path)
+
+
+def anchors(path):
+    """Names of a page's headings, as GitHub and MyST make them."""
+    text = FENCED.sub("", path.read_text("utf-8"))
+    heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).strip().replace(" ", "-") for h in heads}
+
+
+@pytest.mark.parametrize("path", pages(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(path):
+    lost = []
+    text = re.sub(r"`[^`\n]*`", "", FENCED.sub("", path.read_text("utf-8")))
+    for link in LINK.findall(text):
+        if re.match(r"[a-z]+:", link):
+            assert link.startswith(("https://", "mailto:")), link
+            continue
+        name, _, anchor = link.partition("#")
+        target = (path.parent / name).resolve() if name else path
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            lost.append(link)
+    assert not lost
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 150
+
+
+def test_blocks_and_their_marks_are_found():
+    text = (
+        "a\n\n<!-- file: x.csv -->\n```csv\nt,x\n```\n\n"
+        "```sh\nbsp-gp --version\n```\n```text\nbsp\n```\n"
+    )
+    assert blocks(text) == [
+        Block("csv", "t,x\n", 4, "file", "x.csv"), Block("sh", "bsp-gp --version\n", 8),
+        Block("text", "bsp\n", 11),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("shown", ["bsp-gp 9.9", "nothing of the kind"])
+def test_what_is_not_printed_is_not_shown(shown, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text(f"```sh\nbsp-gp --version\n```\n\n```text\n{shown}\n```\n", "utf-8")
+    with pytest.raises(AssertionError, match="page.md:5 shows"):
+        run_page(page)
+    page.write_text("```sh\nbsp-gp --version\n```\n\n```text\nbsp-gp ...\n```\n", "utf-8")
+    run_page(page)

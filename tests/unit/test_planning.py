@@ -1,0 +1,274 @@
+"""Means, what an experiment tells of rivals, programs as apparatus, discovery."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.fitting.hypothesis import read_law
+from bsp_gp.planning.apparatus import Command, recording_of
+from bsp_gp.planning.discover import calm, discover
+from bsp_gp.planning.means import Experiment, Range, load_means, means_from
+from bsp_gp.planning.plan import information, plan, weights_of
+from bsp_gp.planning.rivals import Rival
+
+MEANS = {
+    "bodies": {
+        "probe": {"x": "-4..4", "y": "1..4", "vx": "-1..1", "vy": 0, "mass": [1, 2]},
+        "source": {"dynamic": 0, "x": 0, "y": 0, "charge": "0.1..10"},
+    },
+    "look": {"until": "1..5", "rows": 6, "noise": 0.02, "at_once": 2},
+}
+
+
+@pytest.fixture(scope="module")
+def means():
+    return means_from(MEANS)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def rival(means, text, probability=0.5, **constants):
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    law = read_law(dataset, text).with_constants(constants)
+    return Rival(text, law, probability)
+
+
+def pull(power):
+    return f"-k * m_i * q_j * norm(p_i - p_j)^{power} * normalize(p_i - p_j)"
+
+
+def test_means_are_drawn_within_their_ranges(means):
+    drawn = [means.draw(np.random.default_rng(k)) for k in range(40)]
+    probes, sources = zip(*(e.bodies for e in drawn), strict=True)
+    assert all(-4 <= b.position[0] <= 4 and b.velocity[1] == 0 for b in probes)
+    assert {b.properties["mass"] for b in probes} == {1.0, 2.0}
+    assert all(b.is_static and 0.1 <= b.properties["charge"] <= 10 for b in sources)
+    assert np.median([b.properties["charge"] for b in sources]) < 3  # even in the logarithm
+    assert all(e.times[0] == 0 and len(e.times) == 6 and 1 <= e.times[-1] <= 5 for e in drawn)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"look": {"until": 5, "rows": 2}}, "rows must be a whole number of at least 4"),
+        ({"look": {"rows": 6}}, "until is missing"),
+        ({"look": {"until": "0..5"}}, "later than the begin"),
+        ({"look": {"until": 5, "speed": 1}}, "'speed' is unknown"),
+        ({"bodies": {"probe": {"x": "4..1"}}}, "LOW..HIGH"),
+        ({"bodies": {"probe": {"x": "wide"}}}, "LOW..HIGH"),
+        ({"bodies": {"probe": {"x": True}}}, "a number, a list"),
+        ({"bodies": {"wall": {"x": 0, "dynamic": 0}}}, "no body moves"),
+        ({"camera": {}}, "is unknown"),
+    ],
+)
+def test_means_that_cannot_be_are_refused(change, match):
+    with pytest.raises(SettingsError, match=match):
+        means_from({**MEANS, **change})
+
+
+def test_a_file_of_means_is_read_and_named_in_complaints(tmp_path):
+    file = tmp_path / "means.toml"
+    file.write_text('[bodies.probe]\nx = "-1..1"\n[look]\nuntil = 2\n')
+    assert load_means(file).bodies["probe"]["x"] == Range(-1.0, 1.0)
+    file.write_text("[look]\nuntil = 2\n")
+    with pytest.raises(DataError, match="no body moves"):
+        load_means(file)
+    with pytest.raises(DataError, match="no means"):
+        load_means(tmp_path / "none.toml")
+
+
+def test_an_experiment_travels_as_json(means):
+    experiment = means.draw(np.random.default_rng(3))
+    assert Experiment.from_dict(json.loads(json.dumps(experiment.to_dict()))) == experiment
+
+
+def test_information_of_rows_that_tell_all_or_nothing(rng):
+    weights = np.array([0.5, 0.5])
+    roots = np.repeat(np.eye(2)[None], 2, axis=0)
+    far = np.array([[0.0, 0.0], [40.0, 0.0]])
+    assert information(weights, far, roots, rng) == pytest.approx((1.0, 1.0))
+    assert information(weights, 0 * far, roots, rng) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_information_is_that_of_the_integral(rng):
+    # Two normals one standard deviation apart, by quadrature: 0.1527 bits at equal weights.
+    x = np.linspace(-12, 13, 20001)
+    a, b = (np.exp(-0.5 * (x - c) ** 2) / np.sqrt(2 * np.pi) for c in (0, 1))
+    both = 0.5 * (a + b)
+    bits = 0.5 * np.trapezoid(a * np.log2(a / both) + b * np.log2(b / both), x)
+    found, _ = information(
+        np.array([0.5, 0.5]), np.array([[0.0], [1.0]]), np.ones((2, 1, 1)), rng, 40000
+    )
+    assert found == pytest.approx(bits, abs=0.01)
+
+
+def test_a_plan_tells_rivals_apart_where_they_differ(means):
+    rivals = [rival(means, pull(-1), k=1.0), rival(means, pull(-2), k=2.5)]
+    found = plan(rivals, means, rng=1, n_tried=24)
+    assert [o.bits for o in found.options] == sorted((o.bits for o in found.options), reverse=True)
+    assert found.options[0].bits > 0.8 and found.options[0].power > 0.8
+    assert found.is_worth_it and not found.inseparable
+    again = plan(rivals, means, rng=1, n_tried=24)
+    assert again.options[0].experiment == found.options[0].experiment
+
+
+def test_rivals_that_no_experiment_parts_are_told(means):
+    # The place of the source never changes, so that this spring and a force to the origin are one.
+    still = replace(means, bodies={**means.bodies, "source": {"x": 0.0, "y": 0.0}})
+    rivals = [
+        rival(still, "-k * m_i * (p_i - p_j)", k=1.0),
+        rival(still, "-k * m_i * (p_i - origin)", k=1.0),
+    ]
+    found = plan(rivals, still, rng=0, n_tried=12)
+    assert len(found.inseparable) == 1
+    assert found.options[0].apart[0, 1] < 1e-6
+
+
+def test_what_a_constant_may_be_is_asked(means):
+    one = replace(rival(means, pull(-1), k=1.0), names=("k",), covariance=np.array([[0.04]]))
+    found = plan([one], means, rng=0, about="k", n_tried=12)
+    assert found.options[0].bits > 1
+    with pytest.raises(SettingsError, match="no uncertain constant"):
+        plan([one], means, rng=0, about="n")
+
+
+def test_none_of_these_has_a_probability(means):
+    weights = weights_of([rival(means, pull(-1), k=1.0), rival(means, pull(-2), k=1.0)])
+    assert weights.sum() == pytest.approx(1) and 0 < weights[-1] < 0.2
+
+
+def test_a_scene_is_calm_until_forces_have_led_bodies_off(means):
+    experiment = means.draw(np.random.default_rng(0))
+    p, v = (np.array([getattr(b, n) for b in experiment.bodies]) for n in ("position", "velocity"))
+    t = np.array(experiment.times)[:, None, None]
+    free = p + v * t
+    assert calm(experiment.scene("a", free)).times.tolist() == list(experiment.times)
+    led = np.array(free)
+    led[4:, 0] += 50.0
+    assert len(calm(experiment.scene("a", led)).times) == 4
+
+
+APPARATUS = """
+import json, sys
+for line in sys.stdin:
+    asked = json.loads(line)
+    probe = asked["entities"][0]
+    rows = [["probe", t, *(x + v * t for x, v in zip(probe["position"], probe["velocity"]))]
+            for t in asked["times"]]
+    print(json.dumps({"id": asked["id"], ANSWER}), flush=True)
+"""
+
+
+def program(path, answer='"rows": rows'):
+    path.write_text(APPARATUS.replace("ANSWER", answer))
+    return f"{sys.executable} {path}"
+
+
+def test_a_program_is_an_apparatus(tmp_path, means):
+    with Command(program(tmp_path / "a.py")) as run:
+        for k in range(2):
+            experiment = means.draw(np.random.default_rng(k))
+            seen = recording_of(run(experiment), experiment)
+            assert seen.times == pytest.approx(np.array(experiment.times))
+            begin = np.array([b.position for b in experiment.bodies])
+            assert seen.positions[0] == pytest.approx(begin)
+
+
+@pytest.mark.parametrize(
+    ("answer", "match"),
+    [
+        ('"error": "the laser is off"', "the laser is off"),
+        ('"row": rows', "must have rows"),
+        ('"rows": rows[:2]', "at least 3 times"),
+        ('"rows": [["nobody", 0, 1, 2]] + rows', "one of probe, source"),
+        ('"id": 7', "must answer the id 1"),
+    ],
+)
+def test_what_an_apparatus_says_wrong_is_told(tmp_path, means, answer, match):
+    experiment = means.draw(np.random.default_rng(0))
+    with Command(program(tmp_path / "a.py", answer)) as run, pytest.raises(DataError, match=match):
+        run(experiment)
+
+
+def test_an_apparatus_that_ends_is_told(tmp_path, means):
+    with Command(f"{sys.executable} -c pass") as run, pytest.raises(DataError, match="answer"):
+        run(means.draw(np.random.default_rng(0)))
+    with pytest.raises(SettingsError, match="cannot be run"):
+        Command(str(tmp_path / "none"))
+
+
+class World:
+    """A probe about a source that stands still, moved by small steps of its own."""
+
+    def __init__(self, pull, seed=0):
+        self.pull, self.rng, self.count = pull, np.random.default_rng(seed), 0
+
+    def __call__(self, experiment):
+        self.count += 1
+        probe, source = experiment.bodies
+        p, v = np.array(probe.position), np.array(probe.velocity)
+        rows, t = [], 0.0
+        for end in experiment.times:
+            n = max(int((end - t) / 2e-3), 1) if end > t else 0
+            for _ in range(n):
+                h = (end - t) / n
+                p = p + 0.5 * h * v
+                v = v + h * self.pull(p, v, source)
+                p = p + 0.5 * h * v
+            t = end
+            rows.append(["probe", t, *(p + 0.005 * self.rng.standard_normal(2)).tolist()])
+        return {"rows": rows}
+
+
+SEARCH = {
+    "bodies": {
+        "probe": {"x": "-5..5", "y": "-5..5", "vx": "-2..2", "vy": "-2..2"},
+        "source": {"dynamic": 0, "x": 0, "y": 0, "charge": "0.3..3"},
+    },
+    "look": {"until": "0.5..6", "rows": 10, "noise": 0.005, "at_once": 10},
+}
+
+
+@pytest.mark.slow
+def test_a_law_is_discovered_and_kept(tmp_path):
+    world = World(lambda p, v, source: -3 * source.properties["charge"] * p / (p @ p))
+    found = discover(world, means_from(SEARCH), 3, rng=0, out=tmp_path)
+    (term,) = found.law.terms
+    assert "inverse(norm(p_i - p_j)) * normalize(p_i - p_j)" in found.law.text()
+    assert found.stands and not found.open
+    ahead = found.law.simulate(found.dataset.scenes[0])
+    assert np.isfinite(ahead.positions).all()
+    kept = json.loads((tmp_path / "discovery.json").read_text())
+    assert kept["round"] == found.rounds and len(kept["experiments"]) == world.count
+    again = discover(world, means_from(SEARCH), found.rounds, rng=0, out=tmp_path)
+    assert again.law.text() == found.law.text() and again.rounds == found.rounds
+
+
+def test_an_interrupted_discovery_goes_on_with_the_same_experiments(tmp_path, means):
+    def still(experiment):
+        return {"rows": [["probe", t, *experiment.bodies[0].position] for t in experiment.times]}
+
+    seen = []
+
+    def breaks(experiment):
+        seen.append(experiment)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        return still(experiment)
+
+    few = replace(means, bodies={**means.bodies}, at_once=2)
+    with pytest.raises(KeyboardInterrupt):
+        discover(breaks, few, 2, rng=5, out=tmp_path / "a")
+    kept = json.loads((tmp_path / "a" / "discovery.json").read_text())
+    assert kept["round"] == 1 and len(kept["experiments"]) == 2
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "discovery.json").write_text("[]")
+    with pytest.raises(DataError, match="no discovery to go on from"):
+        discover(still, few, 2, rng=5, out=tmp_path / "b")

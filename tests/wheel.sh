@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# Build wheel and sdist, check them, install the wheel into an empty venv and run its demo.
+# Usage: tests/wheel.sh PYTHON
+set -euo pipefail
+python=$(realpath -s "$1")
+cd "$(dirname "$0")/.."
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+"$python" -m build --outdir "$work/dist" . >"$work/build.log" 2>&1 || { tail -20 "$work/build.log" >&2; exit 1; }
+"$python" -m twine check --strict "$work"/dist/*
+"$python" -m venv "$work/venv"
+wheel=$(echo "$work"/dist/*.whl)
+"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input "$wheel[astro]"
+cd "$work"  # nothing of the source tree is at hand
+timeout 600 "$work/venv/bin/bsp-gp" demo --quiet --out demo | tail -n 1
+test -s demo/report.html
+"$work/venv/bin/bsp-gp" grammar list >grammars.txt
+grep -q '^physics:' grammars.txt
+echo "Wheel and sdist are sound."
