@@ -170,7 +170,8 @@ def close_loop(
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
     asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
-        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria
+        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
+        settings["crew"],
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
@@ -284,7 +285,7 @@ def _shows_motion(scenes):
 def _asked(ready, rounds, pruned, rng, criteria):
     """What is asked of what was found, under the final law."""
     first, last = rounds[0].entering, pruned.fit
-    if last is first or last.is_failed:
+    if last is first or last.is_failed or rounds[-1].is_last:
         return Constancy()
     view = View(last, continued(pruned.hypothesis, last), ready.train, rng, criteria)
     known = {term.formula for term in first.law.terms}
@@ -295,13 +296,16 @@ def _asked(ready, rounds, pruned, rng, criteria):
     )
 
 
-def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria):
+def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew):
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
     scored = _scored(rounds, pruned)
-    fits = [ready.refitted(f, hypothesis, bounds) for f, hypothesis in scored]
-    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies)
+    fits = [found for found, _ in scored]
+    if ready.before_cut is not None:
+        fits = crew.map(_refitted, ready, [(*each, bounds) for each in scored])
+    n_copies = 0 if left_out else n_copies
+    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, n_copies, crew)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     records = [
         writing_up.record_of(
@@ -331,6 +335,10 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
         "residuals": writing_up.residual_table(first, last, ready.dataset, ready.split),
         "fit": last, "hypothesis": pruned.hypothesis, "left_out": left_out,
     }  # fmt: skip
+
+
+def _refitted(ready, job):
+    return ready.refitted(*job)
 
 
 def _scored(rounds, pruned):
@@ -366,6 +374,8 @@ def _stop_reason(rounds):
     last = rounds[-1]
     if last.left_out:
         return "time_is_up"
+    if last.is_last:
+        return "nothing_left"
     if last.decision.is_adopted:
         return "most_rounds"
     if last.decision.reason == "declared_model_not_fitted":

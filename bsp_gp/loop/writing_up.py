@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
@@ -258,7 +259,7 @@ def told(constants, details):
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
         unit = details.get("units", {}).get(c.name, c.unit)
         out.append(replace(c, low=low, high=high, unit=unit))
-    return tuple(out)
+    return (*out, *(ConstantEstimate(**c) for c in details.get("constants", ())))
 
 
 def _kind(best, law):

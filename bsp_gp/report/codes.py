@@ -21,17 +21,19 @@ CAUSES = {
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
-    "noise": "noise that is not as assumed",
+    "kicks": "random kicks", "noise": "noise that is not as assumed",
     "varying_strength": "a strength that varies, of no listed form",
     "free_force": "a force of no listed form",
 }  # fmt: skip
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
-    "hidden_body": "unseen body", "measurement": "measurement", "constraint": "constraint",
+    "hidden_body": "unseen body", "kicks": "random kicks",
+    "measurement": "measurement", "constraint": "constraint",
     "declared_term_change": "change of a declared term", "noise": "noise",
 }  # fmt: skip
 FINDINGS = {
     "hidden_body": "{} acts on these",
+    "kicks": "{} act on these",
     "constraint": "what moves is held ({})",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",

@@ -150,6 +150,8 @@ def _parts(effect, law, other):
 
 def _name(effect, parts, other):
     """What was found, in plain words; `other` is the body that acts."""
+    if effect.code == "kicks":
+        return effect.name
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:

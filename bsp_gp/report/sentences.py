@@ -60,6 +60,14 @@ def adopted_rounds(report):
     return [r for r in report.rounds if r.adopted and r.effect is not None and not r.removed]
 
 
+def _counted(parts):
+    """Parts, of which what comes again is said once."""
+    parts = list(parts)
+    often = {2: " (twice)"}
+    return [f"{p}{often.get(n, f' ({n} times)')}" if (n := parts.count(p)) > 1 else p
+            for p in dict.fromkeys(parts)]  # fmt: skip
+
+
 def _joined(parts):
     parts = list(parts)
     if len(parts) < 2:
@@ -79,7 +87,7 @@ def _findings(rounds):
     for r in rounds:
         sentence = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
         groups.setdefault(sentence, []).append(_either(r))
-    return _joined(sentence.format(_joined(names)) for sentence, names in groups.items())
+    return _joined(sentence.format(_joined(_counted(names))) for sentence, names in groups.items())
 
 
 def _either(round_):
@@ -108,7 +116,8 @@ def verdict_parts(report):
             text = text.replace("the declared model lacks", "the motion shows")
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "effective law" and adopted:
-        text = f"On these tracks the motion is as if there were {_joined(map(_either, adopted))}."
+        names = _joined(_counted(map(_either, adopted)))
+        text = f"On these tracks the motion is as if there were {names}."
         return text, "It describes them; that it is the cause is not shown."
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""
@@ -183,7 +192,9 @@ def powers_sentence(round_):
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
     parts = [f"Powers that the data allow (90 %): {'; '.join(told)}."] if told else []
-    parts += [f"Its strength is not constant: it changes with {_joined(varies)}."] if varies else []
+    if varies:
+        varies = _joined(dict.fromkeys(varies))
+        parts.append(f"Its strength is not constant: it changes with {varies}.")
     return " ".join(parts)
 
 
@@ -196,7 +207,7 @@ def noise_sentence(round_):
     """What was found of the noise; "" where it is as assumed."""
     if not round_.noise:
         return ""
-    return f"The noise is not quite as assumed: {_joined(round_.noise)}."
+    return f"The noise is not quite as assumed: {_joined(dict.fromkeys(round_.noise))}."
 
 
 def missing_sentence(round_, alpha):
@@ -336,6 +347,8 @@ def headline(report):
 def ratio_caution(report):
     """A warning where the gain is not certain, else ""."""
     ratio = report.total.get("ratio")
+    if any(r.effect.kind == "kicks" for r in adopted_rounds(report)):
+        return "Kicks cannot be foreseen: held-out tracks are foreseen no better with them."
     if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
         return ""
     if ratio.value >= 1:
