@@ -27,10 +27,10 @@ LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
-    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period", "scale",
-    "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective",
-    "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod", "wire", "frame",
-    "kicks", "noise", "varying_strength", "free_force",
+    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
+    "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
+    "perspective", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod",
+    "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")

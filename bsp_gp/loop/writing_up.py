@@ -264,7 +264,7 @@ def told(constants, details):
 
 def _kind(best, law):
     """What kind of thing a cause is."""
-    if best.code in ("exponent", "number", "constant_per_body", "constant_per_scene"):
+    if best.code in ("exponent", "number", "pulsing", "constant_per_body", "constant_per_scene"):
         return "declared_term_change"
     return law.terms[-1].kind if best.kind == "force" else best.kind
 

@@ -9,7 +9,7 @@ __all__ = [
 
 CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
-    "constant_per_body": "a constant for each body",
+    "pulsing": "a strength with a period", "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
