@@ -73,7 +73,7 @@ class Inside:
                 chosen.append(scan)
         closer = [search.closer(scan) for scan in chosen]
         every = (_proposal(view, search, s) for s in closer if s.best > view.explained)
-        least = view.promised - view.criteria.equal_nats  # what is less likely tells nothing new
+        least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
         return Family(
