@@ -7,7 +7,9 @@ cd "$(dirname "$0")/.."
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-"$python" -m build --outdir "$work/dist" . >"$work/build.log" 2>&1 || { tail -20 "$work/build.log" >&2; exit 1; }
+mkdir "$work/source"  # a copy: a build leaves its own folders behind
+tar --exclude=./.venv --exclude=./.git --exclude=./runs --exclude=./build -cf - . | tar -xf - -C "$work/source"
+"$python" -m build --outdir "$work/dist" "$work/source" >"$work/build.log" 2>&1 || { tail -20 "$work/build.log" >&2; exit 1; }
 "$python" -m twine check --strict "$work"/dist/*
 "$python" -m venv "$work/venv"
 wheel=$(echo "$work"/dist/*.whl)

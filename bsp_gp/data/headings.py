@@ -18,7 +18,7 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_error", "is_run", "number_columns", "run_of", "told",
+    "is_angle", "is_angle_name", "is_error", "is_run", "number_columns", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -63,6 +63,10 @@ _ANGLE_WORDS = _set(
 )
 _FAR_WORDS = _set("separation sep rho ρ distance abstand radius r distanz distanza distancia")
 """A distance from where an angle is measured."""
+_ANGLE = re.compile(
+    r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
+)
+"""An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
 _COUNT_WORDS = _set("nr no number num nummer index idx # id numéro número numero of the")
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
@@ -132,6 +136,16 @@ def is_run(text):
     return _RUN_NAME.fullmatch(text.strip()) is not None
 
 
+def is_angle(text):
+    """Whether `text` is a unit of angles."""
+    return text.strip().lower() in ANGLES
+
+
+def is_angle_name(text):
+    """Whether a heading speaks of an angle."""
+    return _ANGLE.fullmatch(text.strip()) is not None
+
+
 def run_of(title):
     """The run that a title names, itself or at its end as in ``Position, Ch 1, Run #1``; or ""."""
     match = re.search(rf"(?:^|,\s*)({_RUN_NAME.pattern})\s*$", title, re.IGNORECASE)
@@ -178,7 +192,7 @@ def headings(cells, rename=None, *, is_track=True):
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
     found = [_read(cell, back, is_track) for cell in cells]
     if is_track:
-        found = _turned(_with_bodies(found))
+        found = _with_angles(_turned(_with_bodies(found)))
         found = [_guessed(h, {f.name for f in found}) for h in found]
     return tuple(_settled(found))
 
@@ -297,6 +311,31 @@ def _with_bodies(found):
     if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
         return [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
     return out
+
+
+def _with_angles(found):
+    """``theta``, or ``phi1`` and ``phi2``, as coordinates of bodies, where no column is a place."""
+    if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
+        return found
+    out = [_as_angle(h) for h in found]
+    angles = [h.body for h, old in zip(out, found, strict=True) if h is not old]
+    if len(angles) == 1:
+        return [replace(h, body="") if h.body in angles else h for h in out]
+    return out if len(set(angles)) == len(angles) > 1 else found
+
+
+def _as_angle(heading):
+    """A column such as ``phi1`` as the coordinate of a body of that name."""
+    if heading.sure != UNKNOWN or heading.body:
+        return heading
+    stem, unit = heading.name.strip(), heading.unit
+    cut = re.fullmatch(r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)", stem)
+    if not unit and cut and is_angle(cut[2]):
+        stem, unit = cut[1], cut[2]
+    match = _ANGLE.fullmatch(stem)
+    if not match or is_error(match[1]) or (unit and not is_angle(unit)):
+        return heading
+    return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)
 
 
 def _of_body(heading):
