@@ -209,18 +209,19 @@ def moved_by(law, draws, scenes, means, rng, up=None):
     """Tracks (D, T, E, R, d) of the moving bodies under draws of the constants."""
     (batch,) = stack(scenes, up)
     values = law.values(batch.bodies)
+    count = max((len(value) for value in draws.values()), default=N_DRAWS)
     for name, value in draws.items():
         values["field"][name] = value[:, None, None]
         values["pair"][name] = value[:, None, None, None]
     receivers = batch.bodies.receivers
     p = np.stack([s.positions[0, s.dynamic] for s in scenes])
     v = np.stack([s.first.velocity[s.dynamic] for s in scenes])
-    p, v = (np.repeat(a[None], N_DRAWS, axis=0) for a in (p, v))
+    p, v = (np.repeat(a[None], count, axis=0) for a in (p, v))
     for state, error in zip((p, v), means.errors, strict=True):
         state[1:] += error * rng.standard_normal(state[1:].shape)
     track = rollout(law, batch, p, v, substeps=SUBSTEPS, values=values)
-    return np.moveaxis(track, 0, 1).reshape(N_DRAWS, len(batch.times), len(scenes),
-                                            len(receivers), p.shape[-1])  # fmt: skip
+    shape = (count, len(batch.times), len(scenes), len(receivers), p.shape[-1])
+    return np.moveaxis(track, 0, 1).reshape(shape)
 
 
 def normals(rows, free, sigma):
