@@ -114,8 +114,9 @@ def compared(kind, rng):
 
 def run(how, rivals, real, truth, means, rng):
     """Experiments until the truth is 95 % probable, and bits of the first, expected and real."""
-    weights, first = weights_of(rivals), None
-    for _ in range(MOST):
+    weights, first, number = weights_of(rivals), None, 0
+    while number < MOST:
+        number += 1
         if how == "planned":
             now = [Rival(r.text, r.law, float(w), r.names, r.covariance)
                    for r, w in zip(rivals, weights, strict=False)]  # fmt: skip

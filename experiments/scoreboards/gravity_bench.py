@@ -54,12 +54,12 @@ def main(argv=None):
         args.share = 0.07
     # Those of which most is asked come first.
     chosen = [name for name, _ in asked.most_common(max(round(args.share * len(asked)), 1))]
-    rows, pairs = [], {}
+    rows = []
     for name in chosen:
-        pairs |= simulated(repo, args.out.resolve() / "simulations", [name])
+        pair = simulated(repo, args.out.resolve() / "simulations", name)
         for mode in MOST_ROWS:
             told = kept(args.out / "fits" / f"{safe(name)}-{mode}.json",
-                        lambda name=name, mode=mode: answers_of(pairs[name], mode))  # fmt: skip
+                        lambda pair=pair, mode=mode: answers_of(pair, mode))  # fmt: skip
             rows += [scored(i, mode, told) for i in items if i["variation_name"] == name]
             print(name, mode, told["law"], f"{told['cpu_s']:.0f} s", flush=True)
             write_table(rows, args.out / "results.csv")
@@ -98,22 +98,19 @@ def within(folder):
         os.chdir(here)
 
 
-def simulated(repo, folder, names):
-    """The benchmark's own pairs of stars, simulated by its own code where they are not yet."""
-    sys.path.insert(0, str(repo))
+def simulated(repo, folder, name):
+    """A pair of stars of the benchmark, simulated by its own code where it is not yet."""
+    if str(repo) not in sys.path:
+        sys.path.insert(0, str(repo))
     with within(repo):
         from scripts import scenarios_config
     for part in ("sims", "detailed_sims"):
         (folder / "scenarios" / part).mkdir(parents=True, exist_ok=True)
     with within(folder):
-        done = {n: Path(f"scenarios/sims/{n}.csv").exists() for n in names}
-        pairs = {
-            n: scenarios_config.variations[n].create_binary("", None, skip_simulation=done[n])
-            for n in names
-        }
-    for pair in pairs.values():
-        pair.place, pair.max_observations = folder, MOST_ROWS["budget"]
-    return pairs
+        is_done = Path(f"scenarios/sims/{name}.csv").exists()
+        pair = scenarios_config.variations[name].create_binary("", None, skip_simulation=is_done)
+    pair.place, pair.max_observations = folder, MOST_ROWS["budget"]
+    return pair
 
 
 def answers_of(pair, mode):
