@@ -14,6 +14,7 @@ from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
 
@@ -33,6 +34,6 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Frames(), Hidden(),
-        Companions(), Kicks(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
+        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Pulsing(), Frames(),
+        Hidden(), Companions(), Kicks(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip
