@@ -19,7 +19,7 @@ export PIP_USE_PEP517 := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fuzz slow long quick lint bench neural clean faults docs wheel
+.PHONY: help setup demo test fuzz slow long quick lint bench neural oldest clean faults docs wheel
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -46,6 +46,18 @@ long: $(VENV)/.ok  ## run the longest tests, statistics that take minutes each (
 
 faults: $(VENV)/.ok  ## kill every command at every write, and fill its disk (an hour)
 	@$(BIN)/python -m pytest -n $(WORKERS) -m faults $(ARGS)
+
+# What each library is used for, and whole commands: some minutes.
+AT_BORDERS := $(patsubst %,tests/unit/test_%.py,units tables formats parse cli close report genetic \
+    posterior vision simulate_engine sweep)
+
+oldest:  ## test the oldest versions of the libraries that setup.cfg allows (in .venv-oldest)
+	@test -x .venv-oldest/bin/python || $(BIN)/python -m venv .venv-oldest
+	@$(BIN)/python tests/oldest.py >.venv-oldest/constraints.txt
+	@.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+	    -c .venv-oldest/constraints.txt -e '.[test]'
+	@.venv-oldest/bin/python -m pip check
+	@.venv-oldest/bin/python -m pytest -q -n $(WORKERS) $(AT_BORDERS) $(ARGS)
 
 EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 null_data power \
     undeclared_effects open_world ball_drops
@@ -82,7 +94,7 @@ wheel: $(VENV)/.dev  ## build and check the wheel and the sdist, and run the dem
 	@bash tests/wheel.sh $(BIN)/python
 
 clean:  ## remove .venv, build products and caches
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
+	rm -rf $(VENV) .venv-oldest build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last, so that an interrupted install is taken up again, and a finished one

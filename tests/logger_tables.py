@@ -281,7 +281,7 @@ LATER = {
     ).encode(), one(ACROSS, FALL, entity="Trajectory 1")),
     "two angles": Sample("double.csv", table(
         "t (s),theta1 (rad),theta2 (rad)", T, TURN, SPRING,
-    ).encode(), refused=("theta1", "--columns x=")),
+    ).encode(), one(x=TURN, entity="theta1") | one(x=SPRING, entity="theta2"), told=("theta1",)),
     "datastudio": Sample("cart.txt", table(
         ["Position, Ch 1&2, Run #1", "Time ( s )\tPosition ( m )"], T, SPRING, sep="\t",
     ).encode(), one(x=SPRING, scene="Run #1")),

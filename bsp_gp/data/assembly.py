@@ -9,7 +9,13 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import KINDS, unit_of
-from bsp_gp.data.headings import NUMBER_COLUMNS, TEXT_COLUMNS, is_acceleration, is_error
+from bsp_gp.data.headings import (
+    NUMBER_COLUMNS,
+    TEXT_COLUMNS,
+    is_acceleration,
+    is_angle,
+    is_error,
+)
 from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
@@ -43,6 +49,8 @@ class Rows:
         unknown.
     is_placed : bool
         Whether the places of first rows are exact.
+    is_angle : bool
+        Whether positions are angles.
     """
 
     scene: np.ndarray
@@ -59,6 +67,7 @@ class Rows:
     inputs: dict = field(default_factory=dict)
     first: tuple | None = None
     is_placed: bool = False
+    is_angle: bool = False
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -113,6 +122,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         _inputs(table, declaration, conversion),
         _first(table, declaration, conversion, axes),
         declaration.first_position == "exact",
+        conversion.system.is_angle,
     )
 
 
@@ -195,10 +205,12 @@ def axes_of(table, declaration):
         require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
         return axes, ()
     other = "y" if axes == ["x"] else "x"
+    angle = declaration.units.get("length", table.units.get(axes[0], ""))
     doubtful = [
         column
         for column in columns
-        if column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
+        if not is_angle(angle)
+        and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
         and not is_error(column)
     ]
@@ -209,7 +221,10 @@ def axes_of(table, declaration):
             remedy=f'add it, or name it in [columns]: {other} = "its name in the file" (--columns '
             f"{other}=ITS_NAME); if all motion is along {axes[0]}, leave out {', '.join(doubtful)}",
         )  # fmt: skip
-    return ["x", "y"], (f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",)
+    note = () if is_angle(angle) else (
+        f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
+    )  # fmt: skip
+    return ["x", "y"], note
 
 
 def _refuse_accelerations(table, axes):
@@ -442,6 +457,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             spread(rows.sigma),
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
             first_state(),
+            rows.is_angle,
         )
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error

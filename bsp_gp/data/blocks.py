@@ -74,7 +74,8 @@ def _averaged(scene, sigma, declared, most_rows):
     n, steps = len(scene.times), np.diff(scene.times)
     moving, axes = list(scene.dynamic), np.flatnonzero(np.isfinite(sigma))
     can_touch = sum(e.shape != "point" for e in scene.entities) > 1
-    if n <= most_rows or can_touch or steps.max() > UNEVEN * np.median(steps):
+    is_known = scene.first is not None  # of the first row, and no mean
+    if n <= most_rows or can_touch or is_known or steps.max() > UNEVEN * np.median(steps):
         return scene, 0
     for k, axis in ((k, axis) for k in moving for axis in axes):
         gaps = np.diff(np.unique(scene.positions[:MOST_ROWS, k, axis]))

@@ -13,19 +13,25 @@ from dataclasses import dataclass, replace
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
 from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_error", "is_run", "number_columns", "run_of", "told",
+    "is_angle", "is_angle_name", "is_error", "is_run", "number_columns", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
-ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}
+ALIASES = {
+    "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
+    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec",
+    "separation": "distance", "position_angle": "angle", "sseparation": "sdistance",
+    "sposition_angle": "sangle", "epoch": "t",
+}  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
 """How sure the meaning of a heading is."""
 _WITH_UNIT = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]")
@@ -63,6 +69,10 @@ _ANGLE_WORDS = _set(
 )
 _FAR_WORDS = _set("separation sep rho ρ distance abstand radius r distanz distanza distancia")
 """A distance from where an angle is measured."""
+_ANGLE = re.compile(
+    r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
+)
+"""An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
 _COUNT_WORDS = _set("nr no number num nummer index idx # id numéro número numero of the")
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
@@ -124,12 +134,23 @@ class Heading:
 
 def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
-    return NUMBER_COLUMNS + (POLAR_COLUMNS if is_polar(names) else ())
+    more = POLAR_COLUMNS if is_polar(names) else ("sra", "sdec") if is_sky(names) else ()
+    return NUMBER_COLUMNS + more
 
 
 def is_run(text):
     """Whether `text` is the name of a run, such as ``Run #1``."""
     return _RUN_NAME.fullmatch(text.strip()) is not None
+
+
+def is_angle(text):
+    """Whether `text` is a unit of angles."""
+    return text.strip().lower() in ANGLES
+
+
+def is_angle_name(text):
+    """Whether a heading speaks of an angle."""
+    return _ANGLE.fullmatch(text.strip()) is not None
 
 
 def run_of(title):
@@ -156,7 +177,7 @@ def _words(text):
 def has_place(found):
     """Whether headings say where something is."""
     names = {h.name for h in found}
-    return bool(names & {"x", "y"}) or is_polar(names)
+    return bool(names & {"x", "y"}) or is_polar(names) or is_sky(names)
 
 
 def headings(cells, rename=None, *, is_track=True):
@@ -178,7 +199,7 @@ def headings(cells, rename=None, *, is_track=True):
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
     found = [_read(cell, back, is_track) for cell in cells]
     if is_track:
-        found = _turned(_with_bodies(found))
+        found = _with_angles(_turned(_with_bodies(found)))
         found = [_guessed(h, {f.name for f in found}) for h in found]
     return tuple(_settled(found))
 
@@ -297,6 +318,31 @@ def _with_bodies(found):
     if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
         return [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
     return out
+
+
+def _with_angles(found):
+    """``theta``, or ``phi1`` and ``phi2``, as coordinates of bodies, where no column is a place."""
+    if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
+        return found
+    out = [_as_angle(h) for h in found]
+    angles = [h.body for h, old in zip(out, found, strict=True) if h is not old]
+    if len(angles) == 1:
+        return [replace(h, body="") if h.body in angles else h for h in out]
+    return out if len(set(angles)) == len(angles) > 1 else found
+
+
+def _as_angle(heading):
+    """A column such as ``phi1`` as the coordinate of a body of that name."""
+    if heading.sure != UNKNOWN or heading.body:
+        return heading
+    stem, unit = heading.name.strip(), heading.unit
+    cut = re.fullmatch(r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)", stem)
+    if not unit and cut and is_angle(cut[2]):
+        stem, unit = cut[1], cut[2]
+    match = _ANGLE.fullmatch(stem)
+    if not match or is_error(match[1]) or (unit and not is_angle(unit)):
+        return heading
+    return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)
 
 
 def _of_body(heading):

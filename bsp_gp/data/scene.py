@@ -147,6 +147,8 @@ class Scene:
     inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
         What was logged beside the tracks, SI, for laws to name; nan = not logged there.
     first : FirstState or None
+    may_meet : bool
+        Whether two entities may have the same coordinates, as angles of two arms do.
     """
 
     name: str
@@ -157,6 +159,7 @@ class Scene:
     sigma: np.ndarray | None = None
     inputs: Mapping = field(default_factory=dict)
     first: FirstState | None = None
+    may_meet: bool = False
 
     def __post_init__(self):
         inputs = {name: _readonly(values) for name, values in self.inputs.items()}
@@ -211,7 +214,8 @@ class Scene:
             raise DataError(f"{where}: first velocities must be one per entity and axis")
         if self.sigma is not None and np.any(self.sigma < 0):
             raise DataError(f"{where}: quoted errors must not be negative")
-        self._reject_coincident()
+        if not self.may_meet:
+            self._reject_coincident()
 
     def _reject_coincident(self):
         bodies = [k for k, e in enumerate(self.entities) if e.shape in POINTLIKE]
@@ -264,6 +268,7 @@ class Scene:
             None if self.sigma is None else self.sigma[cut],
             {name: values[cut] for name, values in self.inputs.items()},
             self.first if start in (0, None) else None,
+            self.may_meet,
         )
 
 

@@ -23,10 +23,11 @@ from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
-from bsp_gp.data.headings import headings
+from bsp_gp.data.headings import headings, is_angle, is_angle_name
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.sky import from_sky
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError
@@ -217,9 +218,12 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
-    table, declared = from_polar(
-        table, declaration.units, start=declaration.angle_from, sense=declaration.angle_turns
-    )
+    declaration = _with_angles(table, declaration)
+    start, sense = declaration.angle_from, declaration.angle_turns
+    if table.theirs.get("angle", "").lower().startswith("position"):  # from north through east
+        start, sense = "y", "clockwise"
+    table, declared = from_polar(table, declaration.units, start=start, sense=sense)
+    table, declared = from_sky(table, declared, declaration.sky)
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
@@ -287,6 +291,30 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
     )
+
+
+def _with_angles(table, declaration):
+    """The declaration with the unit that angles are declared in under their own names."""
+    own = {
+        name: unit for name, unit in declaration.units.items()
+        if name in table.present and name not in table.frame and is_angle(unit)
+    }  # fmt: skip
+    theirs = table.theirs.get("x", "")
+    known = {*declaration.units, *table.units}
+    if not own and is_angle_name(theirs) and not known & {"x", "length"}:
+        raise DataError(
+            f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
+            remedy=f"declare it: --units {theirs}=rad t=s, or {theirs}=deg",
+        )  # fmt: skip
+    if not own or "x" not in table.frame:
+        return declaration
+    if len(set(own.values())) > 1:
+        raise DataError(
+            f"angles must be in one unit, got {own}", file=declaration.file or table.file,
+            column=list(own)[1], remedy="convert one of the columns",
+        )  # fmt: skip
+    rest = {name: unit for name, unit in declaration.units.items() if name not in own}
+    return dataclasses.replace(declaration, units={**rest, "length": next(iter(own.values()))})
 
 
 def _units_of(tables, declared):

@@ -29,6 +29,7 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import ForceLaw
@@ -333,7 +334,7 @@ class _Run:
         said = self.hypothesis.paper_steps
         if said is not None:
             return (said,)
-        if not self.is_exact or constraints_of(self.law):
+        if not self.is_exact or is_held(self.law):
             return (False,)
         has_sizes = any(np.any(chains.code != POINT) for chains in self.groups)
         return (True, False) if has_sizes else (False, True)

@@ -19,7 +19,7 @@ from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.fitting.unseen import shown
 from bsp_gp.physics.engine.chains import build_chains
-from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
@@ -347,7 +347,7 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         steps = one_step_errors(scenes, found.law, dataset.up, sources=_has_pairs(found.law))
         regression = regression_of(found, dataset, scenes)
         accelerations = residual_accelerations(regression, found.law)
-        if constraints_of(found.law):  # these read the law alone, without what holds the bodies
+        if is_held(found.law):  # these read the law alone, without what holds the bodies
             steps = [np.full_like(step, np.nan) for step in steps]
             accelerations = {k: np.full_like(v, np.nan) for k, v in accelerations.items()}
         measured = _is_measured(dataset, scenes)
@@ -377,7 +377,7 @@ def _track_errors(found, dataset, scene, track, measured):
 
 
 def regression_of(found, dataset, scenes):
-    """Accelerations read off the scenes as they can be read best, a Regression."""
+    """Accelerations read off the scenes as they can be read best, a Regression without weights."""
     scenes = shown(found, scenes)
     measured = _is_measured(dataset, scenes)
     method = "derivative" if measured else "one_step" if found.paper_steps else "gls"
@@ -385,5 +385,5 @@ def regression_of(found, dataset, scenes):
     return build_regression(
         filled(found.law, scenes), method=method, sigma=np.array(found.noise.levels), up=dataset.up,
         sources=pairs and max(len(scene.entities) for scene in scenes) > 1,
-        memory=dataset.noise_memory or 0.0, may_be_empty=True,
+        memory=dataset.noise_memory or 0.0, may_be_empty=True, whitened=False,
     )  # fmt: skip

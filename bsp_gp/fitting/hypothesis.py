@@ -24,6 +24,9 @@ __all__ = [
 NOTHING = "nothing"
 """What is declared where bodies move on as they are."""
 
+HOLDING = ("constraint", "linkage")
+"""Kinds of parts of what bodies do beside forces."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -76,6 +79,8 @@ class Part:
     """
 
     kind = ""
+    is_coupling = False
+    """Whether it passes forces between bodies that forces move."""
     log_density = 0.0
     """Of what it leaves unexplained of the rows, nats."""
 
@@ -221,7 +226,7 @@ class Hypothesis:
                 constants.update(part.law.constants)
                 frame += part.law.frame
                 unseen += part.law.unseen
-            elif part.kind == "constraint" or part.kind != "noise" and part.parameters:
+            elif part.kind in HOLDING or part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))
@@ -289,19 +294,20 @@ def read_law(dataset, texts: Sequence[str]):
     ForceLaw
         Its terms are declared; constants are nan until they are fitted.
     """
-    from bsp_gp.fitting.parts.constraints import read_constraint  # a part itself
+    from bsp_gp.fitting.parts.constraints import read_constraint  # parts themselves
+    from bsp_gp.fitting.parts.linkage import is_linkage, read_linkage
 
     types = dataset_types(dataset)
     is_angle, terms, frame = dataset.units.is_angle, [], []
     texts = [texts] if isinstance(texts, str) else list(texts)
-    if NOTHING in (forces := [text.strip().lower() for text in texts if "=" not in text]):
-        if len(forces) > 1:
+    for text in (t for t in texts if "=" in t or is_linkage(t)):
+        frame.append((read_linkage if is_linkage(text) else read_constraint)(dataset, text))
+    forces = [text for text in texts if not ("=" in text or is_linkage(text))]
+    if NOTHING in (told := [text.strip().lower() for text in forces]):
+        if len(told) > 1:
             raise LawError(f"{NOTHING!r} means that no force is declared: leave out the others")
-        texts = [text for text in texts if "=" in text]
-    for text in texts:
-        if "=" in text:
-            frame.append(read_constraint(dataset, text))
-            continue
+        forces = []
+    for text in forces:
         text = expanded(text, dataset.n_dims)
         formula = read_torque(text, types, dataset.units) if is_angle else None
         formula = formula or parse_formula(text, types, units=dataset.units)
@@ -319,15 +325,19 @@ def read_law(dataset, texts: Sequence[str]):
 def read_torque(text, types, units):
     """A law of an angle: ``theta_i`` and ``omega_i`` are it and its rate, and scalars are torques.
 
+    Those of another arm are ``theta_j`` and ``omega_j``.
+
     What stands for a mass is the moment of inertia.
     """
     radian = Number(1.0, Unit.of(m=1), "1 [rad]")
     units_of = {
         Constant("radian"): radian, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
     }  # fmt: skip
-    text = re.sub(r"\bsign\(\s*omega_i\s*\)", "sign(omega_i / hertz)", text)
-    for name, shown in (("theta", "(p_i - origin)"), ("omega", "v_i")):
-        text = re.sub(rf"\b{name}_i\b", f"(dot({shown}, e_x) / radian)", text)
+    text = re.sub(r"\bsign\(([^()]*\bomega_[ij][^()]*)\)", r"sign((\1) / hertz)", text)
+    for name, shown in (("theta", "(p_{} - origin)"), ("omega", "v_{}")):
+        for role in "ij":
+            place = f"(dot({shown.format(role)}, e_x) / radian)"
+            text = re.sub(rf"\b{name}_{role}\b", place, text)
     types = {**types, "origin": STATE_INPUTS["origin"]}
     formula = substitute(parse_formula(text, types, units=units), units_of)
     if formula.type.shape == "scalar":

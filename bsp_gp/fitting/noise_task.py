@@ -32,7 +32,7 @@ _N_ROUNDS = 8
 _N_TAILS = 12
 _PRECISE_TAILS = 1e-4
 _SMALL_GAIN = 1e-3
-_FEW_FREE = 0.03
+_FEW_FREE = 0.1
 """Part of the rows that free numbers may take where the projected residual alone is a likeness."""
 _FEWER_FREE = 2e-3
 """The same where its maximum lies at that of the restricted likelihood, far within its errors."""

@@ -305,13 +305,14 @@ class _Group:
         n_forces = n_fine * half
         before, after_ = self._kicks()
         changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
-        kept = self._kept_states(flow)
+        kept, felt = self._kept_states(flow), self._felt(flow)
         changes[0, :, :, n_forces : n_forces + n + k] = kept[0]
         number = np.full((n_fine, n_pieces), -1)
         number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         for row in range(n_fine):
             at = slice(row * half, (row + 1) * half)
             pushed = kept[row, :, :, half:n]  # of a force what constraints leave
+            pushed = pushed if felt is None else pushed @ felt[row]
             changes[row, :, :, at] += before[row, :, None, None] * pushed
             open_ = np.flatnonzero(number[row] >= 0)
             if row + 1 == n_fine or not len(open_):
@@ -334,6 +335,20 @@ class _Group:
         if kept is not None:
             out = out.copy()
             out[row, chain] = kept
+        return out
+
+    def _felt(self, flow):
+        """Accelerations by forces on arms that hang on one another, (L, W, half, half); or None."""
+        linkages, half = flow.motion.linkages, flow.n_state // 2
+        if not linkages:
+            return None
+        out = np.tile(np.eye(half), (*self.fine.times.shape, 1, 1))
+        row, chain = np.nonzero(np.isfinite(self.fine.times))
+        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        own = np.arange(self.n_own) * self.n_dims
+        out[row[:, None, None], chain[:, None, None], own[:, None], own] = np.linalg.inv(
+            linkages.matrix(points)
+        )
         return out
 
     def _kicks(self):
@@ -561,6 +576,12 @@ class _Group:
         flow = self._flow(self.fine)
         points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
         by_constant = np.nan_to_num(flow.motion.slopes(points)[1])
+        if flow.motion.linkages:  # as forces
+            shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, -1)
+            force = np.einsum("mij,mjak->miak", flow.motion.linkages.matrix(points), shaped)
+            by_constant = np.concatenate([force[:, :, :1], shaped[:, :, 1:]], axis=2).reshape(
+                by_constant.shape
+            )
         k = by_constant.shape[-1]
         slopes = np.zeros((*self.fine.times.shape, self.n_own, k, self.n_dims))
         shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, k)

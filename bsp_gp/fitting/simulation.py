@@ -14,7 +14,7 @@ from bsp_gp.fitting.rolling import roll
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.dynamics import INTEGRATORS, rollout
 from bsp_gp.physics.engine.chains import build_chains
-from bsp_gp.physics.engine.constrained import constraints_of
+from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import generator
@@ -117,7 +117,7 @@ def _touches(law):
 
 def _paths(dataset, law, integrator, substeps):
     """Predicted positions of the receivers of every scene, list of (T, R, d)."""
-    if constraints_of(law):
+    if is_held(law):
         return _held_paths(dataset, law)
     is_paper = integrator == "euler" and (substeps or 1) == 1
     states = initial_states(dataset, law, paper_steps=is_paper)

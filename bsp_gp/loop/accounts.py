@@ -19,6 +19,7 @@ from scipy import special
 from bsp_gp.fitting.held_out import errors_of, held_out_rows
 from bsp_gp.fitting.simulated import simulated
 from bsp_gp.physics.metrics import ERRORS, METRICS
+from bsp_gp.workers import Crew
 
 __all__ = ["Accounts", "Ratio"]
 
@@ -62,6 +63,8 @@ class Accounts:
     rng : numpy.random.Generator
     n_copies : int
         Simulated copies of the scenes behind intervals; 0 = neither floor nor intervals from them.
+    crew : Crew, optional
+        By whom scenes are scored.
 
     Attributes
     ----------
@@ -69,10 +72,11 @@ class Accounts:
         Of every fit, scene by scene, see `held_out_rows`.
     """
 
-    def __init__(self, fits, dataset, scenes, rng, n_copies=40):
+    def __init__(self, fits, dataset, scenes, rng, n_copies=40, crew=None):
+        self._crew = crew or Crew()
         self.fits, self.dataset, self.scenes = fits, dataset, tuple(scenes)
         self._copies_rng, picks_rng = rng.spawn(2)
-        self.rows = [held_out_rows(fit, dataset, self.scenes) for fit in fits]
+        self.rows = self._crew.map(_rows_of, (dataset, self.scenes), fits)
         n = len(self.scenes)
         self.is_parametric = n < FEWEST_SCENES
         self._picks = () if self.is_parametric else picks_rng.integers(n, size=(N_RESAMPLES, n))
@@ -100,11 +104,9 @@ class Accounts:
     def _copied_rows(self):
         """Rows of every fit on every copy; all copies are scored together."""
         scenes = [scene for copy in self.copies for scene in copy]
-        is_needed = [self.is_parametric or fit is self.fits[-1] for fit in self.fits]
-        made = [
-            held_out_rows(fit, self.dataset, scenes) if needed else []
-            for fit, needed in zip(self.fits, is_needed, strict=True)
-        ]
+        first = 0 if self.is_parametric else len(self.fits) - 1
+        made = self._crew.map(_rows_of, (self.dataset, scenes), self.fits[first:])
+        made = [[] for _ in range(first)] + made
         n = max(len(self.scenes), 1)
         return [[rows[k : k + n] for k in range(0, len(rows), n)] for rows in made]
 
@@ -182,6 +184,10 @@ class Accounts:
             tail = special.ndtr(special.stdtrit(n - 1, TAIL) * math.sqrt(n / (n - 1)))
             low, high = np.quantile(draws, (tail, 1 - tail))
         return float(min(low, point)), float(max(high, point))
+
+
+def _rows_of(shared, fit):
+    return held_out_rows(fit, *shared)
 
 
 def _typical(draws):

@@ -37,6 +37,8 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
+from bsp_gp.loop.questions import hidden_bound
+from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
@@ -166,9 +168,10 @@ def close_loop(
     )
     says("writing up")
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
-    asked = None if whole.is_over else _constancy(ready, pruned, asked_rng, criteria)
+    asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
-        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria
+        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
+        settings["crew"],
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
@@ -279,21 +282,30 @@ def _shows_motion(scenes):
     return all((count >= 2).all() for count in seen)
 
 
-def _constancy(ready, pruned, rng, criteria):
-    """The constancy of what was found, under the final law."""
-    if all(term.is_declared for term in pruned.fit.law.terms):
+def _asked(ready, rounds, pruned, rng, criteria):
+    """What is asked of what was found, under the final law."""
+    first, last = rounds[0].entering, pruned.fit
+    if last is first or last.is_failed or rounds[-1].is_last:
         return Constancy()
-    hypothesis = continued(pruned.hypothesis, pruned.fit)
-    return constancy(View(pruned.fit, hypothesis, ready.train, rng, criteria))
+    view = View(last, continued(pruned.hypothesis, last), ready.train, rng, criteria)
+    known = {term.formula for term in first.law.terms}
+    found = [term for term in last.law.terms if term.formula not in known]
+    gain = 2 * (last.log_likelihood - first.log_likelihood)
+    return replace(
+        constancy(view), unknown=unknowns(view, found, gain), bound=hidden_bound(view)
+    )
 
 
-def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria):
+def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew):
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
     scored = _scored(rounds, pruned)
-    fits = [ready.refitted(f, hypothesis, bounds) for f, hypothesis in scored]
-    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, 0 if left_out else n_copies)
+    fits = [found for found, _ in scored]
+    if ready.before_cut is not None:
+        fits = crew.map(_refitted, ready, [(*each, bounds) for each in scored])
+    n_copies = 0 if left_out else n_copies
+    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, n_copies, crew)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     records = [
         writing_up.record_of(
@@ -309,6 +321,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     for done in rounds:
         constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
+    bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
@@ -317,10 +330,15 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
         "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,
         "equivalents": () if effect is None else effect.equivalents,
+        "hidden_bound": writing_up.bound_of(bound, dataset.units),
         "overlays": writing_up.overlays(accounts, at[id(first)]),
         "residuals": writing_up.residual_table(first, last, ready.dataset, ready.split),
         "fit": last, "hypothesis": pruned.hypothesis, "left_out": left_out,
     }  # fmt: skip
+
+
+def _refitted(ready, job):
+    return ready.refitted(*job)
 
 
 def _scored(rounds, pruned):
@@ -356,6 +374,8 @@ def _stop_reason(rounds):
     last = rounds[-1]
     if last.left_out:
         return "time_is_up"
+    if last.is_last:
+        return "nothing_left"
     if last.decision.is_adopted:
         return "most_rounds"
     if last.decision.reason == "declared_model_not_fitted":

@@ -286,7 +286,8 @@ class ForceLaw:
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
-        return ", ".join([total, *(p.describe() for p in self.frame if p.kind == "constraint")])
+        held = (p for p in self.frame if p.kind in ("constraint", "linkage"))
+        return ", ".join([total, *(p.describe() for p in held)])
 
     def latex(self, digits=True, units=None):
         """The law typeset as LaTeX."""

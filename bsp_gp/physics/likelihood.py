@@ -65,6 +65,7 @@ def build_regression(
     width=None,
     memory=0.0,
     may_be_empty=False,
+    whitened=True,
 ):
     """Read accelerations off measured tracks.
 
@@ -98,6 +99,9 @@ def build_regression(
         heed the errors that single points quote.
     may_be_empty : bool
         Whether tracks of which no instant is usable are no error.
+    whitened : bool
+        False where residuals are only asked for as they are: what makes them white is a square
+        matrix of the rows of a track.
 
     Raises
     ------
@@ -130,7 +134,7 @@ def build_regression(
         )
     else:
         found = [
-            _regression_batch(batch, method, sigma, sources, states or {}, unsure, memory)
+            _regression_batch(batch, method, sigma, sources, states or {}, unsure, memory, whitened)
             for batch in batches
         ]
         widths = None
@@ -143,7 +147,7 @@ def build_regression(
     return regression
 
 
-def _regression_batch(batch, method, sigma, sources, given, unsure, memory):
+def _regression_batch(batch, method, sigma, sources, given, unsure, memory, whitened):
     bodies = batch.bodies
     if method == "derivative":
         state, target, whitener, scale = _from_velocities(batch)
@@ -161,7 +165,7 @@ def _regression_batch(batch, method, sigma, sources, given, unsure, memory):
     target = np.where(valid, target, 0.0)
     safe = np.where(np.isfinite(sigma), sigma, 1.0)
     scale = np.where(valid, np.broadcast_to(scale / safe, target.shape), 0.0)
-    if method in ("gls", "one_step_gls"):
+    if whitened and method in ("gls", "one_step_gls"):
         sizes = relative_sizes(batch, sigma)
         sizes = None if sizes is None else sizes[:, :, bodies.receivers]
         whitener = gls_whitener(batch.times, valid, sizes, memory)

@@ -8,6 +8,7 @@ function of its inner constants alone. It is scored on a grid, and where it does
 from __future__ import annotations
 
 import re
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import product as every
 
@@ -234,6 +235,12 @@ class InnerSearch:
         self.middle = np.round((rows.min(axis=0) + rows.max(axis=0)) / 2 / grain) * grain
         self._known = {}
 
+    def of_target(self, target):
+        """The same for another target, beside what constants take up."""
+        other = copy(self)
+        other.target = target
+        return other
+
     def axes_of(self, form):
         """Ranges of the inner constants of a form; None where one has none on these data."""
         names = list(form.term.formula.constants)
@@ -305,7 +312,7 @@ class InnerSearch:
         gains = np.square(unit.T @ self.target)
         k = int(np.argmax(gains))
         volume = float(np.log(np.mean(np.exp(0.5 * (gains - gains[k])))))
-        null = np.square(unit.T @ self.draws).max(axis=0)
+        null = np.square(unit.T @ self.draws).max(axis=0, initial=0.0)
         best = float(gains[k])
         return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T)
 

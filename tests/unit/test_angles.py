@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import bsp_gp
-from bsp_gp.errors import LawError
+from bsp_gp.errors import DataError, LawError
 from bsp_gp.fitting.hypothesis import read_law
 from tests.swings import LENGTH, PIVOT, WEIGHT, G, bob, swing
 
@@ -56,3 +56,31 @@ def test_dry_friction_in_a_joint_is_a_torque():
 def test_forces_in_newtons_are_refused_for_angles():
     with pytest.raises(LawError):
         read_law(angles(), ["9.81 [m/s^2] * m_i"])
+
+
+@pytest.mark.parametrize(
+    ("heading", "units"),
+    [
+        ("theta", {"theta": "deg", "t": "s"}), ("Winkel (°)", {"t": "s"}),
+        ("theta_deg", {"time": "s"}), ("phi", {"length": "deg", "time": "s"}),
+    ],
+)  # fmt: skip
+def test_columns_that_are_called_angles_are_coordinates(heading, units):
+    frame = pd.DataFrame({"t": np.arange(9) * 0.1, heading: 10.0 * np.arange(9), "dtheta": 0.0})
+    data = bsp_gp.Dataset.from_frames(frame, units=units)
+    places = data.scenes[0].positions[:, 0, 0]
+    np.testing.assert_allclose(np.diff(places), np.radians(10.0))
+
+
+def test_several_angles_are_those_of_several_arms():
+    frame = pd.DataFrame({"t": np.arange(9) * 0.1, "phi1": np.arange(9.0), "phi2": 1.0})
+    data = bsp_gp.Dataset.from_frames(frame, units={"phi1": "rad", "phi2": "rad", "t": "s"})
+    assert data.scenes[0].names == ("phi1", "phi2")
+    with pytest.raises(DataError, match="one unit"):
+        bsp_gp.Dataset.from_frames(frame, units={"phi1": "rad", "phi2": "deg", "t": "s"})
+
+
+def test_an_angle_needs_a_unit():
+    frame = pd.DataFrame({"t": np.arange(9) * 0.1, "theta": np.arange(9.0)})
+    with pytest.raises(DataError, match="unknown unit"):
+        bsp_gp.Dataset.from_frames(frame, units={"t": "s"})

@@ -110,3 +110,18 @@ def test_a_law_with_constants_inside_that_no_form_lists_is_drawn(search):
     assert canonical_key(formula) not in {canonical_key(f.term.formula) for f in inside.forms}
     found = fit(best.hypothesis, data, starts=best.starts)
     assert is_within(found, h_y=0.9)
+
+
+def test_near_the_level_of_chance_noise_is_searched_anew(monkeypatch):
+    data = pushed()
+    hypothesis = Hypothesis.from_laws(data, ["0.4 [m/s^2] * m_i * e_y"])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    proposer = Laws(load_grammar("physics"), data, max_levels=5, search="genetic", budget=100)
+    null = np.zeros(view.moment_draws.shape[1])
+    assert proposer._searched_anew(view, 100.0, null + 4.0)[0] == 4.0  # far beyond any chance
+    assert proposer._searched_anew(view, 2.0, null + 4.0)[0] == 4.0  # far below
+    monkeypatch.setattr("bsp_gp.loop.proposers.laws.MOST_ANEW", 3)
+    near = next(g for g in np.arange(4.0, 60.0, 0.5)
+                if 1e-4 < selected(g, 1, null + 4.0, view.noise_dof) < 0.01)  # fmt: skip
+    anew = proposer._searched_anew(view, near, null + 4.0)
+    assert len(anew) == 3 and (anew > 4.0).all() and (anew < 60.0).all()

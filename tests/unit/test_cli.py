@@ -17,6 +17,10 @@ COMMANDS = ("close", "fit", "infer", "simulate", "grammar", "demo")
 FAST = ["--max-rounds", "1", "--max-levels", "2", "--quiet"]
 
 
+EXTRAS = {"arviz_base", "av", "corner", "distributed", "h5py", "jax", "jplephem", "mujoco", "optax",
+          "rebound"}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     return str(throws_folder(tmp_path_factory.mktemp("data") / "throws", noise=(0.0,)))
@@ -57,6 +61,16 @@ def test_answers_without_heavy_imports(words):
     )
     run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
     assert run.stdout.splitlines()[-1] == f"[] {2 if words == ['nonsense'] else 0}", run.stderr
+
+
+def test_no_extra_is_imported_by_a_command_that_does_not_need_it(data, tmp_path):
+    code = (
+        "import sys; from bsp_gp.cli import main; status = main(sys.argv[1:]); "
+        f"print(sorted({EXTRAS!r} & set(sys.modules)), status)"
+    )
+    words = ["check", data, "--out", str(tmp_path / "out")]
+    run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert run.stdout.splitlines()[-1] == "[] 0", run.stderr
 
 
 def test_import_of_the_package_is_cheap_and_its_names_are_there():
@@ -176,7 +190,7 @@ def test_json_is_the_report_and_nothing_else(data, tmp_path, capsys):
 
 
 def test_progress_is_on_stderr_one_line_a_stage(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "QUIET_S", -1.0)
+    monkeypatch.setattr("bsp_gp.cli_progress.QUIET_S", -1.0)
     words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "r"), *FAST[:-1]]
     assert main(words) == 0
     lines = capsys.readouterr().err.splitlines()

@@ -6,7 +6,9 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import pytest
 
 from bsp_gp import workers
+from bsp_gp.loop.close import close_loop
 from bsp_gp.workers import Crew, worker_pool
+from tests.throws import GRAVITY, throws
 
 SENT = []
 
@@ -88,3 +90,17 @@ def test_shared_values_of_other_runs_are_forgotten():
     assert len(workers._KNOWN) <= workers.MOST_KNOWN
     lost = workers._Sent((os.getpid(), 10**9), None, False)
     assert workers._part(times, lost, 1) == workers._NOT_KNOWN
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("eager")
+@pytest.mark.parametrize("n_scenes, n_times", [(1, 80), (6, 20)])
+def test_a_report_has_the_same_bits_whoever_fits(pool, n_scenes, n_times):
+    data = throws(n_scenes, n_times, sigma=0.003, dt=0.02)
+
+    def told(workers):
+        report = close_loop(data, GRAVITY, rng=3, n_bootstrap=4, workers=workers).to_dict()
+        rounds = [{**done, "seconds": 0.0} for done in report["rounds"]]
+        return {**report, "wall_s": 0.0, "rounds": rounds}
+
+    assert repr(told(pool)) == repr(told(None))

@@ -17,6 +17,7 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
+from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import dataset_types, input_types_of
 from bsp_gp.physics.force import Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
@@ -27,6 +28,8 @@ __all__ = ["Laws"]
 
 MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
+MOST_ANEW, CLEAR = 20, 1000.0
+"""Draws of noise that are searched anew, and times below the level of chance where none is."""
 MOST_SEEDS = 20
 """Laws from which a guided search sets out."""
 PARALLEL = 1e-6
@@ -95,22 +98,12 @@ class Laws:
         ----------
         view : View
         """
-        regression = view.response.regression
-        target, columns = view.response.left()
-        found, null, certificates, n_tried = [], np.zeros(view.moment_draws.shape[1]), [], 0
-        sizes = np.square(view.draws_left).sum(axis=0)
-        inner = inner_search(view, self.grammar) if self.searching.is_guided else None
-        for kind, name in product(self.kinds, self.searching.searches):
-            result, text = self.searching.run(
-                name, regression, kind, view.search_rng, target=target,
-                nuisance=columns if columns.size else None, null=view.moment_draws,
-                max_ties=MOST_TIES, progress=view.tick, inner=inner,
-                known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
-            )  # fmt: skip
-            null = np.maximum(null, np.array(result.null_gains) * sizes)
-            found += result.candidates
-            certificates.append(text)
-            n_tried += result.n_evaluated
+        target, _ = view.response.left()
+        found, null, certificates, n_tried = self._searched(
+            view, target, view.moment_draws, self.searching.searches
+        )
+        if self.searching.is_guided:
+            null = self._searched_anew(view, max((c.gain for c in found), default=0.0), null)
         best = max((c.gain for c in found), default=0.0)
         view.drawn = tuple(c for c in found if not c.constants)  # with constants inside
         found = [c for c in found if c.constants]
@@ -130,6 +123,56 @@ class Laws:
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
             "\n".join(certificates), n_tried=n_tried,
         )  # fmt: skip
+
+    def _searched(self, view, target, draws, names):
+        """Laws that searches find for a target, and their greatest gains on draws of noise.
+
+        Returns
+        -------
+        found : list of Candidate
+        null : ndarray, shape (B,)
+        certificates : list of str
+        n_tried : int
+        """
+        regression, (_, columns) = view.response.regression, view.response.left()
+        found, null, certificates, n_tried = [], np.zeros(draws.shape[1]), [], 0
+        sizes = np.square(view.beside(draws)).sum(axis=0)
+        guided = self.searching.is_guided
+        inner = inner_search(view, self.grammar, draws) if guided else None
+        for kind, name in product(self.kinds, names):
+            if kind == "pair" and name == "exhaustive" and view.n_pairs > MOST_PAIRS:
+                certificates.append(
+                    f"laws of pairs: {view.n_pairs:,} pairs at all instants are more than "
+                    f"{MOST_PAIRS:,}, so that only those of textbooks were scored"
+                )
+                continue
+            result, text = self.searching.run(
+                name, regression, kind, view.search_rng, target=target,
+                nuisance=columns if columns.size else None, null=draws, max_ties=MOST_TIES,
+                progress=view.tick, inner=inner and inner.of_target(view.beside(target)),
+                known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
+            )  # fmt: skip
+            null = np.maximum(null, np.array(result.null_gains) * sizes)
+            found += result.candidates
+            certificates.append(text)
+            n_tried += result.n_evaluated
+        return found, null, certificates, n_tried
+
+    def _searched_anew(self, view, best, null):
+        """Greatest gains on noise, searched for anew where that may change a verdict.
+
+        A search that draws visits laws that suit the data; those that suit some noise it would
+        have visited there. Far from the level on which a verdict depends that does not matter.
+        """
+        alpha = view.criteria.alpha
+        if not alpha / CLEAR < selected(best, 1, null, view.noise_dof) <= alpha:
+            return null
+        names = [name for name in self.searching.searches if name != "exhaustive"]
+        anew, nothing = null[:MOST_ANEW].copy(), np.zeros((len(view.left), 0))
+        for k in range(len(anew)):
+            found, *_ = self._searched(view, view.moment_draws[:, k], nothing, names)
+            anew[k] = max([anew[k], *(c.gain for c in found)])
+        return anew
 
     def _ranked(self, view, found):
         """Candidates by their promise: common ones, and kin of the declared, are likelier."""

@@ -176,7 +176,7 @@ class Chains:
 def is_coupled(law, batch):
     """Whether a force of the law passes between moving bodies of the batch."""
     passes = any(term.kind == "pair" for term in law.terms) or any(
-        part.is_coupling for part in law.frame if part.kind == "constraint"
+        part.is_coupling for part in law.frame
     )
     return len(batch.bodies.receivers) > 1 and passes
 

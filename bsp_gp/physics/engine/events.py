@@ -25,9 +25,9 @@ NEARER = 0.75
 JUST_BEFORE = 1 - 1e-9
 SLOW = 1e-3
 """Part of its speed at the start of a step below which a body that turned round had stopped."""
-NEAR, FAST = 1e-7, 0.1
-"""To which part of itself an instant is found at first; where a body is so fast there, in its speed
-at the start, it has not stopped, and nothing closer is asked."""
+NEAR = 1e-10
+"""To which part of itself the instant of a stop is found: what is left of the speed there is as
+small."""
 
 
 def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
@@ -398,17 +398,8 @@ def _instants(flow, scheme, points, keys, at, low, high):
     is_nothing = np.zeros(len(keys), dtype=bool)
     if stops.any():
         which = np.flatnonzero(stops)
-        is_nothing[which] = _speeds(flow, scheme, picked, keys, which, before) > FAST
-        which = which[~is_nothing[which]]
-        if len(which):
-            near = CLOSE * np.abs((high - low)[which] / instants[which])
-            _, instants[which] = roots(
-                lambda length, own: margin(length, which[own]), before[which], instants[which],
-                near,
-            )  # fmt: skip
-    # Just before it: behind it the last stages of a step would be pushed on by friction.
-    instants = np.where(stops, JUST_BEFORE * instants, instants)
-    if stops.any() and len(which):
+        # Before it: behind it the last stages of a step would be pushed on by friction.
+        instants[which] = JUST_BEFORE * before[which]
         is_nothing[which] = _speeds(flow, scheme, picked, keys, which, instants) > SLOW
     return instants, is_nothing
 

@@ -23,8 +23,9 @@ from bsp_gp.physics.engine.motion import Points
 
 __all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 
-BLOCK = 2048
-"""Intervals that are integrated together: bounds the memory."""
+BLOCK, MOST_NUMBERS = 2048, 1 << 24
+"""Intervals that are integrated together, and derivatives of accelerations in all stages of a
+step: bound the memory, and how long it is until the time is looked at."""
 MAX_STEPS = 400
 FINER, AMPLIFIED, MAX_CHECKS = 30.0, 3.0, 4
 """Errors are asked to be so many times smaller in a check; ends may move by so many tolerances;
@@ -440,8 +441,10 @@ class Flow:
         ends = np.empty((2, self.chains.n_moving, self.chains.n_dims, self.n_intervals))
         transitions = np.empty((self.n_intervals, n, n + k)) if slopes else None
         with np.errstate(all="ignore"):
-            for first in range(0, self.n_intervals, BLOCK):
-                block = slice(first, first + BLOCK)
+            size = 12 * max(n * n // 2, 1)
+            length = int(np.clip(MOST_NUMBERS // size, 1, BLOCK))
+            for first in range(0, self.n_intervals, length):
+                block = slice(first, first + length)
                 index = mesh.order[block]
                 run = self._run_euler if mesh.scheme == "euler" else self._run_block
                 end, moved = run(nodes, mesh, index, block, slopes)

@@ -14,6 +14,7 @@ import numpy as np
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.engine.constrained import Constraints, constraints_of
 from bsp_gp.physics.engine.graph import Graph, Tape
+from bsp_gp.physics.engine.linked import Linkages, linkages_of
 from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.physics.engine.owners import Owners, fitted_properties
 from bsp_gp.physics.engine.seen import Frame
@@ -193,6 +194,8 @@ class Motion:
         self.constraints = (
             Constraints(self.law, self.chains, self.parameters, owners) if is_held else None
         )
+        is_linked = bool(linkages_of(self.law))
+        self.linkages = Linkages(self.law, self.chains, self.parameters) if is_linked else None
 
     # --- what does not change along a track ------------------------------------------------------
 
@@ -263,8 +266,8 @@ class Motion:
                 ]
             )  # fmt: skip
         self.values = known
-        if self.constraints:
-            self.constraints.set_constants(known)
+        for part in filter(None, (self.constraints, self.linkages)):
+            part.set_constants(known)
 
     # --- at points -------------------------------------------------------------------------------
 
@@ -398,6 +401,11 @@ class Motion:
 
     def _free_acceleration(self, points):
         """Accelerations without constraints."""
+        total = self._pushed(points)
+        return self.linkages.accelerations(total, points) if self.linkages else total
+
+    def _pushed(self, points):
+        """Forces over masses."""
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
         for number, program, outputs in self._run(0, points):
@@ -454,6 +462,9 @@ class Motion:
             for (row, name), value in zip(program.constant_of, rest, strict=True):
                 parameter = self._parameter_of[k][name]
                 self._add_constant(by_constant[:, row], program, parameter, value, points.chain)
+        if self.linkages:
+            free = self._pushed(points)
+            by_state, by_constant = self.linkages.slopes(free, by_state, by_constant, points)
         if self.constraints:
             free = self._free_acceleration(points)
             flat = by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
@@ -472,7 +483,7 @@ class Motion:
     def slope_pattern(self):
         """Which derivatives by the state may differ from zero: a list of (row, column)."""
         n_own, n_dims = self.chains.n_moving, self.chains.n_dims
-        if self.constraints:
+        if self.constraints or self.linkages:
             return list(np.ndindex(n_own * n_dims, 2 * n_own * n_dims))
         found = np.zeros((n_own, n_dims, 2, n_own, n_dims, 1))
         for program in self.programs:

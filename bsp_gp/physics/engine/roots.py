@@ -95,28 +95,33 @@ def _near_root(u, f, k):
 
 
 def _bisected(margin, low, high, near):
-    """The roots of many margins: by bisection with secants (Illinois)."""
+    """The roots of many margins: by secants (Illinois), by halves where those gain little."""
     low, high = low.copy(), high.copy()
     everyone = np.arange(len(low))
     at_low, at_high = margin(low, everyone), margin(high, everyone)
     out = np.where(at_low <= 0, low, high)  # on the edge already
     side, width = np.zeros(len(low), dtype=int), np.abs(high - low)
+    is_slow = np.zeros(len(low), dtype=bool)
     open_ = everyone[at_low > 0]
     for _ in range(BISECTIONS):
         if not len(open_):
             break
         a, b, fa, fb = low[open_], high[open_], at_low[open_], at_high[open_]
-        middle = a + (b - a) * fa / (fa - fb)
-        middle = np.where(np.isfinite(middle), middle, (a + b) / 2)
+        enough = np.maximum(CLOSE * width[open_], near[open_] * np.abs(b))
+        # Where one end stays, aim so far beyond the root that the other comes as near.
+        beyond = np.sign(b - a) * np.minimum(enough, np.abs(b - a)) / 2
+        middle = a + (b - a) * fa / (fa - fb) + side[open_] * beyond
+        is_inside = (np.minimum(a, b) < middle) & (middle < np.maximum(a, b))
+        middle = np.where(is_inside & ~is_slow[open_], middle, (a + b) / 2)
         value = margin(middle, open_)
         up = value > 0
         again = side[open_] == np.where(up, 1, -1)
         low[open_], high[open_] = np.where(up, middle, a), np.where(up, b, middle)
         at_low[open_] = np.where(up, value, np.where(again, fa / 2, fa))
         at_high[open_] = np.where(up, np.where(again, fb / 2, fb), value)
+        left = np.abs(high[open_] - low[open_])
+        is_slow[open_] = again & (left > 0.5 * np.abs(b - a))
         side[open_] = np.where(up, 1, -1)
         out[open_] = high[open_]
-        enough = np.maximum(CLOSE * width[open_], near[open_] * np.abs(high[open_]))
-        is_close = np.abs(high[open_] - low[open_]) <= enough
-        open_ = open_[~(is_close | (value == 0))]
+        open_ = open_[~((left <= enough) | (value == 0))]
     return low, out
