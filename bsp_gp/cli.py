@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import time
 
 from bsp_gp.cli_inputs import (
     excluded_inputs,
@@ -18,14 +17,13 @@ from bsp_gp.cli_inputs import (
     unit_of_length,
 )
 from bsp_gp.cli_options import build_parser, joined
+from bsp_gp.cli_progress import Progress as _Progress
 from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, SettingsError, on_command_line
 from bsp_gp.workers import hands
 
 __all__ = ["main"]
 
-QUIET_S = 1.0
-"""Work that is done within this time shows no progress."""
 CHECKED_LEVELS = 8
 """Levels up to which a grammar is checked: those that the loop searches by default."""
 LONGEST = 1000
@@ -166,42 +164,6 @@ def _say(text):
     text = "".join(c if c.isprintable() else " " for c in text)
     with contextlib.suppress(BrokenPipeError):
         print(f"bsp-gp: {' '.join(text.split())}", file=sys.stderr, flush=True)
-
-
-class _Progress:
-    """Stages of long work on stderr: one changing line on a terminal, else one line each."""
-
-    def __init__(self, quiet=False):
-        self.quiet = quiet
-        self.started = time.perf_counter()
-        self.held = []
-        self.bar = None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        if self.bar is not None:
-            self.bar.close()
-
-    def __call__(self, text):
-        if self.quiet:
-            return
-        if sys.stderr.isatty():
-            self._on_terminal(text)
-            return
-        seconds = time.perf_counter() - self.started
-        self.held.append(f"{seconds:5.0f} s  {text}")
-        if seconds > QUIET_S:
-            print(*self.held, sep="\n", file=sys.stderr, flush=True)
-            self.held.clear()
-
-    def _on_terminal(self, text):
-        if self.bar is None:
-            from tqdm import tqdm
-
-            self.bar = tqdm(bar_format="{desc} [{elapsed}]", leave=False, file=sys.stderr)
-        self.bar.set_description_str(text, refresh=True)
 
 
 # --- commands -------------------------------------------------------------------------------------

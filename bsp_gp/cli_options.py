@@ -43,6 +43,8 @@ class _Parser(argparse.ArgumentParser):
                 "(--model FILE holds several); where nothing is known, bsp-gp fit DATA looks for "
                 "a law from no force at all"
             )
+        if "--object" in message and "required" in message:
+            message += ", such as --object ball=disc:red or --object ball=disc:#2060b0"
         raise SettingsError(f"{message}; see {self.prog} --help")
 
 

@@ -60,6 +60,14 @@ def adopted_rounds(report):
     return [r for r in report.rounds if r.adopted and r.effect is not None and not r.removed]
 
 
+def _counted(parts):
+    """Parts, of which what comes again is said once."""
+    parts = list(parts)
+    often = {2: " (twice)"}
+    return [f"{p}{often.get(n, f' ({n} times)')}" if (n := parts.count(p)) > 1 else p
+            for p in dict.fromkeys(parts)]  # fmt: skip
+
+
 def _joined(parts):
     parts = list(parts)
     if len(parts) < 2:
@@ -79,7 +87,7 @@ def _findings(rounds):
     for r in rounds:
         sentence = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
         groups.setdefault(sentence, []).append(_either(r))
-    return _joined(sentence.format(_joined(names)) for sentence, names in groups.items())
+    return _joined(sentence.format(_joined(_counted(names))) for sentence, names in groups.items())
 
 
 def _either(round_):
@@ -108,7 +116,8 @@ def verdict_parts(report):
             text = text.replace("the declared model lacks", "the motion shows")
         return text[:1].upper() + text[1:] + ".", ""
     if report.verdict == "effective law" and adopted:
-        text = f"On these tracks the motion is as if there were {_joined(map(_either, adopted))}."
+        names = _joined(_counted(map(_either, adopted)))
+        text = f"On these tracks the motion is as if there were {names}."
         return text, "It describes them; that it is the cause is not shown."
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""
@@ -146,15 +155,24 @@ def _detectable(missing):
     )
 
 
-def hidden_sentence(round_):
-    """How much may still be hidden beside the model that entered a round; "" if not known."""
-    bound = round_.bound
-    if bound is None or not is_number(bound.force):
-        return ""
-    size = force_text(bound)
-    share = f" ({format_number(bound.percent, 2)} % of the declared force)"
-    share = share if is_number(bound.percent) else ""
-    return f"A constant force of up to {size}{share} is not excluded (95 %)."
+def hidden_sentence(beside):
+    """How much may still be hidden beside the final law, or the model that entered a round.
+
+    Parameters
+    ----------
+    beside : report or round, as pages read them
+    """
+    bound, parts = beside.bound, []
+    if bound is not None and is_number(bound.force):
+        share = f" ({format_number(bound.percent, 2)} % of the declared force)"
+        share = share if is_number(bound.percent) else ""
+        parts.append(
+            f"A constant force of up to {force_text(bound)}{share} is not excluded (95 %)."
+        )
+    if bound is not None and is_number(bound.snr):
+        snr = format_number(bound.snr, 2)
+        parts.append(f"Whatever is left has a signal-to-noise ratio of {snr} at most (95 %).")
+    return " ".join(parts)
 
 
 def force_text(bound):
@@ -174,7 +192,9 @@ def powers_sentence(round_):
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
     parts = [f"Powers that the data allow (90 %): {'; '.join(told)}."] if told else []
-    parts += [f"Its strength is not constant: it changes with {_joined(varies)}."] if varies else []
+    if varies:
+        varies = _joined(dict.fromkeys(varies))
+        parts.append(f"Its strength is not constant: it changes with {varies}.")
     return " ".join(parts)
 
 
@@ -187,7 +207,7 @@ def noise_sentence(round_):
     """What was found of the noise; "" where it is as assumed."""
     if not round_.noise:
         return ""
-    return f"The noise is not quite as assumed: {_joined(round_.noise)}."
+    return f"The noise is not quite as assumed: {_joined(dict.fromkeys(round_.noise))}."
 
 
 def missing_sentence(round_, alpha):
@@ -327,6 +347,8 @@ def headline(report):
 def ratio_caution(report):
     """A warning where the gain is not certain, else ""."""
     ratio = report.total.get("ratio")
+    if any(r.effect.kind == "kicks" for r in adopted_rounds(report)):
+        return "Kicks cannot be foreseen: held-out tracks are foreseen no better with them."
     if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
         return ""
     if ratio.value >= 1:

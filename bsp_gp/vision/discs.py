@@ -24,6 +24,7 @@ SEARCH = 28  # px: how far from the predicted place a disc is looked for
 MIN_SEEN = 0.12  # of the edge must be visible, otherwise the place is a gap
 MIN_GAIN = 0.15  # of the disc's area must show its colour
 MAX_RMS = 0.3  # rms misfit of coverage on the visible edge: more is no disc
+_MOVED = 60  # sum of the changes of three channels from which on a pixel has moved
 EDGE = 3.5  # half-widths of the edge used in the fit
 SLACK = 2.5  # px: how far off the start of a fit may be
 SECTORS = 4
@@ -265,6 +266,19 @@ def _profile(images, kind, centres):
     return bins, np.array(colours), np.array(spreads)
 
 
+def _moving_colour(images):
+    """What moves in images, as ``; what moves there is #rrggbb``; "" where nothing does."""
+    if len(images) < 3:
+        return ""
+    stack = np.asarray(images, dtype=np.int16)
+    still = np.median(stack, axis=0)
+    moving = np.abs(stack - still).sum(axis=3) > _MOVED
+    if not moving.any():
+        return ""
+    blue, green, red = np.median(stack[moving], axis=0).astype(int)
+    return f"; what moves there is #{red:02x}{green:02x}{blue:02x}"
+
+
 def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     """Learn what the discs of one colour look like from sample images.
 
@@ -303,7 +317,7 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     if not patches:
         raise DataError(
             f"no free-standing round patch of the colour BGR {np.round(colour).tolist()}",
-            remedy="give the radius in px, another colour, or a wider tolerance",
+            remedy=f"give the radius in px, or another colour{_moving_colour(images)}",
         )
     typical = float(np.median([p[2] for p in patches]))
     patches = [p for p in patches if abs(p[2] - typical) < 0.05 * typical + 0.5]

@@ -190,7 +190,7 @@ def test_json_is_the_report_and_nothing_else(data, tmp_path, capsys):
 
 
 def test_progress_is_on_stderr_one_line_a_stage(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "QUIET_S", -1.0)
+    monkeypatch.setattr("bsp_gp.cli_progress.QUIET_S", -1.0)
     words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "r"), *FAST[:-1]]
     assert main(words) == 0
     lines = capsys.readouterr().err.splitlines()
