@@ -343,7 +343,7 @@ class _Turn:
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
         highest = max(row.log_evidence for row in self.rows)
-        equal = highest - criteria.equal_nats
+        equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
             own = above.get(source, {0: (-math.inf, -math.inf)})
@@ -441,7 +441,7 @@ def _chosen(every, clear, criteria):
             # A single cause is fitted, however well a set of causes does.
             if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
-    near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
+    near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
     chosen, keys = [], set()
     for name, proposal in [*best.values(), *simplest.values(), *near]:
         if len(chosen) == criteria.most_fits:

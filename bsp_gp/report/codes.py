@@ -22,6 +22,8 @@ CAUSES = {
     "wire": "a line or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
     "kicks": "random kicks", "noise": "noise that is not as assumed",
+    "varying_strength": "a strength that varies, of no listed form",
+    "free_force": "a force of no listed form",
 }  # fmt: skip
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
@@ -51,6 +53,7 @@ REASONS = {
     "time_is_up": "the time was up before everything was looked at",
     "superseded": "what was found later made it superfluous",
     "beside_description": "it makes up for a law beside it that only describes these tracks",
+    "force_beside": "it describes these tracks, but a force of no listed form acts beside it",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
 }
 STOPS = {
