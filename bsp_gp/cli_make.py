@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine
 from bsp_gp.errors import SettingsError
 
 __all__ = ["claim_places", "make_data", "read_settings"]
@@ -21,6 +22,10 @@ def read_settings(args):
         Naming what is not there, or not allowed.
     """
     from bsp_gp.simulate.effects import parse_effect
+    from bsp_gp.simulate.machines import MACHINES
+
+    if args.preset in MACHINES:
+        return read_machine(args)
     from bsp_gp.simulate.synth import RECORDED, preset, read_numbers
 
     numbers = {
@@ -71,6 +76,8 @@ def make_data(args, settings, group, progress):
     list of str
         What to tell the user.
     """
+    if isinstance(settings, MachineSettings):
+        return make_machine(args, settings, group, (_TRUTH, _MODEL, _PICTURE), progress)
     import numpy as np
 
     from bsp_gp.data.declaration import toml_text

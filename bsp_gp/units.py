@@ -17,8 +17,8 @@ from types import MappingProxyType
 from bsp_gp.errors import UnitError
 
 __all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "UNCALIBRATED", "Unit",
-    "UnitSystem", "parse_unit",
+    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "OF_THE_SKY",
+    "UNCALIBRATED", "Unit", "UnitSystem", "parse_unit",
 ]  # fmt: skip
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
@@ -182,6 +182,10 @@ def parse_unit(text):
         )
     if _TOWER.search(clean):
         raise UnitError(f"unit {clean!r}: a power must be one number of at most two digits")
+    if re.fullmatch(r"-?[\d.]+", clean):
+        raise UnitError(f"unknown unit {clean!r}; write SI units such as m, s, kg, m/s^2")
+    if (plain := _plain_unit(clean)) is not None:
+        return plain
     if re.search(r"\b(px|pixels?)\b", clean):
         raise UnitError("a pixel has no length in SI; give the length of one, such as '0.17 um'")
     base = _in_base_units(clean)
@@ -196,6 +200,32 @@ def parse_unit(text):
             )
         exponents[_DIMENSION[dimension]] = _rational(power)
     return float(base.magnitude), Unit(tuple(exponents))
+
+
+_SI = {
+    "m": Unit.of(m=1), "s": Unit.of(s=1), "kg": Unit.of(kg=1), "A": Unit.of(A=1), "N": FORCE,
+    "C": Unit.of(A=1, s=1), "J": Unit.of(kg=1, m=2, s=-2),
+}  # fmt: skip
+_SCALED = {"km": (1000.0, "m"), "cm": (0.01, "m"), "mm": (0.001, "m"), "ms": (0.001, "s"),
+           "g": (0.001, "kg")}  # fmt: skip
+_FACTOR = rf"({'|'.join(_SI)})(?:\^(-?\d))?"
+_PRODUCT = re.compile(rf"{_FACTOR}(?:[ *]{_FACTOR})*(?:/{_FACTOR})?")
+
+
+def _plain_unit(text):
+    """The commonest units without pint, whose import costs as much as a small table; or None."""
+    if text in _SCALED:
+        scale, name = _SCALED[text]
+        return scale, _SI[name]
+    if not _PRODUCT.fullmatch(text):
+        return None
+    above, _, below = text.partition("/")
+    unit = DIMENSIONLESS
+    for name, power in re.findall(_FACTOR, above):
+        unit *= _SI[name] ** int(power or 1)
+    for name, power in re.findall(_FACTOR, below):
+        unit /= _SI[name] ** int(power or 1)
+    return 1.0, unit
 
 
 def _in_base_units(text):
@@ -232,6 +262,8 @@ UNCALIBRATED = {
     "arcsecond": "arcsec", "mas": "arcsec",
 }  # fmt: skip
 """Units in the place of lengths that no length in SI is known of, and what they are told in."""
+OF_THE_SKY = ("arcsec", "mas", "uas", "arcmin", "milliarcsecond", "microarcsecond", "arcsecond")
+"""Angles on the sky in the place of lengths: without a distance these are not calibrated."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -264,6 +296,8 @@ class UnitSystem:
                 symbols[base] = kind
             elif text is not None and text.strip().lower() in UNCALIBRATED:
                 symbols[base] = UNCALIBRATED[text.strip().lower()]
+            elif kind == "length" and text is not None and text.strip() in OF_THE_SKY:
+                symbols[base] = text.strip()
             elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
                 symbols[base] = "rad"
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))

@@ -85,7 +85,8 @@ def judge_foreign(report, referee, alpha):
     Returns
     -------
     dict
-        outcome, code, probability, told, n_class, is_class_without_truth.
+        outcome, code, probability, told, right, n_class, is_class_without_truth: the probability,
+        and whether it is right, of the first name that is told.
     """
     rounds = [done for done in report.rounds if causes_of(done) and done.missing.p_value <= alpha]
     adopted = [done for done in rounds if is_adopted(done)]
@@ -98,7 +99,9 @@ def judge_foreign(report, referee, alpha):
     first = causes[0]
     return {
         "outcome": outcome, "code": first.code if first else _code_of_noise(report),
-        "probability": report.probability, "told": str(first) if first else "",
+        "probability": rounds[0].effect.probability if first else np.nan,
+        "told": str(first) if first else "",
+        "right": first is not None and (is_law or referee.is_right(first)),
         "n_class": len({str(cause) for cause in causes}) if first else 0,
         "is_class_without_truth": any(
             done.adopted and one == "open" for done, one in zip(rounds, found, strict=True)
@@ -158,7 +161,8 @@ def judge_null(report, noise):
     first = (false or adopted or [None])[0]
     return {
         "outcome": outcome, "code": first.effect.code if first else _code_of_noise(report),
-        "probability": report.probability, "told": first.effect.name if first else "",
+        "probability": first.effect.probability if first else np.nan,
+        "told": first.effect.name if first else "", "right": bool(adopted) and not false,
         "noise_named": bool(findings & set(noise.codes)) or len(adopted) > len(false),
         "findings": " ".join(sorted(findings)),
     }  # fmt: skip

@@ -114,6 +114,7 @@ def score(referee, report):
         "told_kind": rounds[0].effect.kind if first else "", "told_law": first.law if first else "",
         "n_class": len({str(cause) for cause in causes[0]}) if first else 0,
         "taken_for": "" if is_named or first is None else referee.taken_for(first),
+        "probability": rounds[0].effect.probability if first else np.nan, "right": is_named,
         "named": is_named, "in_class": is_in_class,
         "wrong_confident": any(not referee.is_named(c) for c in alone) and not is_named,
     }  # fmt: skip

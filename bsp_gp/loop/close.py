@@ -37,6 +37,8 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
+from bsp_gp.loop.questions import hidden_bound
+from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
@@ -166,7 +168,7 @@ def close_loop(
     )
     says("writing up")
     whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
-    asked = None if whole.is_over else _constancy(ready, pruned, asked_rng, criteria)
+    asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
         ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
         settings["crew"],
@@ -280,12 +282,18 @@ def _shows_motion(scenes):
     return all((count >= 2).all() for count in seen)
 
 
-def _constancy(ready, pruned, rng, criteria):
-    """The constancy of what was found, under the final law."""
-    if all(term.is_declared for term in pruned.fit.law.terms):
+def _asked(ready, rounds, pruned, rng, criteria):
+    """What is asked of what was found, under the final law."""
+    first, last = rounds[0].entering, pruned.fit
+    if last is first or last.is_failed or rounds[-1].is_last:
         return Constancy()
-    hypothesis = continued(pruned.hypothesis, pruned.fit)
-    return constancy(View(pruned.fit, hypothesis, ready.train, rng, criteria))
+    view = View(last, continued(pruned.hypothesis, last), ready.train, rng, criteria)
+    known = {term.formula for term in first.law.terms}
+    found = [term for term in last.law.terms if term.formula not in known]
+    gain = 2 * (last.log_likelihood - first.log_likelihood)
+    return replace(
+        constancy(view), unknown=unknowns(view, found, gain), bound=hidden_bound(view)
+    )
 
 
 def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew):
@@ -313,6 +321,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     for done in rounds:
         constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
+    bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
@@ -321,6 +330,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
         "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,
         "equivalents": () if effect is None else effect.equivalents,
+        "hidden_bound": writing_up.bound_of(bound, dataset.units),
         "overlays": writing_up.overlays(accounts, at[id(first)]),
         "residuals": writing_up.residual_table(first, last, ready.dataset, ready.split),
         "fit": last, "hypothesis": pruned.hypothesis, "left_out": left_out,
@@ -364,6 +374,8 @@ def _stop_reason(rounds):
     last = rounds[-1]
     if last.left_out:
         return "time_is_up"
+    if last.is_last:
+        return "nothing_left"
     if last.decision.is_adopted:
         return "most_rounds"
     if last.decision.reason == "declared_model_not_fitted":

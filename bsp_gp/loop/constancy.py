@@ -22,7 +22,7 @@ from bsp_gp.loop.trace import moments_of, smooth_variables
 from bsp_gp.loop.view import selected
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["Constancy", "Exponent", "Varies", "constancy"]
+__all__ = ["Constancy", "Exponent", "Varies", "constancy", "logarithms", "powers_in", "varied"]
 
 BASES = {"field": ("norm(v_i)",), "pair": ("norm(p_i - p_j)",)}
 """Whose power is told of every term of a kind, beside those that it names."""
@@ -94,16 +94,23 @@ class Constancy:
     exponents : tuple of Exponent
     varies : tuple of Varies
         The most striking first, whatever its p-value.
+    unknown : tuple of Unknown
+        What nobody lists, beside the law.
+    bound : HiddenBound or None
+        How much may still be hidden beside it.
     """
 
     exponents: tuple[Exponent, ...] = ()
     varies: tuple[Varies, ...] = ()
+    unknown: tuple = ()
+    bound: object = None
 
     def of(self, formulas):
         """The answers for some terms."""
         return Constancy(
             tuple(e for e in self.exponents if e.term in formulas),
             tuple(v for v in self.varies if v.term in formulas),
+            tuple(u for u in self.unknown if u.term is None or u.term in formulas),
         )
 
 
@@ -122,8 +129,8 @@ def constancy(view):
     found = [term for term in law.terms if not term.is_declared]
     exponents, asked = [], []
     for term in found:
-        for base in _bases(term):
-            columns = _logarithms(view, term, base)
+        for base in powers_in(term):
+            columns = logarithms(view, term, base)
             if columns is None:
                 continue
             score = view.score_forces(columns[:, :1])
@@ -133,7 +140,7 @@ def constancy(view):
                 error = float(score.errors[0])
                 exponents.append(Exponent(term.formula, base, stated, value, error))
             asked.append((term, to_text(base), columns))
-        asked += [(term, name, c) for name, c in _smooth(view, term)]
+        asked += [(term, name, c) for name, c in varied(view, term)]
     return Constancy(tuple(exponents), _judged(view, asked))
 
 
@@ -161,7 +168,7 @@ def _moments(view, term, formula):
     return view.response.moments_of(ForceLaw((Term(formula, term.kind),), known))
 
 
-def _bases(term):
+def powers_in(term):
     """Quantities whose power in a term is asked for."""
     types = {name: STATE_INPUTS[name] for name in ("p_i", "p_j", "v_i", "v_j")}
     wanted = [parse_formula(text, types) for text in BASES[term.kind]]
@@ -169,7 +176,7 @@ def _bases(term):
     return list(dict.fromkeys((*wanted, *filter(is_size, named))))
 
 
-def _logarithms(view, term, base):
+def logarithms(view, term, base):
     """Moments of a term times the logarithm of a quantity and its square, (n, 2)."""
     typical = typical_value(view, term, base)
     if typical is None:
@@ -183,13 +190,13 @@ def _logarithms(view, term, base):
         return None
 
 
-def _smooth(view, term):
-    """Moments of a term times smooth functions, variable by variable: (name, (n, f))."""
+def varied(view, term, **settings):
+    """Moments of a term times functions of `smooth_variables`, one by one: (name, (n, f))."""
     known = {name: view.fit.law.constants[name] for name in term.formula.constants}
     law = ForceLaw((term,), known)
     regression = view.response.regression
     values = [regression.predict(batch, law) for batch in regression.batches]
-    for name, functions in smooth_variables(view):
+    for name, functions in smooth_variables(view, **settings):
         pushes = [
             np.nan_to_num(value)[..., None, :] * f[..., None]
             for value, f in zip(values, functions, strict=True)

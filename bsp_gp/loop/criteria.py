@@ -17,22 +17,23 @@ VERDICTS = (
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
     "no_candidate_fits", "declared_model_not_fitted", "noise_explains", "time_is_up",
-    "superseded", "not_tested", "strength_varies", "beside_description",
+    "superseded", "not_tested", "strength_varies", "beside_description", "force_beside",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
-"beside_description": found beside such a one."""
+"beside_description": found beside such a one; "force_beside": a force that knows no physics beside
+it is likelier than none."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
-    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period", "scale",
-    "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective",
-    "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod", "wire", "frame",
-    "noise",
+    "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
+    "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
+    "perspective", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod",
+    "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
-"""What a hypothesis adds."""
-KINDS = ("force", "constraint", "measurement", "hidden_body", "noise")
+"""What a hypothesis adds; the last two know no physics: none of these."""
+KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
@@ -53,17 +54,21 @@ class Criteria:
         Chi-squared by which a rival form must lie above the best for the best to be a fact: four
         standard deviations. A rule that keeps 95 % of true forms would state a form that is one
         standard deviation away as a fact in 83 % of its sets.
-    class_nats, equal_nats : float
-        Rivals are told whose log posterior, or log evidence, is within this of the best.
-    fitted_nats : float
-        Proposals whose promise is within this of the best are fitted to whole tracks.
+    class_nats : float
+        Rivals are told whose log posterior is within this of the best, and proposals fitted to
+        whole tracks whose promise is.
     most_fits : int
         Proposals that are fitted in a round at the most.
     effort : int
         Steps within which the fit of a proposal must converge: tens to hundreds where it is right,
         thousands on exact data.
     tie_nats : float
-        Odds within which an error of the measurement and a force are not told apart.
+        Odds within which an error of the measurement and a force are not told apart; rivals whose
+        log evidence is within twice that of the best are told as well.
+    sure : float
+        Probability, beside causes that nobody lists, from which a form is a fact.
+    unknown_nats : float
+        Log odds, beforehand, against each kind of those: a strength that varies, a free force.
     noise_nats : float
         Odds by which a cause must be likelier than noise of another kind.
     promise : float
@@ -85,11 +90,11 @@ class Criteria:
     alpha: float = 0.01
     separation: float = 16.0
     class_nats: float = 8.0
-    equal_nats: float = 4.0
-    fitted_nats: float = 8.0
     most_fits: int = 12
     effort: int = 600
     tie_nats: float = 2.0
+    sure: float = 0.7
+    unknown_nats: float = 1.6
     noise_nats: float = 3.0
     promise: float = 0.3
     constant_within: float = 0.05

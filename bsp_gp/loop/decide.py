@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from bsp_gp.loop.criteria import Criteria
 
-__all__ = ["Decision", "decide"]
+__all__ = ["Decision", "decide", "share_of_listed"]
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -85,6 +86,22 @@ def decide(table, criteria=None):
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
 
 
+def share_of_listed(table, best):
+    """Probability of a row beside what nobody lists, and the likeliest of those rows or None.
+
+    Parameters
+    ----------
+    table : HypothesisTable
+        With such rows, see `HypothesisTable.beside`.
+    best : Row
+    """
+    rows = [row for row in table.rows if row.status == "linearised"]
+    odds = [row.log_posterior - best.log_posterior for row in rows]
+    top = max(odds, default=-math.inf)
+    share = 1.0 / (1.0 + sum(math.exp(min(each, 700.0)) for each in odds))
+    return share, next((r for r, o in zip(rows, odds, strict=True) if o == top), None)
+
+
 def _comparable(table):
     rows = [r for r in table.rows[1:] if r.is_fit or r.status == "scored"]
     return sorted(rows, key=lambda r: -r.log_posterior)
@@ -93,7 +110,7 @@ def _comparable(table):
 def _is_rival(row, best, criteria):
     likely = best.log_posterior - row.log_posterior < criteria.class_nats
     # What is unlikely beforehand, and explains the data as well, is not ruled out either.
-    equal = best.log_evidence - row.log_evidence < criteria.equal_nats
+    equal = best.log_evidence - row.log_evidence < 2 * criteria.tie_nats
     # Nor is a cause of another kind that makes the same track with a number more.
     same = row.code != best.code and row.n_free <= best.n_free + 1
     same = same and abs(_apart(best, row)) < 2 * criteria.tie_nats

@@ -88,6 +88,12 @@ class Round:
         return self.hypotheses[best.id if self.decision.is_adopted else 0]
 
     @property
+    def is_last(self):
+        """Whether nothing is asked for beside what it adopted."""
+        best = self.decision.best
+        return self.decision.is_adopted and best is not None and self.proposals[best.id].is_last
+
+    @property
     def after(self):
         """The fit to go on with."""
         if self.decision.is_adopted:
@@ -142,7 +148,7 @@ def run_rounds(
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
         if number <= len(rounds):
             continue
-        if rounds and not rounds[-1].decision.is_adopted:
+        if rounds and (not rounds[-1].decision.is_adopted or rounds[-1].is_last):
             break
         done = run.round(number, hypothesis, found, stream)
         rounds.append(done)
@@ -337,7 +343,7 @@ class _Turn:
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
         highest = max(row.log_evidence for row in self.rows)
-        equal = highest - criteria.equal_nats
+        equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
             own = above.get(source, {0: (-math.inf, -math.inf)})
@@ -435,7 +441,7 @@ def _chosen(every, clear, criteria):
             # A single cause is fitted, however well a set of causes does.
             if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
-    near = [pair for pair in every if pair[1].promise > top - criteria.fitted_nats]
+    near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
     chosen, keys = [], set()
     for name, proposal in [*best.values(), *simplest.values(), *near]:
         if len(chosen) == criteria.most_fits:

@@ -73,8 +73,8 @@ class Effect:
     is_fact : bool
         Whether its form is told apart from all rivals, powers next to its own among them.
     exponents : tuple of dict
-        ``{term, of, stated, value, low, high}``: powers of speed and distance in a law that was
-        found, as it has them and as the data have them.
+        ``{term, of, stated, value, low, high, is_told}``: powers of speed and distance in a law
+        that was found, as it has them, as the data have them, whether these exclude all others.
     varies_with : tuple of dict
         ``{term, variable, p_value}``: in what its strength changes.
     formula : Formula or None
@@ -228,6 +228,8 @@ class LoopReport:
     n_fits : int
     versions : dict
     wall_s : float
+    hidden_bound : dict or None
+        ``{snr, force, unit, percent}``: how much may still be hidden beside the final law, 95 %.
     overlays : tuple of Overlay
     residuals : DataFrame or None
         See `bsp_gp.loop.writing_up.residual_table`.
@@ -258,6 +260,7 @@ class LoopReport:
     n_fits: int
     versions: dict
     wall_s: float
+    hidden_bound: object = None
     overlays: tuple[Overlay, ...] = field(default=(), repr=False)
     residuals: object = field(default=None, repr=False)
     fit: object = field(default=None, repr=False)
@@ -320,8 +323,8 @@ class LoopReport:
         total = {name: self.total[name] for name in ("before", "after", "floor", "ratio")}
         kept = (
             "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
-            "verdict", "probability", "equivalents", "stop_reason", "complete", "left_out",
-            "n_fits", "versions", "wall_s",
+            "verdict", "probability", "equivalents", "hidden_bound", "stop_reason",
+            "complete", "left_out", "n_fits", "versions", "wall_s",
         )  # fmt: skip
         law = {
             "text": self.law_text, "latex": self.law_latex, "constants": self.constants,

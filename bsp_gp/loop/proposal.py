@@ -63,6 +63,8 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
+    is_last : bool
+        Whether it says all of the tracks: nothing is asked for beside it.
     """
 
     code: str
@@ -83,6 +85,7 @@ class Proposal:
     is_sole: bool = False
     patience: int = 1
     is_afresh: bool = False
+    is_last: bool = False
 
     @cached_property
     def key(self):

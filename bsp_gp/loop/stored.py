@@ -71,7 +71,8 @@ def _report(data, residuals):
         law=law, law_text=data["law"]["text"], law_latex=data["law"]["latex"], constants=constants,
         total={**total, "ratio": _made(Ratio, data["total"]["ratio"]), "ratios": {}},
         probability=_number(data["probability"]), equivalents=tuple(data["equivalents"]),
-        left_out=tuple(data["left_out"]), residuals=residuals, extras=tuple(data["extras"]),
+        left_out=tuple(data["left_out"]), hidden_bound=data.get("hidden_bound"),
+        residuals=residuals, extras=tuple(data["extras"]),
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Row:
-    """A hypothesis that was fitted, or one that was scored only (status "scored").
+    """A hypothesis that was fitted, or one that was scored only.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Row:
     source : str
         Proposer.
     status : str
-        Of its fit.
+        Of its fit; "scored", or "linearised" of what nobody lists, beside a row that was fitted.
     log_evidence, log_prior : float, nats
     log_likelihood : float, nats
         Of the tracks, at the best constants and noise.
@@ -121,9 +121,31 @@ class HypothesisTable:
                 best[row.key] = row
         return replace(self, rows=tuple(r for r in self.rows if best[r.key] is r))
 
+    def beside(self, best, unknown, criteria):
+        """The same with what nobody lists beside one of its rows, and probabilities.
+
+        Parameters
+        ----------
+        best : Row
+        unknown : sequence of Unknown
+        criteria : Criteria
+        """
+        first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
+        rows = tuple(
+            replace(
+                best, id=first + k, code=one.code, text=one.text, source="unknown",
+                status="linearised", log_evidence=best.log_evidence + one.log_odds,
+                log_prior=best.log_prior - criteria.unknown_nats - math.log(codes.count(one.code)),
+                held_out=HeldOut(), key=(one.code, one.text), ties=(), is_wide=True,
+            )
+            for k, one in enumerate(unknown)
+        )  # fmt: skip
+        return replace(self, rows=(*self.rows, *rows)).with_probabilities()
+
     def with_probabilities(self):
         """The same with probabilities over all rows that can be compared."""
-        heights = np.array([r.log_posterior if r.is_fit or r.status == "scored" else -np.inf
+        able = ("scored", "linearised")
+        heights = np.array([r.log_posterior if r.is_fit or r.status in able else -np.inf
                             for r in self.rows])  # fmt: skip
         heights = np.where(np.isfinite(heights), heights, -np.inf)
         if not np.isfinite(heights).any():

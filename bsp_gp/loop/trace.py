@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.fitting.tangent import INDEPENDENT
 
-__all__ = ["Channel", "Trace", "moments_of", "smooth_variables", "trace"]
+__all__ = ["Channel", "Trace", "free_forces", "moments_of", "smooth_variables", "trace"]
 
 COUNTS = (2, 4, 8)
 """Cosines beside a constant; that of the greatest evidence is told."""
@@ -112,7 +112,28 @@ def _channels(view, fields, direction, weights):
     return out
 
 
-def smooth_variables(view, count=2):
+def free_forces(view, count):
+    """Pushes of one, in every direction, that vary smoothly with every variable.
+
+    Parameters
+    ----------
+    view : View
+    count : int
+        Cosines of its rank beside a constant.
+
+    Yields
+    ------
+    str, str, ndarray, shape (n, F)
+        Direction, variable, moments: of the constant and the cosines, or of every body or scene.
+    """
+    fields = [_Field(batch) for batch in view.response.regression.batches]
+    for direction in dict.fromkeys(name for field in fields for name in field.directions):
+        for basis in _bases(fields, direction):
+            columns = moments_of(view, [f.pushes(direction, basis) for f in fields])
+            yield direction, basis.variable, columns if basis.is_named else columns[:, : 1 + count]
+
+
+def smooth_variables(view, count=2, with_names=False):
     """Variables that vary along the tracks, with smooth functions of each.
 
     Parameters
@@ -120,6 +141,8 @@ def smooth_variables(view, count=2):
     view : View
     count : int
         Cosines of its rank.
+    with_names : bool
+        Whether bodies and scenes are variables, too, each with a function of its own.
 
     Yields
     ------
@@ -128,9 +151,10 @@ def smooth_variables(view, count=2):
     """
     fields = [_Field(batch) for batch in view.response.regression.batches]
     for basis in _bases(fields, "along"):
-        if basis.variable and not basis.is_named:
+        if basis.variable and (with_names or not basis.is_named):
             made = [list(basis.functions(f.variables[basis.variable])) for f in fields]
-            yield basis.variable, [np.concatenate(m[1 : 1 + count], axis=3) for m in made]
+            used = slice(None) if basis.is_named else slice(1, 1 + count)
+            yield basis.variable, [np.concatenate(m[used], axis=3) for m in made]
     ways = [_unit(f.velocity) for f in fields]
     seen = np.concatenate([w[f.valid] for w, f in zip(ways, fields, strict=True)])
     if len(seen) and np.ptp(seen, axis=0).max() > INDEPENDENT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,7 +19,10 @@ from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["View", "gains", "selected"]
+__all__ = ["MOST_PAIRS", "View", "gains", "selected"]
+
+MOST_PAIRS = 300_000
+"""Pairs of bodies, at all instants, for which every law is evaluated: more take gigabytes."""
 
 N_DRAWS, N_ROW_DRAWS = 49, 99
 """Simulated moments behind the effective number of forces that were tried; residuals row by row."""
@@ -145,6 +149,13 @@ class View:
         """Moments of noise alone, (n, B)."""
         kept = np.concatenate([b.kept.ravel() for b in self.response.regression.batches])
         return self._moments_rng.standard_normal((len(kept), N_DRAWS)) * kept[:, None]
+
+    @cached_property
+    def n_pairs(self):
+        """Pairs of a body and a source, at all instants at which forces are evaluated."""
+        shapes = [(*b.target.shape[:3], b.positions.shape[2] - 1)
+                  for b in self.response.regression.batches]  # fmt: skip
+        return sum(map(math.prod, shapes))
 
     @cached_property
     def masses(self):

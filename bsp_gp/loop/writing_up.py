@@ -9,21 +9,25 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
+from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
-    "about_data", "dataset_digest", "judged_together", "overlays", "record_of", "residual_table",
-    "told", "versions",
+    "about_data", "bound_of", "dataset_digest", "judged_together", "overlays", "record_of",
+    "residual_table", "told", "versions",
 ]  # fmt: skip
 
 HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
+UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
+"""Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -55,11 +59,13 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
-    effect = None if decision.best is None else _effect(done, dataset, bounds, constancy, criteria)
+    effect, table, unlisted = _judged(done, dataset, bounds, constancy, criteria)
     if is_removed:
         verdict, reason = "seen, not adopted", "superseded"
     elif verdict == "effect adopted" and effect.varies_with:
         verdict, reason = "effective law", "strength_varies"
+    elif verdict == "effect adopted" and unlisted is not None:
+        verdict, reason = "effective law", UNLISTED[unlisted.code]
     return RoundRecord(
         number=done.number,
         missing=Missing(
@@ -67,7 +73,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
             dataset.units.text(ACCELERATION),
         ),
         effect=effect,
-        hypotheses=tuple(_hypothesis(row, done) for row in done.table.rows),
+        hypotheses=tuple(_hypothesis(row, done) for row in table.rows),
         adopted=decision.is_adopted and not is_removed,
         verdict=verdict,
         reason=reason,
@@ -78,7 +84,7 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
         held_out=() if after is None else tuple(accounts.by_scene(before, after)),
         varies_with=tuple(done.varies_with),
         noise_findings=tuple(asdict(finding) for finding in done.noise_findings),
-        hidden_bound=_bound(done.hidden_bound, dataset.units),
+        hidden_bound=bound_of(done.hidden_bound, dataset.units),
         certificate="\n".join(f.certificate for f in done.families if f.certificate),
         seconds=done.seconds,
         trace=done.trace,
@@ -91,7 +97,7 @@ def judged_together(records):
     Beside a law that only describes the tracks, whatever else is found makes up for it; and where
     something is left that nothing explains, no form is a fact.
     """
-    is_description = any(r.adopted and r.reason == "strength_varies" for r in records)
+    is_description = any(r.adopted and r.reason in UNLISTED.values() for r in records)
     last = records[-1]
     is_left = not last.adopted and last.verdict != "nothing missing"
     if not (is_description or is_left):
@@ -106,7 +112,7 @@ def judged_together(records):
     return tuple(out)
 
 
-def _bound(bound, units):
+def bound_of(bound, units):
     """What may still be hidden; None where nothing was asked."""
     if bound is None:
         return None
@@ -149,19 +155,51 @@ def _model(row, done):
     return {**law_record(law), "uncertain": names, "covariance": covariance}
 
 
-def _effect(done, dataset, bounds, constancy, criteria):
-    """The likeliest cause of a round."""
+def _judged(done, dataset, bounds, constancy, criteria):
+    """The likeliest cause of a round beside what nobody lists.
+
+    Returns
+    -------
+    Effect or None
+    HypothesisTable
+        That of the round, with what nobody lists in it.
+    Unknown or None
+        What is likelier than that cause alone.
+    """
+    best = done.decision.best
+    if best is None:
+        return None, done.table, None
+    known = Constancy()
+    if constancy is not None and done.decision.is_adopted and best.kind != "noise":
+        known = constancy.of(_added(done, done.fits[best.id]) if best.kind == "force" else ())
+    table = done.table.beside(best, known.unknown, criteria)
+    share, top = share_of_listed(table, best)
+    unlisted = next((u for u in known.unknown if share < 0.5 and u.text == top.text), None)
+    effect = _effect(done, dataset, bounds, known, criteria)
+    varies = {v["variable"]: v for v in effect.varies_with}
+    if unlisted is not None and unlisted.term is not None:
+        one = {"term": to_text(unlisted.term), "variable": unlisted.variable, "p_value": math.nan}
+        varies.setdefault(unlisted.variable, one)
+    effect = replace(
+        effect, varies_with=tuple(varies.values()),
+        is_fact=effect.is_fact and constancy is not None and share >= criteria.sure,
+        probability=next(row.probability for row in table.rows if row.id == best.id),
+    )  # fmt: skip
+    return effect, table, unlisted
+
+
+def _effect(done, dataset, bounds, known, criteria):
+    """The likeliest cause of a round, as its own table has it."""
     best, proposal = done.decision.best, done.proposals[done.decision.best.id]
     fit = done.fits[best.id]
     old = {name for name, _ in done.entering.parameters}
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
-    known = (constancy or Constancy()).of(added if done.decision.is_adopted else ())
     varies = [
         v for v in known.varies
         if v.p_value <= criteria.alpha and v.share > criteria.constant_within
     ]  # fmt: skip
-    is_apart = constancy is not None and all(e.is_as_stated(criteria) for e in known.exponents)
+    is_apart = all(e.is_as_stated(criteria) for e in known.exponents)
     return Effect(
         name=best.text,
         code=best.code,
@@ -179,7 +217,7 @@ def _effect(done, dataset, bounds, constancy, criteria):
         probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact and is_apart and not varies,
-        exponents=tuple(map(_exponent, known.exponents)),
+        exponents=tuple(_exponent(e, criteria) for e in known.exponents),
         varies_with=tuple(
             {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value}
             for v in varies
@@ -189,10 +227,11 @@ def _effect(done, dataset, bounds, constancy, criteria):
     )  # fmt: skip
 
 
-def _exponent(one):
+def _exponent(one, criteria):
     return {
         "term": to_text(one.term), "of": to_text(one.of), "stated": one.stated,
         "value": one.value, "low": one.low, "high": one.high,
+        "is_told": one.is_as_stated(criteria),
     }  # fmt: skip
 
 
@@ -220,12 +259,12 @@ def told(constants, details):
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
         unit = details.get("units", {}).get(c.name, c.unit)
         out.append(replace(c, low=low, high=high, unit=unit))
-    return tuple(out)
+    return (*out, *(ConstantEstimate(**c) for c in details.get("constants", ())))
 
 
 def _kind(best, law):
     """What kind of thing a cause is."""
-    if best.code in ("exponent", "number", "constant_per_body", "constant_per_scene"):
+    if best.code in ("exponent", "number", "pulsing", "constant_per_body", "constant_per_scene"):
         return "declared_term_change"
     return law.terms[-1].kind if best.kind == "force" else best.kind
 

@@ -9,7 +9,7 @@ __all__ = [
 
 CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
-    "constant_per_body": "a constant for each body",
+    "pulsing": "a strength with a period", "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
@@ -21,15 +21,19 @@ CAUSES = {
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
-    "noise": "noise that is not as assumed",
+    "kicks": "random kicks", "noise": "noise that is not as assumed",
+    "varying_strength": "a strength that varies, of no listed form",
+    "free_force": "a force of no listed form",
 }  # fmt: skip
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
-    "hidden_body": "unseen body", "measurement": "measurement", "constraint": "constraint",
+    "hidden_body": "unseen body", "kicks": "random kicks",
+    "measurement": "measurement", "constraint": "constraint",
     "declared_term_change": "change of a declared term", "noise": "noise",
 }  # fmt: skip
 FINDINGS = {
     "hidden_body": "{} acts on these",
+    "kicks": "{} act on these",
     "constraint": "what moves is held ({})",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",
@@ -49,6 +53,7 @@ REASONS = {
     "time_is_up": "the time was up before everything was looked at",
     "superseded": "what was found later made it superfluous",
     "beside_description": "it makes up for a law beside it that only describes these tracks",
+    "force_beside": "it describes these tracks, but a force of no listed form acts beside it",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
 }
 STOPS = {

@@ -85,7 +85,7 @@ def else_sentence(report):
 
 def bound_sentence(report):
     """How much may still be hidden beside the final law, in the words that say most."""
-    bound = report.rounds[-1].bound if report.rounds else None
+    bound = report.bound
     if bound is None or not is_number(bound.force):
         return ""
     size = force_text(bound)

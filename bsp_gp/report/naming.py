@@ -23,18 +23,33 @@ _DIRECTIONS = {
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 
-def describe(formula, value=None, other="the other body"):
+def describe(formula, value=None, other="the other body", exponents=()):
     """Name a term in plain words: "drag, linear in speed", "pull to the other body, as distance⁻²".
 
-    `other` is the name of the body that acts.
+    `other` is the name of the body that acts. Of `exponents`, as an effect has them, those whose
+    neighbours the data do not exclude are told with their interval in place of the textbook's:
+    "drag, speed to the 1.5 (1.2 to 1.8)".
     """
     direction, conditions, powers = _parts(formula)
+    loose = [e for e in exponents if not e.get("is_told", True) and e["stated"]]
+    powers = {name: power for name, power in powers.items() if name not in _bases(loose)}
     if split_linear(formula)[1].constants:
         phrase = _inner_phrase(direction, formula, powers)
     else:
-        phrase = _phrase(direction, conditions[-1] if conditions else None, powers, value)
+        condition = conditions[-1] if conditions else None
+        phrase = _phrase(direction, condition, powers, value, bool(loose))
+        phrase = ", ".join([phrase, *map(_loose, loose)])
     phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
     return pretty_unit(phrase).replace("the other body", other)
+
+
+def _bases(exponents):
+    return {e["of"] for e in exponents}
+
+
+def _loose(e):
+    value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
+    return f"{_WORDS.get(e['of'], e['of'])} to the {value} ({low} to {high})"
 
 
 _INNER = (
@@ -123,7 +138,7 @@ def _add_powers(part, sign, powers):
     powers[to_text(part)] = powers.get(to_text(part), 0) + power
 
 
-def _phrase(direction, condition, powers, value):
+def _phrase(direction, condition, powers, value, is_loose=False):
     text = to_text(direction) if direction is not None else ""
     if "p_j - p_i" in text:  # the same line, the other way
         text, value = text.replace("p_j - p_i", "p_i - p_j"), None if value is None else -value
@@ -136,6 +151,8 @@ def _phrase(direction, condition, powers, value):
     extension = [p for name, p in powers.items() if name.startswith("norm(p_i - p_j) - ")]
     if text in ("normalize(v_i)", "v_i") and not distance and not radial:
         brakes = value is None or value <= 0
+        if is_loose:
+            return f"{'drag' if brakes else 'forward push'}{where}"
         total = speed + (1 if text == "v_i" else 0)
         if total == 0:
             return f"{'friction' if brakes else 'forward push'} of constant size{where}"

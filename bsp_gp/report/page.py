@@ -41,8 +41,8 @@ def page_of(report):
     total = {**report.total, "ratio": _ratio(report.total["ratio"])}
     page = SimpleNamespace(
         **{name: getattr(report, name) for name in kept},
-        total=total, rounds=rounds, stop_reason=STOPS[report.stop_reason],
-        notes=tuple(_notes(report)),
+        total=total, rounds=rounds, bound=_bound(report.hidden_bound),
+        stop_reason=STOPS[report.stop_reason], notes=tuple(_notes(report)),
         corrections=tuple(
             {"name": r.effect.name, "text": r.effect.law, "kind": r.effect.kind}
             for r in rounds
@@ -110,12 +110,11 @@ def _round(done, report):
     name = "" if done.effect is None else _name(done.effect, parts, other)
     tied = _tied(done) if done.reason == "kinds_tie" else ()
     p_value = done.missing.p_value
-    bound = done.hidden_bound
     return SimpleNamespace(
         number=done.number, missing=done.missing,
         is_missing=is_number(p_value) and p_value <= report.alpha,
         noise=tuple(_noise(finding) for finding in done.noise_findings[:_MOST_FINDINGS]),
-        bound=None if bound is None else SimpleNamespace(**bound),
+        bound=_bound(done.hidden_bound),
         effect=None if done.effect is None else _effect(done.effect, name, parts, tied),
         hypotheses=_hypotheses(done), n_hypotheses=len(done.hypotheses),
         adopted=done.adopted or done.reason == "superseded",
@@ -125,6 +124,11 @@ def _round(done, report):
         held_out=done.held_out, certificate=done.certificate, seconds=done.seconds,
         trace=done.trace,
     )  # fmt: skip
+
+
+def _bound(bound):
+    """How much may be hidden; None where it is not known."""
+    return None if bound is None else SimpleNamespace(**bound)
 
 
 def _noise(finding):
@@ -146,13 +150,15 @@ def _parts(effect, law, other):
 
 def _name(effect, parts, other):
     """What was found, in plain words; `other` is the body that acts."""
+    if effect.code == "kicks":
+        return effect.name
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
         value = next((c.value for c in effect.constants if is_number(c.value)), None)
-        return describe(effect.formula, value, other)
+        return describe(effect.formula, value, other, effect.exponents)
     if effect.kind == "declared_term_change":
         return effect.name
     if effect.code == "rod":
@@ -174,7 +180,10 @@ def _tied(done):
     """Causes of another kind that are as likely."""
     best = done.effect
     rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
-    others = [row for row in rows if row["code"] not in (best.code, "base")]
+    others = [
+        row for row in rows
+        if row["code"] not in (best.code, "base") and row["status"] != "linearised"
+    ]
     return tuple(dict.fromkeys(CAUSES.get(row["code"], row["law"]) for row in others[:2]))
 
 

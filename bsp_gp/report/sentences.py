@@ -155,15 +155,24 @@ def _detectable(missing):
     )
 
 
-def hidden_sentence(round_):
-    """How much may still be hidden beside the model that entered a round; "" if not known."""
-    bound = round_.bound
-    if bound is None or not is_number(bound.force):
-        return ""
-    size = force_text(bound)
-    share = f" ({format_number(bound.percent, 2)} % of the declared force)"
-    share = share if is_number(bound.percent) else ""
-    return f"A constant force of up to {size}{share} is not excluded (95 %)."
+def hidden_sentence(beside):
+    """How much may still be hidden beside the final law, or the model that entered a round.
+
+    Parameters
+    ----------
+    beside : report or round, as pages read them
+    """
+    bound, parts = beside.bound, []
+    if bound is not None and is_number(bound.force):
+        share = f" ({format_number(bound.percent, 2)} % of the declared force)"
+        share = share if is_number(bound.percent) else ""
+        parts.append(
+            f"A constant force of up to {force_text(bound)}{share} is not excluded (95 %)."
+        )
+    if bound is not None and is_number(bound.snr):
+        snr = format_number(bound.snr, 2)
+        parts.append(f"Whatever is left has a signal-to-noise ratio of {snr} at most (95 %).")
+    return " ".join(parts)
 
 
 def force_text(bound):
@@ -338,6 +347,8 @@ def headline(report):
 def ratio_caution(report):
     """A warning where the gain is not certain, else ""."""
     ratio = report.total.get("ratio")
+    if any(r.effect.kind == "kicks" for r in adopted_rounds(report)):
+        return "Kicks cannot be foreseen: held-out tracks are foreseen no better with them."
     if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
         return ""
     if ratio.value >= 1:

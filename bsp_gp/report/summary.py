@@ -117,9 +117,9 @@ def _traced(report):
 
 
 def _noise(report):
-    """What is odd about the noise, and how much may be hidden, beside the last model."""
+    """What is odd about the noise of the last model, and what may be hidden beside the law."""
     last = report.rounds[-1]
-    return [(noise_sentence(last), "  "), (hidden_sentence(last), "  ")]
+    return [(noise_sentence(last), "  "), (hidden_sentence(report), "  ")]
 
 
 def _powers(report):

@@ -127,6 +127,7 @@ def adopted():
                "ratio": RATIO, "ratios": RATIOS},
         verdict="effect adopted", probability=0.86, equivalents=effect.equivalents,
         stop_reason="nothing_left", left_out=(), n_fits=4,
+        hidden_bound=BOUND,
         versions={"bsp_gp": "0.1.0", "numpy": "2.4.6"}, wall_s=41.63, overlays=overlays_2d(),
         residuals=residual_table(entities=tuple(names)),
         extras=({"title": "Decomposition of the residual",
@@ -174,7 +175,7 @@ def cannot_tell():
         noise={"sigma": None, "unit": "px", "source": "unknown"},
         total={"before": only.before, "after": only.before, "floor": only.floor, "ratio": Ratio(),
                "ratios": {}},
-        stop_reason="time_is_up", left_out=("fits",),
+        stop_reason="time_is_up", left_out=("fits",), hidden_bound=None,
     )
 
 

@@ -28,8 +28,8 @@ from tests.worlds import WEIGHT
 
 TOP = {
     "schema", "dataset", "declared", "grammar", "search", "seed", "alpha", "criteria", "noise",
-    "rounds", "law", "total", "verdict", "probability", "equivalents", "stop_reason", "complete",
-    "left_out", "n_fits", "versions", "wall_s", "extras",
+    "rounds", "law", "total", "verdict", "probability", "equivalents", "hidden_bound",
+    "stop_reason", "complete", "left_out", "n_fits", "versions", "wall_s", "extras",
 }  # fmt: skip
 ROUND = {
     "missing": {"statistic", "p_value", "detectable"},
@@ -83,7 +83,7 @@ def test_report_json_has_the_contracts_keys_and_closed_codes(report):
         for row in done["hypotheses"]:
             assert set(row) == HYPOTHESIS
             assert row["code"] in ("base", *CAUSES)
-            assert row["status"] in ("scored", *STATUSES)
+            assert row["status"] in ("scored", "linearised", *STATUSES)
             assert set(row["held_out"]) == {"gain", "se", "promised"}
 
 

@@ -105,3 +105,18 @@ def test_a_law_is_not_listed_as_one_that_cannot_be_told_from_itself():
     assert describe(effect.formula, value) == "drag, linear in speed"
     told = [e for e in effect.equivalents if "inverse(m_i)" in e or "inverse(q_i)" in e]
     assert not [e for e in told if "m_i * inverse(m_i)" in e or "q_i * inverse(q_i)" in e]
+
+
+def test_a_power_whose_neighbours_are_not_excluded_is_told_with_its_interval():
+    speed = {"of": "norm(v_i)", "stated": 1.0, "value": 1.5, "low": 1.2, "high": 1.8}
+    drag = formula("c1 * norm(v_i) * normalize(v_i)")
+    assert describe(drag, -1.0, exponents=[{**speed, "is_told": True}]) == "drag, linear in speed"
+    loose = describe(drag, -1.0, exponents=[{**speed, "is_told": False}])
+    assert loose == "drag, speed to the 1.5 (1.2 to 1.8)"
+    distance = {"of": R, "stated": -2.0, "value": -1.4, "low": -1.6, "high": -1.2}
+    pull = formula(f"c1 * inverse({R}^2) * normalize(p_i - p_j)")
+    loose = describe(pull, -1.0, exponents=[{**distance, "is_told": False}])
+    assert loose == "pull to the other body, distance to the −1.4 (−1.6 to −1.2)"
+    # What a law rightly lacks is not told.
+    absent = {**speed, "stated": 0.0, "low": -2.0, "is_told": False}
+    assert describe(pull, -1.0, exponents=[absent]) == describe(pull, -1.0)

@@ -196,8 +196,9 @@ def one_round(law=None, *, others=(), verdict="effect adopted", adopted=True, is
     """A round as a report has it; by default a form that stands alone is a fact."""
     is_fact = not others if is_fact is None else is_fact
     effect = law and SimpleNamespace(
-        code=code, law=law, name=law, equivalents=tuple(others), constants=(), is_fact=is_fact
-    )
+        code=code, law=law, name=law, equivalents=tuple(others), constants=(), is_fact=is_fact,
+        probability=0.9,
+    )  # fmt: skip
     return SimpleNamespace(
         effect=effect, hypotheses=[], adopted=adopted, verdict=verdict,
         missing=SimpleNamespace(p_value=p_value), varies_with=(),
@@ -207,9 +208,8 @@ def one_round(law=None, *, others=(), verdict="effect adopted", adopted=True, is
 
 def report_of(referee, *rounds, verdict=None):
     return SimpleNamespace(
-        rounds=rounds, verdict=verdict or rounds[0].verdict, probability=0.9,
-        law=referee.judge.declared,
-    )  # fmt: skip
+        rounds=rounds, verdict=verdict or rounds[0].verdict, law=referee.judge.declared,
+    )
 
 
 OPEN = {"adopted": False, "verdict": "seen, not adopted"}
@@ -315,6 +315,18 @@ def test_the_summary_keeps_apart_what_is_set_aside(study):
     assert "1 sets: wrong and confident 100.0%" in text
     assert "1 sets set aside: wrong and confident 0.0%" in text
     assert "100% of 1" in text
+
+
+def test_reliability_tells_of_names_that_are_told_too_surely(study):
+    import pandas as pd
+    import reliability
+
+    rng = np.random.default_rng(0)
+    told = rng.uniform(size=4000)
+    honest = pd.DataFrame({"probability": told, "right": rng.uniform(size=4000) < told})
+    assert reliability.calibration_error(reliability.bins(honest)) < 0.03
+    boasting = honest.assign(probability=np.sqrt(told))
+    assert reliability.calibration_error(reliability.bins(boasting)) > 0.1
 
 
 def test_what_the_loop_learned_from_is_cut_out_of_the_exact_data(study):

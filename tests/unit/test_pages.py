@@ -1,6 +1,8 @@
 """Every snippet of the README and the pages runs and prints what is shown; links lead somewhere."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -61,6 +63,16 @@ def test_blocks_and_their_marks_are_found():
     ]  # fmt: skip
 
 
+def test_a_command_that_fails_is_seen_unless_its_error_is_shown(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("```sh\nbsp-gp check nothing.csv\n```\n", "utf-8")
+    with pytest.raises(AssertionError, match="page.md:1: bsp-gp check nothing.csv"):
+        run_page(page)
+    page.write_text(page.read_text("utf-8") + "```text\nbsp-gp: error: ...\n```\n", "utf-8")
+    run_page(page)
+
+
 @pytest.mark.parametrize("shown", ["bsp-gp 9.9", "nothing of the kind"])
 def test_what_is_not_printed_is_not_shown(shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -70,3 +82,28 @@ def test_what_is_not_printed_is_not_shown(shown, tmp_path, monkeypatch):
         run_page(page)
     page.write_text("```sh\nbsp-gp --version\n```\n\n```text\nbsp-gp ...\n```\n", "utf-8")
     run_page(page)
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
+    pytest.importorskip("furo", reason="the extra [docs] is not installed")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html"]
+    run = subprocess.run([*command, ROOT / "docs", tmp_path], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    lost, strayed = [], []
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text("utf-8")
+        strayed += re.findall(r"<(?:script|img|iframe)[^>]* src=\"(?:https?:)?//[^\"]*", text)
+        strayed += re.findall(r"<link[^>]* rel=\"stylesheet\"[^>]*href=\"http[^\"]*", text)
+        for link in re.findall(r"(?:href|src)=\"([^\"#:]+)(?:#[^\"]*)?\"", text):
+            target = page.parent / link.partition("?")[0]
+            if not target.exists():
+                lost.append(f"{page.name}: {link}")
+        for anchor in re.findall(r"href=\"#([^\"]+)\"", text):
+            if f'id="{anchor}"' not in text:
+                lost.append(f"{page.name}: #{anchor}")
+    assert not strayed
+    assert not lost
+    named = (tmp_path / "index.html").read_text("utf-8")
+    found = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert {stem for stem in found if f'href="{stem}.html"' not in named} == set()

@@ -2,6 +2,7 @@ from fractions import Fraction
 
 import pytest
 
+from bsp_gp import units
 from bsp_gp.errors import UnitError
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE, Unit, UnitSystem, parse_unit
 
@@ -79,3 +80,17 @@ def test_unit_systems():
     assert not pixels.is_calibrated(ACCELERATION)
     assert pixels.is_calibrated(Unit.of(s=1))
     assert UnitSystem.from_declared({}).text(FORCE) == "mass length/time^2"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["m", "kg", "cm", "km", "mm", "ms", "g", "N", "C", "J", "m/s", "m/s^2", "kg m/s^2", "kg*m",
+     "N/m", "kg/s", "s^-2", "N*m^2/kg^2", "kg m^2 s^-2", "N m^2/C^2"],
+)  # fmt: skip
+def test_the_commonest_units_are_what_pint_makes_of_them(text):
+    quantity = units._in_base_units(text)
+    scale, unit = units._plain_unit(text)
+    assert scale == float(quantity.magnitude)
+    powers = {units._DIMENSION[name]: power for name, power in quantity.dimensionality.items()}
+    assert unit.exponents == tuple(powers.get(k, 0) for k in range(len(units.BASE)))
+    assert units._plain_unit(f"{text}/s s") is None  # what others may read otherwise is pint's

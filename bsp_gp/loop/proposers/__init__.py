@@ -9,10 +9,12 @@ from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inside import Inside
+from bsp_gp.loop.proposers.kicks import Kicks
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
 
@@ -32,6 +34,6 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Frames(), Hidden(),
-        Companions(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
+        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Pulsing(), Frames(),
+        Hidden(), Companions(), Kicks(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
     ]  # fmt: skip

@@ -123,12 +123,16 @@ def _split_power(part):
 
 
 def power_of(base, formula):
-    """The power of a quantity among the factors of a formula; 0 where it is none of them."""
+    """The power of a quantity among the factors of a formula; 0 where it is none of them.
+
+    A vector is its size times a direction.
+    """
     total = 0.0
+    vector = base.args[0] if isinstance(base, Call) and base.operator == "norm" else None
     for sign, side in zip((1, -1), factors(formula), strict=True):
         for part in side:
             found, power = _split_power(part)
-            total += sign * power if found == base else 0.0
+            total += sign * power if found in (base, vector) else 0.0
     return total
 
 

@@ -11,6 +11,7 @@ from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
 from bsp_gp.search.inner import Form, InnerSearch, read_forms
@@ -57,7 +58,8 @@ class Inside:
         for form in (*self.forms, *drawn):
             if view.tick is not None:
                 view.tick()
-            axes = search.axes_of(form)
+            is_dear = form.term.kind == "pair" and view.n_pairs > MOST_PAIRS
+            axes = None if is_dear else search.axes_of(form)
             if axes and not (is_noise and len(axes) > 1):
                 scans.append(search.scan(form))
         if not scans:
@@ -71,7 +73,7 @@ class Inside:
                 chosen.append(scan)
         closer = [search.closer(scan) for scan in chosen]
         every = (_proposal(view, search, s) for s in closer if s.best > view.explained)
-        least = view.promised - view.criteria.equal_nats  # what is less likely tells nothing new
+        least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
         return Family(

@@ -17,7 +17,7 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
-from bsp_gp.loop.view import selected
+from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import dataset_types, input_types_of
 from bsp_gp.physics.force import Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
@@ -140,6 +140,12 @@ class Laws:
         guided = self.searching.is_guided
         inner = inner_search(view, self.grammar, draws) if guided else None
         for kind, name in product(self.kinds, names):
+            if kind == "pair" and name == "exhaustive" and view.n_pairs > MOST_PAIRS:
+                certificates.append(
+                    f"laws of pairs: {view.n_pairs:,} pairs at all instants are more than "
+                    f"{MOST_PAIRS:,}, so that only those of textbooks were scored"
+                )
+                continue
             result, text = self.searching.run(
                 name, regression, kind, view.search_rng, target=target,
                 nuisance=columns if columns.size else None, null=draws, max_ties=MOST_TIES,

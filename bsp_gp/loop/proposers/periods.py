@@ -11,8 +11,9 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.physics.regression import checked
 
-__all__ = ["Periods"]
+__all__ = ["Periods", "Scan", "rates_of"]
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
@@ -35,12 +36,12 @@ class Periods:
         ----------
         view : View
         """
-        rates = _rates(view)
+        rates = rates_of(view)
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         null = np.zeros(view.moment_draws.shape[1])
         if not len(rates):
             return Family(self.name, null=null)
-        scan = _Scan(view, rates, np.column_stack([view.left, view.draws_left]))
+        scan = Scan(view, rates, np.column_stack([view.left, view.draws_left]))
         proposals, best = [], 0.0
         for has_mass, weights, ties in _variants(view):
             kernels = [scan.kernels(weights, axis) for axis in axes]
@@ -58,7 +59,7 @@ class Periods:
         )  # fmt: skip
 
 
-class _Scan:
+class Scan:
     """Gains of cosines and sines of many rates on targets (n, 1 + B): the data, and noise."""
 
     def __init__(self, view, rates, targets):
@@ -71,6 +72,14 @@ class _Scan:
         for batch, weight in zip(self.batches, weights, strict=True):
             acting = np.where(batch.valid[..., axis], weight, 0.0)  # (n, S, R)
             out.append(np.einsum("smnr,nsr->smn", batch.whitener[..., axis], acting))
+        return out
+
+    def kernel_of(self, law):
+        """Moments by the accelerations of a law at every instant."""
+        out = []
+        for batch in self.batches:
+            value = checked(self.view.response.regression.predict(batch, law), batch)
+            out.append(np.einsum("smnrd,nsrd->smn", batch.whitener, value, optimize=True))
         return out
 
     def gains(self, kernels):
@@ -119,7 +128,7 @@ class _Scan:
         return (np.square(np.swapaxes(vectors, 1, 2) @ dots) * inverse[..., None]).sum(axis=1)
 
 
-def _rates(view):
+def rates_of(view):
     """From one turn a recording up to near the Nyquist frequency of the median row, rad/s."""
     groups = view.fit.groups
     span = max(float(np.nanmax(np.nanmax(c.times, 0) - np.nanmin(c.times, 0))) for c in groups)

@@ -1,0 +1,505 @@
+"""Random kicks: the motion of a body under linear forces and white noise, by its exact likelihood.
+
+With inertia ``v' = -g v - w (x - c) + a + sqrt(q) xi``; where none is seen ``x' = -r (x - c) + u +
+sqrt(2 D) xi``. Transitions between rows are exact (Van Loan 1978). The states of all rows are
+eliminated from their joint density with the rows, whose precision is a band, in O(rows): the
+likelihood that a Kalman filter gives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, expm
+from scipy.optimize import minimize
+from scipy.stats import chi2, kurtosistest
+
+__all__ = ["COST", "Langevin", "Track", "best_of", "models_of"]
+
+COST = 4.0
+"""Nats that a force must gain: a rate that is not there gains as much in less than one of a
+hundred recordings (a random walk's own test, which no chi-squared is)."""
+INERTIA = 2.0
+"""Nats that a rate of the drag must gain beside kicks, or no inertia is seen."""
+LEAST_KICKS = 0.05
+"""Standard deviations of a row that kicks add over a whole track at the least."""
+STEEPEST = 20.0
+"""Rates beyond which no inertia can be seen, per row."""
+FARTHEST = 10.0
+"""Extents within which the centre of a trap and the first place of a track lie."""
+Z_90 = 1.6448536269514722
+LOG_TURN = float(np.log(2 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One body in one recording.
+
+    Attributes
+    ----------
+    times : ndarray, shape (T,), s
+    places : ndarray, shape (T, d), m
+        Whole rows, without gaps: where nothing was seen there is no row.
+    """
+
+    times: np.ndarray
+    places: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Langevin:
+    """A model of kicks and linear forces, fitted.
+
+    Attributes
+    ----------
+    terms : frozenset of str
+        Of "kicks", "drag", "trap", "push".
+    is_overdamped : bool
+        Whether no inertia is seen: "drag" then has no rate of its own.
+    values : dict of str to (float, float, float)
+        Value and 90 % interval, SI: ``drag_rate`` g, ``trap_rate`` w (r where overdamped),
+        ``kick_power`` q, ``diffusion`` q / (2 g^2), ``speed_variance`` q / (2 g) (a temperature
+        times Boltzmann's constant per mass), ``noise``, ``centre_x`` ... , ``push_x`` ... .
+    log_likelihood : float, nats
+        Of all rows, states and offsets marginalised.
+    oddity : float
+        Chance that errors of one-step forecasts are as far from white and normal as they are.
+    """
+
+    terms: frozenset
+    is_overdamped: bool
+    values: dict = field(repr=False)
+    log_likelihood: float = -np.inf
+    oddity: float = 1.0
+
+    @property
+    def score(self):
+        """Log-likelihood less what its forces cost, nats."""
+        return self.log_likelihood - COST * len(self.terms) + INERTIA * self.is_overdamped
+
+
+def models_of(tracks, noise=None):
+    """All models of kicks and linear forces, the likeliest first.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        Of bodies of one kind: rates are shared.
+    noise : float, optional
+        Known error of a place, m.
+
+    Returns
+    -------
+    list of Langevin
+    """
+    with np.errstate(all="ignore"):  # numbers that no rate carries are refused
+        return _models_of(_Problem(tracks, noise))
+
+
+def _models_of(problem):
+    found = []
+    for kicks, drag, trap in product((True, False), repeat=3):
+        terms = {n for n, has in (("kicks", kicks), ("drag", drag), ("trap", trap)) if has}
+        found.append(problem.fit(frozenset(terms), False))
+    for trap in (True, False):
+        terms = frozenset({"kicks", "drag"} | ({"trap"} if trap else set()))
+        found.append(problem.fit(terms, True))
+    best = max(found, key=lambda m: m.score)
+    if "trap" not in best.terms:
+        found.append(problem.fit(best.terms | {"push"}, best.is_overdamped))
+    found = sorted(found, key=lambda m: -m.score)
+    if "kicks" in found[0].terms:
+        found[0] = replace(found[0], oddity=problem.oddity(found[0]))
+    return found
+
+
+def best_of(tracks, noise=None):
+    """The likeliest model, see `models_of`."""
+    return models_of(tracks, noise)[0]
+
+
+class _Problem:
+    """Tracks in units of their own rows and steps."""
+
+    def __init__(self, tracks, noise):
+        steps = np.concatenate([np.diff(t.times) for t in tracks])
+        self.step = float(np.median(steps))
+        moved = np.concatenate([np.diff(t.places, axis=0).ravel() for t in tracks])
+        self.size = float(np.sqrt(np.mean(np.square(moved)))) or 1.0
+        self.noise = None if noise is None else max(noise / self.size, 1e-6)
+        self.parts = [_Part((t.times - t.times[0]) / self.step, t.places / self.size)
+                      for t in tracks]  # fmt: skip
+        self.n_dims = tracks[0].places.shape[1]
+        self.n_numbers = sum(p.places.size for p in self.parts)
+        self.span = float(np.mean([p.times[-1] for p in self.parts]))
+        self.guess = self._guesses()
+
+    def _guesses(self):
+        """Sizes of noise, speeds, accelerations and extents, in own units."""
+        third = np.concatenate([np.diff(p.places, 3, axis=0).ravel() for p in self.parts])
+        noise = float(np.sqrt(np.mean(np.square(third)) / 20)) or 1e-6
+        lag = max(int(self.span // 200), 2)
+        far = np.concatenate([(p.places[lag:] - p.places[:-lag]).ravel() / lag for p in self.parts])
+        speed = float(np.sqrt(max(np.mean(np.square(far)) - 2 * (noise / lag) ** 2, 1e-12)))
+        fastest = max(float(np.abs(far).max()), speed)  # of what slows down: at its beginning
+        extent = float(np.mean([np.ptp(p.places, axis=0).max() for p in self.parts]))
+        spread = float(np.mean([np.var(p.places, axis=0).mean() for p in self.parts]))
+        return {
+            "noise": noise, "speed": speed, "fastest": fastest, "extent": extent,
+            "spread": max(spread, 1e-12),
+        }  # fmt: skip
+
+    # --- fits ------------------------------------------------------------------------------------
+
+    def fit(self, terms, is_overdamped):
+        """A model with the parameters that do best."""
+        names = [n for n, has in (
+            ("drag", "drag" in terms and not is_overdamped), ("trap", "trap" in terms),
+            ("kicks", "kicks" in terms), ("noise", self.noise is None),
+        ) if has]  # fmt: skip
+        bounds = [self._bounds(name) for name in names]
+        best = None
+        for start in self._starts(names, terms, is_overdamped):
+            start = np.clip(start, *np.transpose(bounds)) if names else start
+            height = lambda x: -self.height(dict(zip(names, x, strict=True)), terms,  # noqa: E731
+                                            is_overdamped)[0]  # fmt: skip
+            if not names:
+                found = np.zeros(0), height(start)
+            else:
+                done = minimize(height, start, method="L-BFGS-B", bounds=bounds,
+                                options={"maxiter": 60, "eps": 1e-5})  # fmt: skip
+                found = done.x, float(done.fun)
+            if best is None or found[1] < best[1]:
+                best = found
+        at = dict(zip(names, best[0], strict=True))
+        _, offsets = self.height(at, terms, is_overdamped)
+        return self._told(terms, is_overdamped, names, best[0], bounds, offsets, -best[1])
+
+    def _bounds(self, name):
+        """Of the logarithm of a parameter."""
+        rate = np.log([0.05 / self.span, STEEPEST])
+        extent = self.guess["extent"]
+        return {
+            "drag": tuple(rate), "trap": (np.log(1e-3 / self.span**2), np.log(STEEPEST)),
+            "kicks": (np.log((LEAST_KICKS * self.guess["noise"]) ** 2 / self.span**3), 9.0),
+            "noise": tuple(np.log([1e-6, 10 * extent + 1])),
+        }[name]
+
+    def _starts(self, names, terms, is_overdamped):
+        """Logarithms to begin with, one array per start."""
+        g, out = self.guess, []
+        for rate in (10 / self.span, 0.1) if "drag" in names else (1 / self.span,):
+            if is_overdamped:
+                trap = max(2 / self.span, g["speed"] ** 2 / g["spread"] / 4)
+                kicks = g["spread"] * trap if "trap" in terms else 0.5 * g["speed"] ** 2 * 2
+            else:
+                trap = g["speed"] ** 2 / g["spread"]
+                kicks = 2 * max(rate, 1 / self.span) * g["speed"] ** 2
+            values = {"drag": rate, "trap": trap, "kicks": kicks, "noise": max(g["noise"], 1e-5)}
+            out.append(np.log([values[name] for name in names]))
+        return out
+
+    def height(self, at, terms, is_overdamped):
+        """Log-likelihood, and offsets with their variances, of logarithms of parameters.
+
+        Offsets are places of a trap, per track and axis, or pushes, per axis.
+        """
+        values = {name: float(np.exp(v)) for name, v in at.items()}
+        noise = self.noise or values["noise"]
+        model = _Model(
+            is_overdamped, values.get("drag", 0.0), values.get("trap", 0.0),
+            values.get("kicks", 0.0), noise,
+        )  # fmt: skip
+        speed = self.guess["fastest"]
+        has_offset = bool({"trap", "push"} & terms)
+        total, rows = 0.0, []
+        for part in self.parts:
+            far = FARTHEST * self.guess["extent"]
+            if model.kicks:
+                found = part.density(model, speed, far, has_offset)
+            else:
+                found = part.drawn(model, speed, far)
+            if found is None or not np.isfinite(found[0]):
+                return -1e30, []
+            total += found[0]
+            rows.append(found[1:])
+        if not has_offset:
+            return total, []
+        right, square = (np.array([row[k] for row in rows]) for k in range(2))  # (S, d), (S,)
+        square = np.repeat(square[:, None], self.n_dims, axis=1)
+        if "trap" in terms:  # a force of w c: per track and axis
+            width = FARTHEST * self.guess["extent"] * values["trap"]
+        else:
+            width = speed if is_overdamped else speed / max(self.span / 10, 1.0)
+            right, square = right.sum(axis=0, keepdims=True), square.sum(axis=0, keepdims=True)
+        whole = square + width**-2.0
+        total += float((0.5 * right**2 / whole - 0.5 * np.log(whole * width**2)).sum())
+        return total, [right / whole, 1 / whole]
+
+    def oddity(self, found):
+        """Chance that forecasts of a model err as oddly as they do (Ljung and Box; kurtosis)."""
+        size, step = self.size, self.step
+        value = {name: v[0] for name, v in found.values.items()}
+        rate = step if found.is_overdamped else step**2
+        kicks = "diffusion" if found.is_overdamped else "kick_power"
+        power = step if found.is_overdamped else step**3
+        model = _Model(
+            found.is_overdamped, value.get("drag_rate", 0.0) * step,
+            value.get("trap_rate", 0.0) * rate, value[kicks] * power / size**2,
+            self.noise or value["noise"] / size,
+        )  # fmt: skip
+        pushes = np.array([value.get(f"push_{axis}", 0.0) for axis in "xyz"[: self.n_dims]])
+        centres = np.array([value.get(f"centre_{axis}", np.nan) for axis in "xyz"[: self.n_dims]])
+        lags, squares, count, every = 10, np.zeros(10), 0, []
+        for k, part in enumerate(self.parts):
+            push = pushes * rate / size
+            if "trap" in found.terms:  # other tracks have centres of their own
+                centre = centres / size - part.origin if not k else part.places.mean(axis=0)
+                push = model.trap * centre
+            errors = part.forecast(model, push, self.guess["fastest"],
+                                   FARTHEST * self.guess["extent"])[3:]  # fmt: skip
+            every.append(errors)
+            size_ = np.square(errors).sum(axis=0)
+            for lag in range(1, lags + 1):
+                along = (errors[lag:] * errors[:-lag]).sum(axis=0) / size_
+                weight = len(errors) ** 2 / (len(errors) - lag)
+                squares[lag - 1] += weight * np.square(along).sum()
+            count += errors.shape[1]
+        white = chi2.sf(squares.sum(), lags * count)
+        normal = kurtosistest(np.concatenate([e.ravel() for e in every])).pvalue
+        return float(min(1.0, 2 * min(white, normal)))
+
+    # --- what is told ----------------------------------------------------------------------------
+
+    def _told(self, terms, is_overdamped, names, x, bounds, offsets, height):
+        """A model with its numbers and intervals in SI."""
+        covariance = self._covariance(names, x, bounds, terms, is_overdamped)
+        size, step = self.size, self.step
+        logs = {name: np.eye(len(names))[k] for k, name in enumerate(names)}
+        units = {
+            "drag_rate": ({"drag": 1}, 1 / step),
+            "trap_rate": ({"trap": 1}, 1 / step if is_overdamped else step**-2.0),
+            "kick_power": ({"kicks": 1}, size**2 / step**3),
+            "diffusion": ({"kicks": 1, "drag": -2}, 0.5 * size**2 / step),
+            "speed_variance": ({"kicks": 1, "drag": -1}, 0.5 * size**2 / step**2),
+            "noise": ({"noise": 1}, size),
+        }  # fmt: skip
+        if is_overdamped:
+            for name in ("kick_power", "speed_variance"):
+                del units[name]
+            units["diffusion"] = {"kicks": 1}, size**2 / step
+        out = {}
+        for name, (powers, scale) in units.items():
+            if not set(powers) <= set(names):
+                continue
+            way = sum(p * logs[n] for n, p in powers.items())
+            middle, error = float(way @ x), float(np.sqrt(max(way @ covariance @ way, 0.0)))
+            ends = (scale * np.exp(middle + z * error) for z in (0.0, -Z_90, Z_90))
+            out[name] = tuple(map(float, ends))
+        if offsets:
+            self._tell_offsets(out, terms, offsets, dict(zip(names, x, strict=True)), is_overdamped)
+        log_likelihood = height - self.n_numbers * np.log(size)
+        return Langevin(terms, is_overdamped, out, float(log_likelihood))
+
+    def _tell_offsets(self, out, terms, offsets, at, is_overdamped):
+        """Add the centre of a trap (of the first track) or the push."""
+        middle, variance = offsets[0][0], offsets[1][0]
+        if "trap" in terms:
+            scale, name = self.size / np.exp(at["trap"]), "centre"
+            origin = self.parts[0].origin * self.size
+        else:
+            scale = self.size / self.step ** (1 if is_overdamped else 2)
+            name, origin = "push", np.zeros(self.n_dims)
+        for k, axis in enumerate("xyz"[: self.n_dims]):
+            value, half = scale * middle[k], Z_90 * scale * np.sqrt(variance[k])
+            out[f"{name}_{axis}"] = tuple(float(origin[k] + value + z * half) for z in (0, -1, 1))
+
+    def _covariance(self, names, x, bounds, terms, is_overdamped):
+        """Of the logarithms, from the curvature; what stands at a bound is held."""
+        n = len(names)
+        out = np.zeros((n, n))
+        free = [k for k in range(n) if bounds[k][0] + 1e-6 < x[k] < bounds[k][1] - 1e-6]
+        if not free:
+            return out
+        h = 0.02
+
+        def height(shift):
+            y = np.array(x, dtype=float)
+            y[free] += shift
+            return self.height(dict(zip(names, y, strict=True)), terms, is_overdamped)[0]
+
+        m = len(free)
+        eye, curve = h * np.eye(m), np.zeros((m, m))
+        middle = height(np.zeros(m))
+        for a in range(m):
+            up, down = height(eye[a]), height(-eye[a])
+            curve[a, a] = (2 * middle - up - down) / h**2
+            for b in range(a):
+                cross = (height(eye[a] + eye[b]) + height(-eye[a] - eye[b])
+                         - height(eye[a] - eye[b]) - height(eye[b] - eye[a]))  # fmt: skip
+                curve[a, b] = curve[b, a] = -cross / (4 * h**2)
+        values, vectors = np.linalg.eigh(curve)
+        values = np.maximum(values, 1e-2)  # what the data do not tell is open over decades
+        out[np.ix_(free, free)] = (vectors / values) @ vectors.T
+        return out
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Numbers of a model, in units of rows and steps."""
+
+    is_overdamped: bool
+    drag: float
+    trap: float
+    kicks: float
+    noise: float
+
+    def transitions(self, steps):
+        """Over time steps (K,): F (K, n, n), Q (K, n, n), and what a push of one adds (K, n)."""
+        if self.is_overdamped:
+            drift, noise, push = [[-self.trap]], [[2 * self.kicks]], [1.0]
+        else:
+            drift = [[0.0, 1.0], [-self.trap, -self.drag]]
+            noise, push = [[0.0, 0.0], [0.0, self.kicks]], [0.0, 1.0]
+        drift, noise, push = map(np.array, (drift, noise, push))
+        n = len(drift)
+        block = np.zeros((2 * n + 1, 2 * n + 1))
+        block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, n : 2 * n] = -drift, noise, drift.T
+        alone = np.zeros((n + 1, n + 1))
+        alone[:n, :n], alone[:n, n] = drift, push
+        moved = expm(alone * steps[:, None, None])
+        both = expm(block * steps[:, None, None])[:, : 2 * n, : 2 * n]
+        f = moved[:, :n, :n]
+        q = np.swapaxes(both[:, n:, n:], 1, 2) @ both[:, :n, n:]
+        return f, (q + np.swapaxes(q, 1, 2)) / 2, moved[:, :n, n]
+
+
+class _Part:
+    """One track, in units of rows and steps, about its first place."""
+
+    def __init__(self, times, places):
+        self.times, self.origin = times, places[0]
+        self.places = places - places[0]
+        steps = np.diff(times)
+        self.kinds, self.number = np.unique(np.round(steps, 9), return_inverse=True)
+
+    def density(self, model, speed, far, has_offset):
+        """Log-density of the rows, and how it depends on a push.
+
+        Returns
+        -------
+        (float, ndarray or None, float) or None
+            The density without a push; with one of size a the exponent gains
+            ``a right - a^2 square / 2`` on each axis. None where numbers do not carry it.
+        """
+        try:
+            f, q, push = model.transitions(self.kinds)
+            inverse = np.linalg.inv(q)
+            log_q = np.linalg.slogdet(q)
+        except (LinAlgError, ValueError):
+            return None
+        if not (np.isfinite(inverse).all() and (log_q[0] > 0).all()):
+            return None
+        n, n_rows, n_dims = f.shape[1], len(self.times), self.places.shape[1]
+        first = np.array([far, speed][:n]) ** -2.0
+        blocks = np.zeros((n_rows, n, n))
+        back = np.swapaxes(f, 1, 2) @ inverse
+        blocks[:-1] += (back @ f)[self.number]
+        blocks[1:] += inverse[self.number]
+        blocks[0] += np.diag(first)
+        blocks[:, 0, 0] += model.noise**-2.0
+        band = self._band(blocks, -(inverse @ f)[self.number])
+        right = np.zeros((n_rows, n, n_dims + 1))
+        right[:, 0, :n_dims] = self.places / model.noise**2
+        if has_offset:
+            right[:-1, :, -1] -= np.einsum("kij,kj->ki", back, push)[self.number]
+            right[1:, :, -1] += np.einsum("kij,kj->ki", inverse, push)[self.number]
+        flat = right.reshape(n_rows * n, -1)
+        try:
+            factor = cholesky_banded(band, lower=True, check_finite=False)
+            half = np.linalg.cholesky(inverse)  # q^-1 = half half'
+        except LinAlgError:
+            return None
+        solved = cho_solve_banded((factor, True), flat, check_finite=False)
+        states = solved.reshape(n_rows, n, -1)
+        # Sums of squares from what is left, which rounding leaves alone.
+        shown = -states[:, 0] / model.noise
+        shown[:, :n_dims] += self.places / model.noise
+        driven = states[1:] - f[self.number] @ states[:-1]
+        if has_offset:
+            driven[:, :, -1] -= push[self.number]
+        driven = np.swapaxes(half, 1, 2)[self.number] @ driven
+        begun = states[0] * np.sqrt(first)[:, None]
+        rows = np.concatenate([shown, driven.reshape(-1, n_dims + 1), begun])
+        gram = rows.T @ rows
+        log_det = 2 * np.log(factor[0]).sum() - np.log(first).sum()
+        log_det += log_q[1][self.number].sum() + 2 * n_rows * np.log(model.noise)
+        height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
+            log_det + n_rows * LOG_TURN
+        )
+        return float(height), -gram[:n_dims, -1], float(gram[-1, -1])
+
+    def drawn(self, model, speed, far):
+        """The same of a motion without kicks."""
+        f, _, push = model.transitions(self.kinds)
+        n_rows, n_dims = self.places.shape
+        n = f.shape[1]
+        states = np.zeros((n_rows, n, n + 1))  # by the first state, and by a push of one
+        states[0, :, :n] = np.eye(n)
+        for k, kind in enumerate(self.number):
+            states[k + 1] = f[kind] @ states[k]
+            states[k + 1, :, n] += push[kind]
+        columns = states[:, 0] / model.noise
+        rows = self.places / model.noise
+        first = np.array([far, speed][:n])
+        own = columns[:, :n] * first
+        whole = np.eye(n) + own.T @ own
+        both = np.concatenate([rows, columns[:, n:]], axis=1)
+        fitted = np.linalg.solve(whole, own.T @ both)
+        left = both - own @ fitted
+        gram = left.T @ left + fitted.T @ fitted
+        log_det = np.linalg.slogdet(whole)[1] + 2 * n_rows * np.log(model.noise)
+        height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
+            log_det + n_rows * LOG_TURN
+        )
+        return float(height), gram[:n_dims, -1], float(gram[-1, -1])
+
+    def forecast(self, model, push, speed, far):
+        """Errors of one-step forecasts, of unit size, (T, d): a Kalman filter.
+
+        Parameters
+        ----------
+        model : _Model
+        push : ndarray, shape (d,)
+        speed, far : float
+            Widths of the first state.
+        """
+        f, q, by_push = model.transitions(self.kinds)
+        n, n_dims = f.shape[1], self.places.shape[1]
+        state, spread = np.zeros((n, n_dims)), np.diag(np.array([far, speed][:n]) ** 2.0)
+        out = np.empty_like(self.places)
+        for row, place in enumerate(self.places):
+            if row:
+                k = self.number[row - 1]
+                state = f[k] @ state + by_push[k][:, None] * push
+                spread = f[k] @ spread @ f[k].T + q[k]
+            size = spread[0, 0] + model.noise**2
+            out[row] = (place - state[0]) / np.sqrt(size)
+            gain = spread[:, 0] / size
+            state = state + gain[:, None] * (place - state[0])
+            spread = spread - np.outer(gain, spread[0])
+        return out
+
+    @staticmethod
+    def _band(blocks, below):
+        """Lower band of a symmetric block tridiagonal matrix."""
+        n_rows, n, _ = blocks.shape
+        band = np.zeros((2 * n, n_rows * n))
+        for i in range(n):
+            for j in range(i + 1):
+                band[i - j, j::n] = blocks[:, i, j]
+            for j in range(n):
+                band[n + i - j, j : (n_rows - 1) * n : n] = below[:, i, j]
+        return band

@@ -1,0 +1,177 @@
+"""Random kicks beside linear forces, where nothing is declared: see `bsp_gp.fitting.langevin`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.langevin import FARTHEST, Track, models_of
+from bsp_gp.fitting.shooting import STATE_PRIOR
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, fresh_names
+from bsp_gp.units import DIMENSIONLESS, Unit
+
+__all__ = ["Kicks"]
+
+LEAST_ROWS = 100
+"""Of a track: on fewer nobody tells kicks from a force that changes."""
+LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
+UNITS = {
+    "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
+    "kick_power": LENGTH**2 / TIME**3, "diffusion": LENGTH**2 / TIME,
+    "speed_variance": LENGTH**2 / TIME**2, "noise": LENGTH, "centre": LENGTH,
+    "push": LENGTH / TIME**2,
+}  # fmt: skip
+BOLTZMANN = 1.380649e-23
+"""J/K."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kicked(Proposal):
+    """Kicks as a cause; states and kicks are taken out of its likelihood exactly.
+
+    Attributes
+    ----------
+    log_evidence : float, nats
+        In the terms of other fits.
+    constants : tuple of dict
+        Of kicks and forces, as a report has them.
+    """
+
+    log_evidence: float = -math.inf
+    constants: tuple = ()
+
+    def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):
+        """The fit that it extends, with the evidence of kicks in the place of its own."""
+        return replace(
+            base, status="converged", chi2_red=1.0, noise=base.noise.plain(),
+            log_likelihood=self.log_evidence - base.state_volume,
+        )  # fmt: skip
+
+
+class Kicks:
+    """Kicks with drag, in a trap, under a push, as a proposer."""
+
+    name = "kicks"
+
+    def propose(self, view):
+        """The family of kicks; empty where something is declared, or forces are told instead.
+
+        Parameters
+        ----------
+        view : View
+        """
+        fit = view.fit
+        axes = np.flatnonzero(np.isfinite(fit.noise.levels))
+        tracks = _tracks(view.dataset, axes)
+        is_asked = not fit.law.terms and not fit.law.frame and tracks
+        if not is_asked or min(len(t.times) for t in tracks) < LEAST_ROWS:
+            return Family(self.name)
+        if view.tick is not None:
+            view.tick()
+        free = fit.noise.is_free.any()
+        noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
+        models = models_of(tracks, noise)
+        best, n_tried = models[0], len(models)
+        alone = next(m for m in models if not m.terms)
+        gain = 2 * (best.log_likelihood - alone.log_likelihood)
+        known = Family(self.name, (), gain, len(best.values), np.zeros(view.moment_draws.shape[1]),
+                       n_tried=n_tried)  # fmt: skip
+        # All that is left, if that is more: the level of the noise may be another beside a force.
+        gain = max(gain, float(view.left @ view.left) - view.n_left)
+        if best.terms == {"drag"}:
+            return replace(known, proposals=(_slowed(view, best, gain),))
+        if "kicks" not in best.terms or best.oddity < view.criteria.alpha:
+            return known
+        proposal = Kicked(
+            "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
+            len(best.values), kind="kicks", is_last=True,
+            log_evidence=best.score - _wider(tracks), constants=_constants(best, view.dataset),
+        )  # fmt: skip
+        return replace(known, proposals=(proposal,))
+
+    def details(self, view, proposal, fit, rng):
+        """What kicks and forces are, as constants of a report."""
+        return {"constants": proposal.constants} if isinstance(proposal, Kicked) else {}
+
+
+def _slowed(view, model, gain):
+    """Drag alone, which may have brought what it slows to rest long before the end."""
+    masses = [e.mass for s in view.dataset.scenes for e in s.entities if not e.is_static]
+    mass = float(np.mean(masses)) if np.isfinite(masses).all() else 1.0
+    types = dataset_types(view.dataset)
+    (name,) = fresh_names(view.fit.law, ("c",)).values()
+    formula = parse_formula(f"{name} * (norm(v_i) * normalize(v_i))", types)
+    starts = {name: -mass * model.values["drag_rate"][0]}
+    part = Forces(ForceLaw((Term(formula),), starts))
+    return Proposal(
+        "law", to_text(formula), view.hypothesis + part, -view.criteria.cause_nats, gain,
+        starts=starts, formulas=(formula,), n_dims=view.dataset.n_dims, is_afresh=True,
+    )  # fmt: skip
+
+
+def _constants(model, dataset):
+    out = []
+    for name, (value, low, high) in model.values.items():
+        unit = UNITS[name if name in UNITS else name.rpartition("_")[0]]
+        if model.is_overdamped and name in ("trap_rate", "push_x", "push_y", "push_z"):
+            unit = unit * TIME
+        text = dataset.units.text(unit)
+        out.append({"name": name, "value": value, "low": low, "high": high, "unit": text})
+    return (*out, *_of_mass(model, dataset))
+
+
+def _of_mass(model, dataset):
+    """Temperature and stiffness, where the mass of what is kicked is known in SI."""
+    masses = {e.mass for s in dataset.scenes for e in s.entities if not e.is_static}
+    is_si = dataset.units.is_calibrated(Unit.of(kg=1, m=1, s=1))
+    if len(masses) != 1 or not is_si or not math.isfinite(next(iter(masses))):
+        return []
+    (mass,) = masses
+    scales = {"speed_variance": ("temperature", mass / BOLTZMANN, "K")}
+    if not model.is_overdamped:
+        scales["trap_rate"] = ("stiffness", mass, "kg/s^2")
+    return [
+        {"name": name, "unit": unit,
+         **dict(zip(("value", "low", "high"), (scale * x for x in model.values[of]), strict=True))}
+        for of, (name, scale, unit) in scales.items() if of in model.values
+    ]  # fmt: skip
+
+
+def _tracks(dataset, axes):
+    """Every body of every scene that forces move."""
+    out = []
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            places = scene.positions[:, k][:, axes]
+            seen = np.isfinite(places).all(axis=1)
+            if seen.sum() > 2:
+                out.append(Track(scene.times[seen], places[seen]))
+    return out
+
+
+def _wider(tracks):
+    """Nats by which first states cost more under the priors of other fits."""
+    total = 0.0
+    for track in tracks:
+        extent = float(np.ptp(track.places, axis=0).max())
+        span = float(track.times[-1] - track.times[0])
+        fastest = float(np.abs(np.diff(track.places, axis=0)
+                               / np.diff(track.times)[:, None]).max())  # fmt: skip
+        speed = math.log(max(STATE_PRIOR * extent / span / max(fastest, 1e-300), 1.0))
+        total += track.places.shape[1] * (math.log(STATE_PRIOR / FARTHEST) + speed)
+    return total
+
+
+def _text(model):
+    """What acts, in words."""
+    forces = [word for name, word in (("drag", "drag"), ("trap", "a trap"), ("push", "a push"))
+              if name in model.terms and not (name == "drag" and model.is_overdamped)]  # fmt: skip
+    text = "random kicks" + (f" with {' and '.join(forces)}" if forces else "")
+    return text + (" (no inertia is seen)" if model.is_overdamped else "")

@@ -1,0 +1,142 @@
+"""None of these: machines that know no physics, beside the law of a fit (LOOP §5).
+
+Two kinds of them are set beside every law that was found, linearised at its own fit: a *strength
+that varies* smoothly with one variable, or from body to body, and a *free force* in a direction in
+which physics acts. Each is a Gaussian process on the moments of the tracks, columns C with weights
+W, so that its evidence beside the law as it is has a closed form for every amplitude:
+``sum (y^2 s / (1 + s) - log(1 + s)) / 2``, with ``s = amplitude^2 eigenvalues of C W C'``. The
+amplitude, in parts of what was found, is as likely in every factor of ten between
+`Criteria.constant_within` and one: a change that is smaller is none, and one that could not be seen
+speaks neither for nor against the law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.language.formula import Formula
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.constancy import logarithms, powers_in, varied
+from bsp_gp.loop.trace import free_forces
+
+__all__ = ["Unknown", "unknowns"]
+
+CODES = ("varying_strength", "free_force")
+FALL = 4.5
+"""Weights of cosines fall as ``exp(-k^2 / FALL)``."""
+COUNT = 4
+NODES = 41
+"""Amplitudes over which evidence is summed, in equal steps of their logarithm."""
+SEEN, LEAST = 1e-6, 0.1
+"""Part of its length that a column must have beside the constants to count, and chi-squared that
+all must show at the greatest amplitude: what shows less does what the law does."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What nobody lists, beside a law as it is.
+
+    Attributes
+    ----------
+    code : str
+        "varying_strength" or "free_force".
+    term : Formula or None
+        Whose strength varies.
+    direction, variable : str
+        Of a free force; in what it, or the strength, varies.
+    log_odds : float, nats
+        Log-evidence beside the law as it is.
+    """
+
+    code: str
+    term: Formula | None
+    direction: str
+    variable: str
+    log_odds: float
+
+    @property
+    def text(self):
+        of = self.direction if self.term is None else to_text(self.term)
+        return f"{self.code} {of}" + (f" by {self.variable}" if self.variable else "")
+
+
+def unknowns(view, terms, gain):
+    """What nobody lists beside the law of a View: of each term, and one free force.
+
+    Parameters
+    ----------
+    view : View
+    terms : sequence of Term
+        Of its law, those whose strength may vary.
+    gain : float
+        Chi-squared that was found: as large is a free force at the most.
+
+    Returns
+    -------
+    tuple of Unknown
+    """
+    found = []
+    for term in terms:
+        of_term = [
+            Unknown(CODES[0], term.formula, "", variable, _log_odds(view, columns * np.sqrt(w)))
+            for variable, columns, w in _variations(view, term)
+        ]
+        found += _as_one(of_term)
+    free = []
+    for direction, variable, columns in free_forces(view, COUNT):
+        is_named = variable in ("body", "scene")
+        order = np.zeros(columns.shape[1]) if is_named else np.arange(columns.shape[1])
+        odds = _log_odds(view, columns * np.exp(-np.square(order) / FALL / 2), gain)
+        free.append(Unknown(CODES[1], None, direction, variable, odds))
+    return (*found, *_as_one(free))
+
+
+def _as_one(tried):
+    """The likeliest of what is equally likely beforehand, with the odds of all together."""
+    tried = [one for one in tried if one.log_odds is not None]  # those that would show
+    if not tried:
+        return ()
+    odds = np.logaddexp.reduce([one.log_odds for one in tried]) - np.log(len(tried))
+    return (replace(max(tried, key=lambda one: one.log_odds), log_odds=float(odds)),)
+
+
+def _variations(view, term):
+    """Moments of a term times functions of one variable, with their weights."""
+    for base in powers_in(term):
+        columns = logarithms(view, term, base)
+        if columns is not None:
+            yield to_text(base), columns, np.exp(-np.square([1, 2]) / FALL)
+    for variable, columns in varied(view, term, count=COUNT, with_names=True):
+        is_smooth = variable not in ("body", "scene", "direction")
+        order = np.arange(1, 1 + columns.shape[1]) if is_smooth else np.zeros(columns.shape[1])
+        yield variable, columns, np.exp(-np.square(order) / FALL)
+
+
+def _log_odds(view, columns, gain=None):
+    """Log-evidence of a Gaussian process with these columns beside none, nats, or None.
+
+    None where they would show nothing that the constants do not.
+
+    Parameters
+    ----------
+    view : View
+    columns : ndarray, shape (n, F)
+        At the greatest amplitude.
+    gain : float, optional
+        Sum of the squares that they then have beside the constants.
+    """
+    if not np.isfinite(columns).all():
+        return None
+    basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
+    seen = sizes > SEEN * np.linalg.norm(columns, axis=0).max(initial=0.0)
+    square, sizes = np.square(basis[:, seen].T @ view.left), np.square(sizes[seen])
+    if gain is not None and seen.any():
+        sizes *= max(gain, 0.0) / sizes.sum()
+    if not sizes.sum() > LEAST:
+        return None
+    amplitudes = np.geomspace(view.criteria.constant_within, 1.0, NODES)
+    share = np.square(amplitudes)[:, None] * sizes
+    heights = 0.5 * (square * share / (1 + share) - np.log1p(share)).sum(axis=1)
+    return float(np.logaddexp.reduce(heights) - np.log(NODES))

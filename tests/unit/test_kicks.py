@@ -1,0 +1,94 @@
+"""Random kicks: an exact likelihood, the right terms, and no kicks where there are none."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
+from bsp_gp.loop.close import close_loop
+from bsp_gp.report.page import page_of
+from bsp_gp.report.sentences import verdict_sentence
+from bsp_gp.units import UnitSystem
+
+
+def kicked(rng, *, drag=1.0, trap=0.0, power=2.0, noise=0.02, n_rows=400, step=0.1, centre=0.0):
+    """A track in two dimensions by exact steps."""
+    f, q, _ = _Model(False, drag, trap, max(power, 1e-30), noise).transitions(np.array([step]))
+    factor = np.linalg.cholesky(q[0])
+    state, out = np.stack([np.zeros(2), rng.standard_normal(2)]), np.empty((n_rows, 2))
+    for row in range(n_rows):
+        out[row] = state[0]
+        state = f[0] @ state + factor @ rng.standard_normal((2, 2))
+    return Track(step * np.arange(n_rows), out + centre + noise * rng.standard_normal(out.shape))
+
+
+@pytest.mark.parametrize("is_overdamped", [True, False])
+def test_the_density_is_that_of_the_joint_normal(is_overdamped):
+    rng = np.random.default_rng(0)
+    model = _Model(is_overdamped, 0.0 if is_overdamped else 0.3, 0.2, 0.5, 0.4)
+    times = np.array([0.0, 1.0, 1.5, 4.0, 5.0])
+    part = _Part(times, rng.standard_normal((5, 1)))
+    f, q, push = model.transitions(part.kinds)
+    n = f.shape[1]
+    first = np.diag(np.array([3.0, 2.0][:n]) ** 2)
+    spread, means, crossed = [first], [np.zeros(n)], {}
+    for k in part.number:
+        spread.append(f[k] @ spread[-1] @ f[k].T + q[k])
+        means.append(f[k] @ means[-1] + push[k])
+    covariance = np.empty((5, 5))
+    for a in range(5):
+        crossed = spread[a]
+        covariance[a, a] = crossed[0, 0]
+        for b in range(a + 1, 5):
+            crossed = f[part.number[b - 1]] @ crossed
+            covariance[a, b] = covariance[b, a] = crossed[0, 0]
+    covariance += 0.16 * np.eye(5)
+    height, right, square = part.density(model, 2.0, 3.0, True)
+    rows = part.places[:, 0]
+    assert height == pytest.approx(multivariate_normal(np.zeros(5), covariance).logpdf(rows))
+    pushed = multivariate_normal([m[0] for m in means], covariance).logpdf(rows)
+    assert height + right[0] - square / 2 == pytest.approx(pushed)
+
+
+@pytest.mark.parametrize(
+    ("settings", "terms"),
+    [
+        ({}, {"kicks", "drag"}), ({"drag": 0.0}, {"kicks"}), ({"power": 0.0}, {"drag"}),
+        ({"trap": 4.0, "centre": 7.0}, {"kicks", "drag", "trap"}),
+    ],
+)  # fmt: skip
+@pytest.mark.slow
+def test_the_terms_are_found_and_intervals_hold(settings, terms):
+    track = kicked(np.random.default_rng(1), **settings)
+    best = models_of([track])[0]
+    assert set(best.terms) == terms
+    truth = {"drag_rate": 1.0, "trap_rate": 4.0, "kick_power": 2.0, "noise": 0.02, "centre_x": 7.0}
+    for name in set(best.values) & set(truth):
+        value, low, high = best.values[name]
+        assert value - 2.5 * (value - low) < truth[name] < value + 2.5 * (high - value)
+
+
+@pytest.mark.slow
+def test_units_of_length_and_time_are_of_no_matter():
+    track = kicked(np.random.default_rng(3))
+    other = Track(60 * track.times, 1e-6 * track.places)
+    one, two = (models_of([t])[0] for t in (track, other))
+    assert one.terms == two.terms
+    assert two.values["diffusion"][0] == pytest.approx(one.values["diffusion"][0] / 6e13, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_kicks_are_told_by_the_loop():
+    track = kicked(np.random.default_rng(2), trap=4.0)
+    bead = Entity("bead", properties={"mass": 1e-15})
+    scene = Scene("bead", track.times, 1e-6 * track.places[:, None], (bead,))
+    units = UnitSystem.from_declared({"length": "um", "time": "s", "mass": "kg"})
+    report = close_loop(Dataset("bead", (scene,), units=units), "nothing", rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted" and report.stop_reason == "nothing_left"
+    page = page_of(report)
+    assert verdict_sentence(page) == "Random kicks with drag and a trap act on these."
+    known = {c.name: c for c in page.constants}
+    assert known["diffusion"].unit == "um^2/s"
+    assert known["diffusion"].low < 1.0 < known["diffusion"].high
+    assert known["temperature"].unit == "K" and known["stiffness"].low < 4e-15
