@@ -32,6 +32,7 @@ from bsp_gp.loop.backward import prune
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
+from bsp_gp.loop.foresight import that_foresee
 from bsp_gp.loop.kept import rounds_from
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
@@ -124,7 +125,9 @@ def close_loop(
     _check(dataset, criteria, numbers, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    split_rng, round_rng, account_rng, swapped_rng, asked_rng = generator(rng).spawn(5)
+    split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng = (
+        generator(rng).spawn(6)
+    )
     says("reading the data set")
     dataset = dataset if all_rows else in_blocks(dataset)
     ready = _Ready(dataset, declared, split_rng)
@@ -163,6 +166,10 @@ def close_loop(
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds = other, found
+    rounds = that_foresee(
+        rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds),
+        ready.dataset, ready.split.test, foresight_rng, settings["crew"],
+    )  # fmt: skip
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )
@@ -228,7 +235,7 @@ class _Ready:
         self._learn_from(choose_split(self.dataset, rng))
 
     def _learn_from(self, split):
-        self.split = split
+        self.split, self._refitted = split, {}
         self.train, self.far_off = training_part(self.dataset, split.learned, self.noise)
         self.before_cut = None
         if split.whole and split.test:
@@ -258,6 +265,11 @@ class _Ready:
         """
         if self.before_cut is None or found.is_failed:
             return found
+        if found not in self._refitted:
+            self._refitted[found] = self._without_held_out(found, hypothesis, bounds)
+        return self._refitted[found]
+
+    def _without_held_out(self, found, hypothesis, bounds):
         nothing = replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
         hypothesis = continued(hypothesis, found)
         if not _shows_motion(hypothesis.seen(self.before_cut).scenes):

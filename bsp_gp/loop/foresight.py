@@ -1,0 +1,54 @@
+"""Causes that make predictions worse are refused, whatever they explain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bsp_gp.loop.accounts import Accounts
+
+__all__ = ["that_foresee"]
+
+N_COPIES = 40
+"""Simulated copies of the held-out scenes that say whether predictions are surely worse."""
+REFUSED = {
+    "verdict": "seen, not adopted", "reason": "predictions_worse", "is_adopted": False,
+    "is_fact": False,
+}  # fmt: skip
+
+
+def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None):
+    """Rounds up to the first whose cause surely makes predictions of held-out rows worse.
+
+    Parameters
+    ----------
+    rounds : sequence of Round
+    refitted : callable
+        ``refitted(fit, hypothesis)`` gives a fit as it would be without the held-out rows.
+    dataset : Dataset
+    scenes : sequence of Scene
+        Held out.
+    rng : numpy.random.Generator
+    crew : Crew, optional
+        By whom scenes are scored.
+
+    Returns
+    -------
+    list of Round
+        That round adopts nothing, and those after it are gone.
+    """
+    for k, (done, stream) in enumerate(zip(rounds, rng.spawn(len(rounds)), strict=True)):
+        if not done.decision.is_adopted:
+            break
+        pair = [
+            refitted(done.entering, done.hypotheses[0]), refitted(done.after, done.continuing)
+        ]  # fmt: skip
+
+        def ratio(n_copies, pair=pair, stream=stream):
+            accounts = Accounts(pair, dataset, scenes, stream, n_copies, crew)
+            return accounts.ratio(0, 1)
+
+        # Only where predictions are worse does it matter whether that is chance.
+        if ratio(0).value > 1 and ratio(N_COPIES).low > 1:
+            refused = replace(done, decision=replace(done.decision, **REFUSED))
+            return [*rounds[:k], refused]
+    return list(rounds)

@@ -1,0 +1,53 @@
+"""What makes predictions worse is refused; what makes them better, or is needed, stays."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.decide import Decision
+from bsp_gp.loop.foresight import that_foresee
+from bsp_gp.loop.loop import Round
+from tests.unit.test_response import GRAVITY, thrown
+
+PUSH = "0.2 [m/s^2] * m_i * e_x"
+
+
+@pytest.fixture(scope="module")
+def world():
+    return thrown(n_scenes=6, n_rows=40)
+
+
+def round_of(number, dataset, before, after):
+    hypotheses = {k: Hypothesis.from_laws(dataset, laws) for k, laws in enumerate((before, after))}
+    fits = {k: fit(hypothesis, dataset) for k, hypothesis in hypotheses.items()}
+    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1), True)
+    return Round(number, fits[0], None, decision, fits, hypotheses, ())
+
+
+def looked_at(world, *steps):
+    train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
+    rounds = [round_of(k + 1, train, *laws) for k, laws in enumerate(steps)]
+    rng = np.random.default_rng(0)
+    return that_foresee(rounds, lambda found, hypothesis: found, world, test, rng)
+
+
+def test_a_cause_that_makes_predictions_worse_is_refused_and_ends_the_rounds(world):
+    worse, more = ([GRAVITY], [GRAVITY, PUSH]), ([GRAVITY, PUSH], [GRAVITY, PUSH, PUSH])
+    (done,) = looked_at(world, worse, more)
+    assert not done.decision.is_adopted
+    assert done.decision.reason == "predictions_worse"
+    assert done.continuing is done.hypotheses[0]
+
+
+def test_a_cause_that_makes_them_better_stays(world):
+    (done,) = looked_at(world, ([GRAVITY, PUSH], [GRAVITY]))
+    assert done.decision.is_adopted
+
+
+def test_a_cause_that_changes_nothing_stays(world):
+    (done,) = looked_at(world, ([GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]))
+    assert done.decision.is_adopted
