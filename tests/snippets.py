@@ -109,7 +109,7 @@ def _commands(text):
 
 def _run(line, where, may_fail):
     """What a line prints, errors too; bsp-gp in this process, where all is imported already."""
-    words = shlex.split(line, comments=True)
+    words = shlex.split(re.sub(r"\s#.*", "", line))
     if words[0] == "bsp-gp" and not set(words) & {"|", ">", "&&", "||", ">>", "<"}:
         with (
             contextlib.redirect_stdout(io.StringIO()) as out,
