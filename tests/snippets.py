@@ -146,7 +146,7 @@ def _compare(expected, printed, where):
     """Whether what is shown is what was printed, up to blanks at line ends; ``...`` is anything."""
     shown = " ".join(expected.split())
     pattern = r".*?".join(map(re.escape, shown.split("...")))
-    real = " ".join(printed.split())
+    real = f" {' '.join(printed.split())} "  # "..." at an end may be nothing
     assert re.search(pattern, real), (
         f"{where} shows\n{expected}\nwhat is printed is\n{printed}"
     )
