@@ -33,6 +33,8 @@ N_ROWS, ROW_NOISE = 200, 0.02
 Z_90 = 1.645
 """Standard deviations in half an interval."""
 
+ORBITING = "orbit about a place"
+
 
 def _alone(rng):
     return [[Entity("a", properties={"mass": rng.uniform(0.2, 1.5)})]]
@@ -143,7 +145,7 @@ KINDS = {
         LAYOUTS["sliding"], 2.0, lambda at, c, of: _to_place(at, c, of, 1), _place(1.0),
         is_whole=True,
     ),
-    "orbit about a place": Kind(
+    ORBITING: Kind(
         ORBIT, 0.8, lambda at, c, of: _to_place(at, c, of, -2), _place(0.15), is_whole=True,
         n_scenes=1,
     ),
@@ -232,7 +234,7 @@ def work(name, search, seed):
         extra = {"push": any("cos(w" in cause.text for cause in causes)}
     else:
         judge = Judge(dataset, truth, declared)
-        is_right = [is_form(judge, cause, of, strength) for cause in causes]
+        is_right = [is_form(name, judge, cause, of, strength) for cause in causes]
         extra = {"push": False}
     right = bool(is_right) and is_right[0]
     hits = held(report, of) if right else {}
@@ -252,8 +254,13 @@ def describe_text(cause):
     return "centre_x" in cause.text and "norm" not in cause.text and "exp" not in cause.text
 
 
-def is_form(judge, cause, of, strength):
-    """Whether a cause is the truth, sought from the true constants where names tell which are."""
+def is_form(name, judge, cause, of, strength):
+    """Whether a cause is the truth, sought from the true constants where names tell which are.
+
+    An unseen body at rest pulls as what is at a place does.
+    """
+    if cause.code == "hidden_body":
+        return name == ORBITING and cause.text.startswith("at rest")
     names = set(re.findall(r"[A-Za-z_]\w*", cause.law))
     known = {n: v for n in names for stem, v in of.items()
              if re.fullmatch(rf"{stem}\d*", n)}  # fmt: skip
