@@ -10,6 +10,7 @@ __all__ = ["claim_places", "make_data", "read_settings"]
 _TRUTH, _FILM, _MODEL, _PICTURE = "-truth", "-film", "-model.toml", "-scenes.png"
 _CAMERA = "camera.toml"
 _N_DRAWN = 3
+_NO_MODEL = "none (bsp-gp fit looks from no force at all)"
 
 
 def read_settings(args):
@@ -108,7 +109,7 @@ def make_data(args, settings, group, progress):
     return [
         *lines,
         f"Truth: {group.beside(_TRUTH)}",
-        f"Declared model: {group.beside(_MODEL) if settings.declared else 'none'}",
+        f"Declared model: {group.beside(_MODEL) if settings.declared else _NO_MODEL}",
         f"Picture: {group.beside(_PICTURE)}",
         *_contacts_note(settings),
     ]

@@ -320,7 +320,7 @@ class ForceLaw:
                 sign, body = ("- ", body[1:].lstrip()) if body.startswith("-") else ("", body)
                 body = rf"{sign}\sum_{{j\ne i}} {body}"
             parts.append(body)
-        total = " + ".join(parts).replace(" + -", " -") if parts else r"\mathbf{0}"
+        total = re.sub(r" \+ - ?", " - ", " + ".join(parts)) if parts else r"\mathbf{0}"
         return rf"\mathbf{{F}}_i = {total}"
 
 
