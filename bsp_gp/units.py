@@ -17,8 +17,8 @@ from types import MappingProxyType
 from bsp_gp.errors import UnitError
 
 __all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "UNCALIBRATED", "Unit",
-    "UnitSystem", "parse_unit",
+    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "OF_THE_SKY",
+    "UNCALIBRATED", "Unit", "UnitSystem", "parse_unit",
 ]  # fmt: skip
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
@@ -262,6 +262,8 @@ UNCALIBRATED = {
     "arcsecond": "arcsec", "mas": "arcsec",
 }  # fmt: skip
 """Units in the place of lengths that no length in SI is known of, and what they are told in."""
+OF_THE_SKY = ("arcsec", "mas", "uas", "arcmin", "milliarcsecond", "microarcsecond", "arcsecond")
+"""Angles on the sky in the place of lengths: without a distance these are not calibrated."""
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -294,6 +296,8 @@ class UnitSystem:
                 symbols[base] = kind
             elif text is not None and text.strip().lower() in UNCALIBRATED:
                 symbols[base] = UNCALIBRATED[text.strip().lower()]
+            elif kind == "length" and text is not None and text.strip() in OF_THE_SKY:
+                symbols[base] = text.strip()
             elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
                 symbols[base] = "rad"
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))

@@ -15,7 +15,7 @@ tar --exclude=./.venv --exclude=./.git --exclude=./runs --exclude=./build -cf - 
 wheel=$(echo "$work"/dist/*.whl)
 "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input "$wheel[astro]"
 cd "$work"  # nothing of the source tree is at hand
-timeout 600 "$work/venv/bin/bsp-gp" demo --quiet --out demo | tail -n 1
+timeout 1200 "$work/venv/bin/bsp-gp" demo --quiet --out demo | tail -n 1
 test -s demo/report.html
 "$work/venv/bin/bsp-gp" grammar list >grammars.txt
 grep -q '^physics:' grammars.txt

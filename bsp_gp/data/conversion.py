@@ -7,7 +7,15 @@ import tokenize
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
-from bsp_gp.units import ANGLES, DIMENSIONLESS, UNCALIBRATED, Unit, UnitSystem, parse_unit
+from bsp_gp.units import (
+    ANGLES,
+    DIMENSIONLESS,
+    OF_THE_SKY,
+    UNCALIBRATED,
+    Unit,
+    UnitSystem,
+    parse_unit,
+)
 
 __all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
 
@@ -148,6 +156,9 @@ class Conversion:
                 self._fail(
                     f"column {column!r} has no unit while x has", column, 'add length = "..."'
                 )
+        if text is not None and text.strip() in OF_THE_SKY and self.system.symbols.get("m"):
+            own = self.system.symbols["m"]
+            return parse_unit(text.strip())[0] / parse_unit(own)[0] if own in OF_THE_SKY else 1.0
         if self.system.is_angle and text is not None and text.strip().lower() in ANGLES:
             return ANGLES[text.strip().lower()]
         return 1.0 if text is None else self._read(column, text, _LENGTH)[0]

@@ -23,7 +23,7 @@ PROVENANCE_KEYS = (
 )  # fmt: skip
 TOP_KEYS = (
     "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory",
-    "units", "axes", "columns", "initial", "latent", "split", "evaluation", "provenance",
+    "units", "axes", "columns", "initial", "latent", "sky", "split", "evaluation", "provenance",
 )  # fmt: skip
 FIRST_PLACES = ("exact", "measured")
 FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
@@ -50,6 +50,8 @@ class Declaration:
         a mapping of bodies, or of globs of them, to their own.
     columns : mapping of str to str
         Our name of a column -> its name in the file.
+    sky : mapping of str to str
+        ``distance`` or ``parallax`` of what is seen, see `sky.from_sky`.
     first_position, first_velocity : str
         What is known of the first row of every scene, of `FIRST_PLACES` and `FIRST_VELOCITIES`.
     latents : tuple of LatentDeclaration
@@ -72,6 +74,7 @@ class Declaration:
     noise_memory: float | None = None
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
+    sky: Mapping = field(default_factory=dict)
     first_position: str = "measured"
     first_velocity: str = "unknown"
     latents: tuple[LatentDeclaration, ...] = ()
@@ -216,6 +219,7 @@ class _Reader:
             noise_memory=self.noise_memory(),
             velocity=velocity,
             columns=columns,
+            sky=self.texts(self.table("sky", ("distance", "parallax")), "sky"),
             first_position=self.choice(initial, "position", FIRST_PLACES, "measured"),
             first_velocity=self.choice(initial, "velocity", FIRST_VELOCITIES, "unknown"),
             latents=self.latents(),

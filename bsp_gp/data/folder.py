@@ -14,7 +14,7 @@ from bsp_gp.data.roster import OWN_COLUMNS
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
-from bsp_gp.units import UNCALIBRATED
+from bsp_gp.units import OF_THE_SKY, UNCALIBRATED
 
 __all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
 
@@ -219,7 +219,7 @@ def _units(dataset):
     """Numbers in memory are SI, so these are SI units, or px, or nothing."""
     symbols = dataset.units.symbols
     units = {}
-    if symbols.get("m") in (*UNCALIBRATED, "rad") or "m" not in symbols:
+    if symbols.get("m") in (*UNCALIBRATED, *OF_THE_SKY, "rad") or "m" not in symbols:
         units["length"] = symbols.get("m", "m")
     for kind, base in (("time", "s"), ("mass", "kg")):
         if base not in symbols:

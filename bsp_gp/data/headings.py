@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
 from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
@@ -25,7 +26,12 @@ NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
-ALIASES = {"particle": "entity", "object": "entity", "track": "entity"}
+ALIASES = {
+    "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
+    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec",
+    "separation": "distance", "position_angle": "angle", "sseparation": "sdistance",
+    "sposition_angle": "sangle", "epoch": "t",
+}  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
 """How sure the meaning of a heading is."""
 _WITH_UNIT = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]")
@@ -128,7 +134,8 @@ class Heading:
 
 def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
-    return NUMBER_COLUMNS + (POLAR_COLUMNS if is_polar(names) else ())
+    more = POLAR_COLUMNS if is_polar(names) else ("sra", "sdec") if is_sky(names) else ()
+    return NUMBER_COLUMNS + more
 
 
 def is_run(text):
@@ -170,7 +177,7 @@ def _words(text):
 def has_place(found):
     """Whether headings say where something is."""
     names = {h.name for h in found}
-    return bool(names & {"x", "y"}) or is_polar(names)
+    return bool(names & {"x", "y"}) or is_polar(names) or is_sky(names)
 
 
 def headings(cells, rename=None, *, is_track=True):

@@ -27,6 +27,7 @@ from bsp_gp.data.headings import headings, is_angle, is_angle_name
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.sky import from_sky
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError
@@ -44,8 +45,8 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     Parameters
     ----------
     path : path-like
-        A folder with ``trajectories.csv``, or a text file (CSV, a Tracker export, a trackpy
-        table).
+        A folder with ``trajectories.csv`` (or ``.parquet``), or a text file (CSV, a Tracker
+        export, a trackpy table).
     units : mapping of str to str, optional
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
@@ -71,6 +72,9 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     if path.is_dir():
         path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
+        packed = trajectories.with_suffix(".parquet")
+        if packed.is_file() and not trajectories.is_file():
+            trajectories = packed
         if not trajectories.is_file():
             present = ", ".join(sorted(p.name for p in path.iterdir())[:10]) or "nothing"
             raise DataError(
@@ -218,9 +222,11 @@ def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     declaration = _with_angles(table, declaration)
-    table, declared = from_polar(
-        table, declaration.units, start=declaration.angle_from, sense=declaration.angle_turns
-    )
+    start, sense = declaration.angle_from, declaration.angle_turns
+    if table.theirs.get("angle", "").lower().startswith("position"):  # from north through east
+        start, sense = "y", "clockwise"
+    table, declared = from_polar(table, declaration.units, start=start, sense=sense)
+    table, declared = from_sky(table, declared, declaration.sky)
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)

@@ -21,6 +21,8 @@ __all__ = ["COST", "Langevin", "Track", "best_of", "models_of"]
 COST = 4.0
 """Nats that a force must gain: a rate that is not there gains as much in less than one of a
 hundred recordings (a random walk's own test, which no chi-squared is)."""
+INERTIA = 2.0
+"""Nats that a rate of the drag must gain beside kicks, or no inertia is seen."""
 LEAST_KICKS = 0.05
 """Standard deviations of a row that kicks add over a whole track at the least."""
 STEEPEST = 20.0
@@ -75,7 +77,7 @@ class Langevin:
     @property
     def score(self):
         """Log-likelihood less what its forces cost, nats."""
-        return self.log_likelihood - COST * len(self.terms)
+        return self.log_likelihood - COST * len(self.terms) + INERTIA * self.is_overdamped
 
 
 def models_of(tracks, noise=None):
@@ -294,7 +296,8 @@ class _Problem:
                 continue
             way = sum(p * logs[n] for n, p in powers.items())
             middle, error = float(way @ x), float(np.sqrt(max(way @ covariance @ way, 0.0)))
-            out[name] = tuple(scale * np.exp(middle + z * error) for z in (0.0, -Z_90, Z_90))
+            ends = (scale * np.exp(middle + z * error) for z in (0.0, -Z_90, Z_90))
+            out[name] = tuple(map(float, ends))
         if offsets:
             self._tell_offsets(out, terms, offsets, dict(zip(names, x, strict=True)), is_overdamped)
         log_likelihood = height - self.n_numbers * np.log(size)

@@ -442,11 +442,12 @@ def _spread(values):
 def _triangles(matrices):
     """Triangular factors of tall matrices (W, m, c), shape (W, c, c): by blocks of rows first."""
     n_matrices, n_rows, n_columns = matrices.shape
-    while n_rows > 4 * TALL:
-        n_blocks = n_rows // TALL
-        whole = matrices[:, : n_blocks * TALL].reshape(-1, TALL, n_columns)
+    tall = max(TALL, 2 * n_columns)  # of a block that is not tall nothing is taken away
+    while n_rows > 4 * tall:
+        n_blocks = n_rows // tall
+        whole = matrices[:, : n_blocks * tall].reshape(-1, tall, n_columns)
         factors = np.linalg.qr(whole, mode="r").reshape(n_matrices, -1, n_columns)
-        matrices = np.concatenate([factors, matrices[:, n_blocks * TALL :]], axis=1)
+        matrices = np.concatenate([factors, matrices[:, n_blocks * tall :]], axis=1)
         n_rows = matrices.shape[1]
     factors = np.linalg.qr(matrices, mode="r")
     return np.pad(factors, ((0, 0), (0, max(n_columns - factors.shape[1], 0)), (0, 0)))

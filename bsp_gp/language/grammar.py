@@ -449,7 +449,10 @@ class _Reader:
         if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and not tree.keywords:
             name = self.operators.get(tree.func.id, tree.func.id)
             if name not in OPERATORS:
-                raise GrammarError(f"{where}: unknown operator {tree.func.id!r}")
+                raise GrammarError(
+                    f"{where}: unknown operator {tree.func.id!r}; one of your own has to be "
+                    "registered first: bsp_gp.register_operator, or the entry point of a package"
+                )
             if len(tree.args) != OPERATORS[name].arity:
                 raise GrammarError(
                     f"{where}: {tree.func.id} takes {OPERATORS[name].arity} argument(s), "

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import io
 import json
+import re
 import secrets
 import shlex
 import socket
@@ -44,6 +45,8 @@ _REPORT = (
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 )
 """A report holds names out of the data: its page may do nothing to the one around it."""
+_OPTIONS = re.compile(r"--(?:columns|units|up|fps)\b[^\n]*")
+"""What a line of a check offers to whoever has a terminal."""
 _TYPES = {"index.html": "text/html", "page.js": "text/javascript", "page.css": "text/css"}
 
 
@@ -171,8 +174,9 @@ class _Pages:
             time_limit=CHECK_LIMIT_S,
         )  # fmt: skip
         lines = out.splitlines()[:-1] if code == 0 else []  # the last one says where the picture is
-        answer["text"] = without_paths("\n".join(lines), self.folder)
-        answer["error"] = without_paths(said, self.folder) if code else ""
+        text, error = (without_paths(t, self.folder) for t in ("\n".join(lines), said))
+        answer["text"] = _OPTIONS.sub("the choices above", text)
+        answer["error"] = _OPTIONS.sub("the choices above", error) if code else ""
         if code == 0:
             await run_in_threadpool(given.dataset, options)
         return answer

@@ -1,5 +1,7 @@
 """Declared noise that the pure error contradicts: a hypothesis beside the causes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,3 +65,21 @@ def test_what_a_quick_force_leaves_is_no_noise():
     view = view_of(throws(np.random.default_rng(4), move=move))
     assert proposed(view) == ()
     assert min(f.p_value for f in view.noise_findings) < 1e-6, "the questions alone are misled"
+
+
+def test_a_slow_weak_memory_is_proposed_whatever_forces_explain():
+    """Slow errors were taken for kicks and unseen bodies, which explain as much of them."""
+
+    def slow(s, shape):
+        steps, out = rng.standard_normal(shape), np.empty(shape)
+        out[0] = steps[0]
+        for k in range(1, len(out)):
+            out[k] = 0.95 * out[k - 1] + np.sqrt(1 - 0.95**2) * steps[k]
+        return SIGMA * (np.sqrt(0.4) * out + np.sqrt(0.6) * rng.standard_normal(shape))
+
+    rng = np.random.default_rng(5)
+    data = replace(throws(rng, n_scenes=5, noise=slow), noise=None)
+    (proposal,) = proposed(view_of(data))
+    assert proposal.text == "a memory of the noise"
+    report = close_loop(data, GRAVITY, rng=0, n_bootstrap=0)
+    assert report.verdict in ("the noise is not as assumed", "nothing missing")

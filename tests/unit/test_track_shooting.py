@@ -6,7 +6,7 @@ import pytest
 from bsp_gp.fitting.coordinates import Coordinates
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.problem import Settings
-from bsp_gp.fitting.shooting import Shooting, cut_windows
+from bsp_gp.fitting.shooting import TALL, Shooting, _triangles, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 from tests.fitted_tracks import body, flow_of, law_of, parameters_of, scene_of, values_of
 
@@ -314,3 +314,12 @@ def test_noise_with_a_memory_weighs_rows_as_its_covariance_does(lengths):
     _, jacobian, _, _ = shooting.linearise(values_of(SPRING), nodes, mesh)
     expected = dense_information(shooting, nodes, mesh)
     np.testing.assert_allclose(jacobian.T @ jacobian, expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("n_columns", [3, TALL // 2, TALL + 10])
+def test_triangles_of_tall_matrices_keep_their_products_however_wide(n_columns):
+    matrices = np.random.default_rng(0).standard_normal((2, 9 * TALL + 5, n_columns))
+    factors = _triangles(matrices)  # of more columns than rows in a block it found no end
+    assert factors.shape == (2, n_columns, n_columns)
+    products = np.swapaxes(matrices, 1, 2) @ matrices
+    assert np.allclose(np.swapaxes(factors, 1, 2) @ factors, products)

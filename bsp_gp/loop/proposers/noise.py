@@ -11,7 +11,7 @@ from bsp_gp.loop.proposal import Family, Proposal
 
 __all__ = ["Noise"]
 
-TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.5, 0.9)
+TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.3, 0.6, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
 
 TINY = np.finfo(float).tiny
@@ -22,8 +22,8 @@ class Noise:
 
     Noise that was declared is estimated instead, with whatever parts it has, where the pure error
     contradicts it. Where it is estimated, memory is asked for in every fit, on what is left beside
-    forces that know no physics; on few rows there is not enough of that. Here it stands beside the
-    forces that would do as well, unless a force that knows no physics does better than any memory.
+    forces that know no physics; on few rows, or where it is slow, there is not enough of that. Here
+    it stands beside the forces that would do as well.
     """
 
     name = "noise"
@@ -49,7 +49,7 @@ class Noise:
         ]  # fmt: skip
         gains = [_gain(view, remembered) for remembered in models]
         best = int(np.argmax(gains))
-        if 0.5 * gains[best] < view.free_gain:  # smooth as what forces do, and noise is not
+        if gains[best] <= 0:
             return Family(self.name)
         noise = TrackNoise(models[best], is_given=True)
         proposal = Proposal(

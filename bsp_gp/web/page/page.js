@@ -101,6 +101,7 @@ class Card {
     this.node = document.getElementById("card").content.firstElementChild.cloneNode(true);
     at(this.node, "h2").textContent = name;
     document.getElementById("cards").prepend(this.node);
+    this.node.scrollIntoView();
     this.columns = [];
     this.turn = 0;
     const known = at(this.node, ".known");

@@ -1,0 +1,185 @@
+"""Tables of the sky: right ascension and declination, or angles in the place of lengths.
+
+Places become offsets in the tangent plane, x to the east and y to the north. With a distance or a
+parallax they are lengths; without one they stay angles, and lengths are not calibrated.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.roster import require_columns
+from bsp_gp.errors import DataError, UnitError
+from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
+
+__all__ = ["SKY_COLUMNS", "from_sky", "is_sky"]
+
+SKY_COLUMNS = ("ra", "dec", "sra", "sdec")
+_SEXAGESIMAL = re.compile(
+    r"([+\-−]?)\s*(\d+)\s*[h:°d\s]\s*(\d+)\s*[m:'′\s]\s*(\d+(?:\.\d*)?)\s*[s\"″]?"
+)
+_HOURS = 15.0
+"""Degrees of an hour of right ascension."""
+_WIDEST = 0.1
+"""Radians from the middle beyond which a plane is no picture of the sky."""
+
+
+def is_sky(columns):
+    """Whether a table has a right ascension and a declination, and neither x nor y."""
+    columns = set(columns)
+    return {"ra", "dec"} <= columns and not {"x", "y"} & columns
+
+
+def from_sky(table, units, about=None):
+    """Put offsets in the place of right ascension and declination, and lengths in that of angles.
+
+    Parameters
+    ----------
+    table : Table
+    units : mapping of str to str
+        ``[units]``. Without ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and
+        degrees); errors without ``sra`` and ``sdec`` are milliarcseconds, that of a right
+        ascension already times the cosine of the declination.
+    about : mapping of str to str, optional
+        ``[sky]``: ``distance = "8.2 kpc"`` or ``parallax = "379.2 mas"``.
+
+    Returns
+    -------
+    table : Table
+    units : dict of str to str
+
+    Raises
+    ------
+    DataError
+        For a cell that is no angle, places too far apart for a plane, or a distance that is none.
+    """
+    about, found = dict(about or {}), {**table.units, **units}
+    if is_sky(table.frame.columns):
+        table, units = _offsets(table, found, dict(units))
+    distance = _distance(about, table.file)
+    known = {**table.units, **units}
+    places = [c for c in ("x", "y", "z", "sx", "sy", "sz") if c in table.frame.columns]
+    lengths = {c: known.get(c, known.get("length", "")).strip() for c in places}
+    lengths = {c: text for c, text in lengths.items() if text in OF_THE_SKY}
+    if distance is None or not lengths:
+        if distance is not None:
+            raise DataError(
+                "[sky] tells how far it is, but lengths are no angles", file=table.file,
+                column="length", remedy='write [units] length = "arcsec" (or mas)',
+            )  # fmt: skip
+        return table, dict(units)
+    au = parse_unit("au")[0]
+    lengths = {c: _numbers(table, c) * parse_unit(text)[0] * distance / au
+               for c, text in lengths.items()}  # fmt: skip
+    own = {key: text for key, text in table.units.items() if key not in lengths}
+    new = {key: text for key, text in units.items() if key not in lengths} | {"length": "au"}
+    note = f"angles are lengths at a distance of {distance / parse_unit('pc')[0]:.6g} pc, in au"
+    frame = table.frame.assign(**lengths)
+    return replace(table, frame=frame, units=own, notes=(*table.notes, note)), new
+
+
+def _offsets(table, found, units):
+    """Offsets in the tangent plane at the middle of the places, in arcseconds."""
+    ra = _angles(table, "ra", found.get("ra", ""))
+    dec = _angles(table, "dec", found.get("dec", ""))
+    middle = np.arctan2(np.nanmean(np.sin(ra)), np.nanmean(np.cos(ra))), float(np.nanmean(dec))
+    turn = ra - middle[0]
+    depth = np.sin(middle[1]) * np.sin(dec) + np.cos(middle[1]) * np.cos(dec) * np.cos(turn)
+    away = np.arccos(np.clip(depth, -1, 1))
+    if np.nanmax(away) > _WIDEST:
+        k = int(np.nanargmax(away))
+        raise DataError(
+            f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is no "
+            "picture of so much of the sky", file=table.file, row=int(table.frame.index[k]),
+            column="ra", remedy="give offsets x and y, or places near each other",
+        )  # fmt: skip
+    arcsec = parse_unit("arcsec")[0]
+    x = np.cos(dec) * np.sin(turn) / depth / arcsec
+    y = (np.cos(middle[1]) * np.sin(dec) - np.sin(middle[1]) * np.cos(dec) * np.cos(turn)) / depth
+    new = {"x": x, "y": y / arcsec}
+    if {"sra", "sdec"} & set(table.frame.columns):
+        require_columns(table, ["sra", "sdec"])
+        for ours, theirs in (("sx", "sra"), ("sy", "sdec")):
+            scale = _scale(table, theirs, found.get(theirs, "mas"))
+            new[ours] = _numbers(table, theirs) * scale / arcsec
+    rest = table.frame.drop(columns=[c for c in SKY_COLUMNS if c in table.frame.columns])
+    degrees = f"{math.degrees(middle[0]) % 360:.8f}, {math.degrees(middle[1]):+.8f}"
+    note = f"right ascension and declination are offsets to the east and north of ({degrees}) deg"
+    own = {k: text for k, text in table.units.items() if k not in SKY_COLUMNS}
+    units = {k: text for k, text in units.items() if k not in SKY_COLUMNS} | {"length": "arcsec"}
+    table = replace(table, frame=rest.assign(**new), units=own, notes=(*table.notes, note))
+    return table, units
+
+
+def _angles(table, column, unit):
+    """A column in radians: numbers in a unit (degrees without one), or sexagesimal."""
+    cells = table.frame[column]
+    try:
+        values = cells.to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError):
+        degrees = [_degrees(table, column, k, cell) for k, cell in enumerate(cells)]
+        scale = _HOURS if column == "ra" and unit.strip() not in ("deg", "°") else 1.0
+        return np.radians(scale * np.array(degrees))
+    if unit.strip() in ("h", "hour", "hourangle"):
+        return np.radians(_HOURS * values)
+    return values * _scale(table, column, unit or "deg")
+
+
+def _degrees(table, column, k, cell):
+    match = _SEXAGESIMAL.fullmatch(str(cell).strip())
+    if match is None:
+        raise DataError(
+            f"{str(cell)!r:.40} is no angle", file=table.file, row=int(table.frame.index[k]),
+            column=column, remedy="write degrees, or 17:45:40.04 and -29:00:28.1",
+        )  # fmt: skip
+    size = sum(float(part) / 60**n for n, part in enumerate(match.groups()[1:]))
+    return -size if match[1] in ("-", "−") else size
+
+
+def _numbers(table, column):
+    try:
+        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
+
+
+def _scale(table, column, text):
+    """Radians of a unit of angles."""
+    try:
+        scale, unit = parse_unit(text)
+    except UnitError as error:
+        raise DataError(str(error), file=table.file, column=column) from error
+    if not unit.is_dimensionless:
+        raise DataError(
+            f"{text!r} is no unit of an angle", file=table.file, column=column,
+            remedy='give deg, h, arcsec or mas in [units], as in ra = "deg"',
+        )  # fmt: skip
+    return scale
+
+
+def _distance(about, file):
+    """Metres to what is seen; None if nobody says."""
+    if not about:
+        return None
+    if {"distance", "parallax"} <= set(about):
+        raise DataError("[sky] has a distance and a parallax", file=file, remedy="keep one")
+    (key, text), = about.items()
+    number, _, unit = text.strip().partition(" ")
+    try:
+        value, (scale, of) = float(number), parse_unit(unit)
+    except (ValueError, UnitError) as error:
+        raise DataError(
+            f'[sky] {key} must be a number and its unit, got {text!r}: {error}', file=file,
+            column=key, remedy='write distance = "8.2 kpc" or parallax = "379.2 mas"',
+        ) from error  # fmt: skip
+    is_right = of == (Unit.of(m=1) if key == "distance" else Unit()) and value > 0
+    if not is_right or not unit:
+        raise DataError(
+            f"[sky] {key} must be a positive {'length' if key == 'distance' else 'angle'}, "
+            f"got {text!r}", file=file, column=key,
+        )  # fmt: skip
+    return value * scale if key == "distance" else parse_unit("au")[0] / (value * scale)
