@@ -168,8 +168,10 @@ def close_loop(
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds = other, found
+    left = None if time_limit is None else time_limit - (time.monotonic() - began)
+    until = Clock(None if left is None else left + LATE_S)
     rounds = that_foresee(
-        rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds),
+        rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
         ready.dataset, ready.split.test, foresight_rng, settings["crew"],
     )  # fmt: skip
     pruned = prune(
