@@ -341,7 +341,8 @@ def _add_make(commands):
         _MAKE_HELP,
     )  # fmt: skip
     parser.add_argument(
-        "preset", metavar="PRESET", help="nbody, bounce, mat, magnet, fall, spring or pucks"
+        "preset", metavar="PRESET",
+        help="nbody, bounce, mat, magnet, fall, spring, pucks, binary, star_about_unseen or beads",
     )
     _count = _integer(1, MAX_SCENES)
     parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")

@@ -35,8 +35,6 @@ CHUNK = 1 << 22
 ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
 GRAVITY = f"6.6743e-11 [m^3/(kg s^2)] * m_j * {ATTRACTION}"
 TYPES = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
-ASTRONOMICAL = 1e6
-"""Size of the data from which an attraction is gravity, m."""
 AWAY = 0.1
 """Part of the data's size that a fit may miss and still lead to what extends it."""
 SAME = 1e-6
@@ -119,9 +117,7 @@ def attraction(view, stage):
 
     It is gravity where the data are as large as that takes, else one of its own strength.
     """
-    units = view.dataset.units
-    is_gravity = stage.size > ASTRONOMICAL and units.is_calibrated(Unit.of(m=1, s=1))
-    term = Term(stage.gravity if is_gravity else parse_formula(ATTRACTION, TYPES), "pair")
+    term = Term(stage.gravity if view.is_astronomical else parse_formula(ATTRACTION, TYPES), "pair")
     return ((term, Term(unit_pull(term, stage.strength)[0], "pair")),)
 
 
