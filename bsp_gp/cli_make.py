@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine
 from bsp_gp.errors import SettingsError
 
 __all__ = ["claim_places", "make_data", "read_settings"]
@@ -9,6 +10,7 @@ __all__ = ["claim_places", "make_data", "read_settings"]
 _TRUTH, _FILM, _MODEL, _PICTURE = "-truth", "-film", "-model.toml", "-scenes.png"
 _CAMERA = "camera.toml"
 _N_DRAWN = 3
+_NO_MODEL = "none (bsp-gp fit looks from no force at all)"
 
 
 def read_settings(args):
@@ -20,6 +22,10 @@ def read_settings(args):
         Naming what is not there, or not allowed.
     """
     from bsp_gp.simulate.effects import parse_effect
+    from bsp_gp.simulate.machines import MACHINES
+
+    if args.preset in MACHINES:
+        return read_machine(args)
     from bsp_gp.simulate.synth import RECORDED, preset, read_numbers
 
     numbers = {
@@ -70,6 +76,8 @@ def make_data(args, settings, group, progress):
     list of str
         What to tell the user.
     """
+    if isinstance(settings, MachineSettings):
+        return make_machine(args, settings, group, (_TRUTH, _MODEL, _PICTURE), progress)
     import numpy as np
 
     from bsp_gp.data.declaration import toml_text
@@ -101,7 +109,7 @@ def make_data(args, settings, group, progress):
     return [
         *lines,
         f"Truth: {group.beside(_TRUTH)}",
-        f"Declared model: {group.beside(_MODEL) if settings.declared else 'none'}",
+        f"Declared model: {group.beside(_MODEL) if settings.declared else _NO_MODEL}",
         f"Picture: {group.beside(_PICTURE)}",
         *_contacts_note(settings),
     ]

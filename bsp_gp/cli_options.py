@@ -342,7 +342,9 @@ def _add_make(commands):
     )  # fmt: skip
     parser.add_argument(
         "preset", metavar="PRESET",
-        help="nbody, bounce, mat, magnet, fall, spring, pucks, binary, star_about_unseen or beads",
+        help="discs: nbody, bounce, mat, magnet, fall, spring, pucks; machines: pendulum, arm, "
+        "double_pendulum, driven_cart, turntable, quadrotor_lite; stars and beads: binary, "
+        "star_about_unseen, beads",
     )
     _count = _integer(1, MAX_SCENES)
     parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")

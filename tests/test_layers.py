@@ -36,6 +36,7 @@ ROOMS = (
     "web",
     "cli_options",
     "cli_inputs",
+    "cli_machines",
     "cli_make",
     "cli_latents",
     "cli_planning",

@@ -45,8 +45,8 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     Parameters
     ----------
     path : path-like
-        A folder with ``trajectories.csv``, or a text file (CSV, a Tracker export, a trackpy
-        table).
+        A folder with ``trajectories.csv`` (or ``.parquet``), or a text file (CSV, a Tracker
+        export, a trackpy table).
     units : mapping of str to str, optional
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
@@ -72,6 +72,9 @@ def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=Non
     if path.is_dir():
         path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
+        packed = trajectories.with_suffix(".parquet")
+        if packed.is_file() and not trajectories.is_file():
+            trajectories = packed
         if not trajectories.is_file():
             present = ", ".join(sorted(p.name for p in path.iterdir())[:10]) or "nothing"
             raise DataError(

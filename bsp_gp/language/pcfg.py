@@ -39,7 +39,11 @@ class Pcfg:
     @classmethod
     def uniform(cls, grammar):
         """Every enabled rule of a nonterminal equally likely: the paper's prior P0."""
-        return cls.from_counts(grammar, np.zeros(len(grammar.rules)), smoothing=1.0)
+        known = grammar.__dict__.get("_uniform")  # with the tables of its samplers
+        if known is None:
+            known = cls.from_counts(grammar, np.zeros(len(grammar.rules)), smoothing=1.0)
+            object.__setattr__(grammar, "_uniform", known)
+        return known
 
     @classmethod
     def from_counts(cls, grammar, counts, smoothing=0.0):
@@ -179,12 +183,13 @@ class Pcfg:
             )
 
     def _table(self, nonterminal, levels):
-        tables = self.__dict__.setdefault("_tables", {})
-        key = (nonterminal, levels)
-        if key not in tables:
-            rules, cumulative = self._choices(nonterminal, levels)
-            tables[key] = (cumulative.tolist(), rules, float(cumulative[-1]))
-        return tables[key]
+        """What a sampler draws from: cumulative weights, their sum, and rules with what is below.
+
+        A rule is (index, nonterminals below, and the whole tree where there are none).
+        """
+        rules, cumulative = self._choices(nonterminal, levels)
+        below = [(r.index, r.children, None if r.children else Expression(r.index)) for r in rules]
+        return cumulative.tolist(), float(cumulative[-1]), below, len(rules) - 1
 
     def _choices(self, nonterminal, levels):
         cache = self.__dict__.setdefault("_cache", {})
@@ -209,29 +214,25 @@ def _blocks(n, most):
     return [n // parts + (k < n % parts) for k in range(parts)]
 
 
-class _Draws:
-    """Uniform random numbers, drawn in blocks."""
+class _Sampler:
+    """Draws derivations; random numbers are drawn in blocks."""
 
-    def __init__(self, rng, block=4096):
-        self.rng = rng
-        self.block = block
+    def __init__(self, pcfg, rng, block=4096):
+        self.pcfg, self.rng, self.block = pcfg, rng, block
+        self.tables = pcfg.__dict__.setdefault("_tables", {})
         self.values = []
 
-    def next(self):
+    def draw(self, nonterminal, levels):
+        key = (nonterminal, levels)
+        table = self.tables.get(key)
+        if table is None:
+            table = self.tables[key] = self.pcfg._table(nonterminal, levels)
+        cumulative, total, rules, last = table
         if not self.values:
             self.values = self.rng.random(self.block).tolist()
-        return self.values.pop()
-
-
-class _Sampler:
-    """Draws derivations."""
-
-    def __init__(self, pcfg, rng):
-        self.table = pcfg._table
-        self.next = _Draws(rng).next
-
-    def draw(self, nonterminal, levels):
-        cumulative, rules, last = self.table(nonterminal, levels)
-        rule = rules[min(bisect_right(cumulative, self.next() * last), len(rules) - 1)]
+        chosen = bisect_right(cumulative, self.values.pop() * total)
+        index, children, leaf = rules[min(chosen, last)]
+        if leaf is not None:
+            return leaf
         levels -= 1
-        return Expression(rule.index, [self.draw(child, levels) for child in rule.children])
+        return Expression(index, [self.draw(child, levels) for child in children])

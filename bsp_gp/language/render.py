@@ -68,6 +68,8 @@ def _text(node, values, units):
         if units.get(node.name) not in (None, "", "1"):
             text += f" [{units[node.name]}]"
         return text, _NEGATIVE if text.startswith("-") else _ATOM
+    if component := _component(node):
+        return "{}{}_{}".format(*component), _ATOM
     parts = [_text(arg, values, units) for arg in node.args]
     if node.operator in _INFIX:
         sign, level = _INFIX[node.operator]
@@ -106,6 +108,9 @@ def _latex(node, values, units, level):
         unit = units.get(node.name)
         tail = rf"\,[\mathrm{{{unit.replace(' ', '~')}}}]" if unit not in (None, "1") else ""
         return _latex_number(f"{values[node.name]:.4g}") + tail
+    if component := _component(node):
+        speed, axis, role = component
+        return rf"v_{{{axis},{role}}}" if speed else rf"{axis}_{role}"
     if node.operator in ("mul", "div", "div_guarded"):
         return _latex_product(node, values, units)
     if node.operator in ("add", "sub"):
@@ -154,6 +159,8 @@ def _latex_product(node, values, units):
     for factor in above:
         if isinstance(factor, Number) and factor.value == -1.0 and len(above) > 1:
             sign = "-" if not sign else ""
+        elif isinstance(factor, Call) and factor.operator == "inverse":
+            below = [*below, factor.args[0]]
         else:
             kept.append(factor)
 
@@ -166,6 +173,21 @@ def _latex_product(node, values, units):
     vectors = [f for f in kept if f.type.shape == "vector"]
     text = rf"\frac{{{joined(scalars)}}}{{{joined(below)}}}"
     return sign + (text + r"\," + joined(vectors) if vectors else text)
+
+
+def _component(node):
+    """Of ``dot(p_i - origin, e_x)``, or of a velocity: ("", "x", "i"), ("v", "x", "i"); or None."""
+    if not (isinstance(node, Call) and node.operator == "dot"):
+        return None
+    vector, axis = node.args
+    if not (isinstance(axis, Input) and axis.name in ("e_x", "e_y", "e_z")):
+        return None
+    if isinstance(vector, Call) and vector.operator == "sub":
+        names = [arg.name if isinstance(arg, Input) else "" for arg in vector.args]
+        is_place = names[0] in ("p_i", "p_j") and names[1] == "origin"
+        return ("", axis.name[-1], names[0][-1]) if is_place else None
+    is_speed = isinstance(vector, Input) and vector.name in ("v_i", "v_j")
+    return ("v", axis.name[-1], vector.name[-1]) if is_speed else None
 
 
 def _named_difference(node):

@@ -51,6 +51,8 @@ from bsp_gp.workers import Crew
 
 __all__ = ["close_loop"]
 
+LATE_S = 3.0
+"""Seconds after a time limit that errors on held-out rows may take; then they are left out."""
 WRITING_SHARE = 0.25
 """Part of a time limit that is kept for what comes after the rounds."""
 
@@ -167,11 +169,12 @@ def close_loop(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )
     says("writing up")
-    whole = Clock(None if time_limit is None else time_limit - (time.monotonic() - began))
+    left = None if time_limit is None else time_limit - (time.monotonic() - began)
+    whole, late = Clock(left), Clock(None if left is None else left + LATE_S)
     asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
         ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
-        settings["crew"],
+        settings["crew"], late,
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
@@ -250,7 +253,7 @@ class _Ready:
         other._learn_from(self.split.swapped)
         return other
 
-    def refitted(self, found, hypothesis, bounds):
+    def refitted(self, found, hypothesis, bounds, clock):
         """A fit as it would be without the rows that are held out.
 
         It has seen none of them but where the scenes were cut in time. One that cannot be fitted
@@ -263,7 +266,9 @@ class _Ready:
         if not _shows_motion(hypothesis.seen(self.before_cut).scenes):
             return nothing
         try:
-            return fit(hypothesis, self.before_cut, bounds=hypothesis.own(bounds))
+            return fit(
+                hypothesis, self.before_cut, bounds=hypothesis.own(bounds), deadline=clock.left
+            )
         except FAULTS:
             return nothing
 
@@ -296,16 +301,19 @@ def _asked(ready, rounds, pruned, rng, criteria):
     )
 
 
-def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew):
+def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew, late):
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
     scored = _scored(rounds, pruned)
     fits = [found for found, _ in scored]
     if ready.before_cut is not None:
-        fits = crew.map(_refitted, ready, [(*each, bounds) for each in scored])
+        fits = crew.map(_refitted, ready, [(*each, bounds, late) for each in scored])
     n_copies = 0 if left_out else n_copies
-    accounts = Accounts(fits, ready.dataset, ready.split.test, rng, n_copies, crew)
+    is_late = late.is_over
+    left_out += ["errors"] if is_late else []
+    scenes = () if is_late else ready.split.test
+    accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     records = [
         writing_up.record_of(

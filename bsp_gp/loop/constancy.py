@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Formula, Number, factors
 from bsp_gp.language.inputs import STATE_INPUTS
@@ -183,7 +184,10 @@ def logarithms(view, term, base):
     ratio = Call("log", Call("div", base, Number(typical, base.type.unit)))
     once = Call("mul", ratio, term.formula)
     both = (once, Call("mul", ratio, once))
-    return np.stack([_moments(view, term, formula) for formula in both], axis=1)
+    try:
+        return np.stack([_moments(view, term, formula) for formula in both], axis=1)
+    except EvaluationError:  # the quantity is exactly zero somewhere, as where friction holds
+        return None
 
 
 def varied(view, term, **settings):

@@ -23,7 +23,7 @@ REASONS = (
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
 "beside_description": found beside such a one; "force_beside": a force that knows no physics beside
 it is likelier than none."""
-LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals")
+LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (

@@ -56,6 +56,25 @@ def _drop_mass(formula):
     return (Call("div", above_product, product(below)) if below else above_product), True
 
 
+_ANGLES = tuple((re.compile(pattern), short) for pattern, short in (
+    (r"(?<!\w)\(dot\(p_([ij]) - origin, e_x\) / 1 \[rad\]\)", r"theta_\1"),
+    (r"dot\(p_([ij]) - origin, e_x\) / 1 \[rad\]", r"theta_\1"),
+    (r"(?<!\w)\(dot\(v_([ij]), e_x\) / 1 \[rad\]\)", r"omega_\1"),
+    (r"dot\(v_([ij]), e_x\) / 1 \[rad\]", r"omega_\1"),
+    (r" \* \(1 \[rad\] \* e_x\)", ""),
+    (r"sign\(\(([^()]*)\) / 1 \[1/s\]\)", r"sign(\1)"),
+    (r"sign\((omega_[ij]) / 1 \[1/s\]\)", r"sign(\1)"),
+    (r"norm\((omega_[ij]|theta_[ij]) \* e_x\)", r"abs(\1)"),
+))  # fmt: skip
+"""How torques on angles are typed, in place of what they stand for."""
+
+
+def _as_torques(text):
+    for pattern, short in _ANGLES:
+        text = pattern.sub(short, text)
+    return text
+
+
 @dataclass(frozen=True)
 class Term:
     """One force of a law.
@@ -286,6 +305,7 @@ class ForceLaw:
         parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
+        total = _as_torques(total)
         held = (p for p in self.frame if p.kind in ("constraint", "linkage"))
         return ", ".join([total, *(p.describe() for p in held)])
 
@@ -300,7 +320,7 @@ class ForceLaw:
                 sign, body = ("- ", body[1:].lstrip()) if body.startswith("-") else ("", body)
                 body = rf"{sign}\sum_{{j\ne i}} {body}"
             parts.append(body)
-        total = " + ".join(parts).replace(" + -", " -") if parts else r"\mathbf{0}"
+        total = re.sub(r" \+ - ?", " - ", " + ".join(parts)) if parts else r"\mathbf{0}"
         return rf"\mathbf{{F}}_i = {total}"
 
 

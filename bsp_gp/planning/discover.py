@@ -27,7 +27,7 @@ from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
-from bsp_gp.planning.plan import N_DRAWS, NOTHING, SURE, moved_by, plan
+from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
 from bsp_gp.planning.rivals import Rival, rivals_of
 from bsp_gp.randomness import generator
 
@@ -65,7 +65,8 @@ class Discovery:
     stands : bool
         Whether the law is sure, fits, and nothing is missing beside it.
     open : tuple of str
-        Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "inseparable".
+        Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "unforeseen" (it
+        has not foreseen a round of experiments yet), "inseparable".
     inseparable : tuple of (str, str)
         Rivals that no experiment within the means parts.
     rounds : int
@@ -172,6 +173,7 @@ class _State:
         self.rivals = ()
         self.report, self.stands, self.left, self.inseparable = None, False, ("no_law",), ()
         self.part, self.is_misfit, self.n_misfits = 1.0, False, 0
+        self.is_foretold = False  # whether the law foresaw the experiments of this round
 
     # --- what is tried ---------------------------------------------------------------------------
 
@@ -181,7 +183,7 @@ class _State:
         if self.rivals and not self.is_misfit:
             found = plan(self.rivals, self.means, rng=rng, n_told=max(count, 1))
             self.inseparable = found.inseparable
-            if found.options and found.options[0].bits > NOTHING:
+            if found.is_worth_it:
                 return [o.experiment for o in found.options[:count]]
             if self.left == ("rivals",):
                 return []
@@ -217,9 +219,12 @@ class _State:
         calm_scenes = [calm(s) for s in scenes]
         self._choose_part(scenes, calm_scenes)
         calm_scenes = [s for s in calm_scenes if len(s.times) >= LEAST_ROWS] or scenes
+        self.is_foretold = False
         if self.rivals:
+            best = self.rivals[0].text
             whole = self._foreseeable(scenes, cut_rng)
             self._weigh(whole)
+            self.is_foretold = not self.is_misfit and self.rivals[0].text == best
         if not self.rivals or self.is_misfit:
             base = self._from_calm(self.means.dataset(calm_scenes), calm_rng)
             self.says(f"found: {base.text()}")
@@ -228,8 +233,11 @@ class _State:
                 whole = self._foreseeable(scenes, cut_rng)
                 self._weigh(whole)
         self._judge()
+        if not self.left and not self.is_foretold:
+            self.left = ("unforeseen",)
         self.n_misfits = self.n_misfits + 1 if self.is_misfit else 0
-        if not self.left or self.n_misfits >= PATIENCE:
+        is_asked = self.is_foretold or is_last
+        if self.left in ((), ("unforeseen",)) and is_asked or self.n_misfits >= PATIENCE:
             self._ask_whole(whole, whole_rng)
 
     def _foreseeable(self, scenes, rng):
@@ -326,13 +334,12 @@ class _State:
             self._take(report)
             self._weigh(dataset)
             self._judge()
-        elif report.verdict == "nothing missing" and not self.is_misfit:
-            self.stands = True
-        if report.verdict not in ("nothing missing",) and not is_new:
+        elif report.verdict != "nothing missing":
             self.left = (*self.left, "missing")
-        last = report.rounds[-1]
-        if is_new and last.verdict == "nothing missing" and not self.left:
-            self.stands = True
+        elif self.left in ((), ("unforeseen",)):
+            # A law that was made up afterwards fits what it was made from: it must foresee.
+            self.left = () if self.is_foretold else ("unforeseen",)
+            self.stands = self.is_foretold
 
     # --- what is kept ----------------------------------------------------------------------------
 

@@ -33,6 +33,8 @@ N_DRAWS = 12
 N_ROWS = 64
 """Rows that a law may lead to."""
 SUBSTEPS = 24
+FARTHEST = 1e5
+"""Standard deviations of the noise."""
 SURE = 0.95
 """A rival so probable stands."""
 NOTHING = 0.02
@@ -209,18 +211,19 @@ def moved_by(law, draws, scenes, means, rng, up=None):
     """Tracks (D, T, E, R, d) of the moving bodies under draws of the constants."""
     (batch,) = stack(scenes, up)
     values = law.values(batch.bodies)
+    count = max((len(value) for value in draws.values()), default=N_DRAWS)
     for name, value in draws.items():
         values["field"][name] = value[:, None, None]
         values["pair"][name] = value[:, None, None, None]
     receivers = batch.bodies.receivers
     p = np.stack([s.positions[0, s.dynamic] for s in scenes])
     v = np.stack([s.first.velocity[s.dynamic] for s in scenes])
-    p, v = (np.repeat(a[None], N_DRAWS, axis=0) for a in (p, v))
+    p, v = (np.repeat(a[None], count, axis=0) for a in (p, v))
     for state, error in zip((p, v), means.errors, strict=True):
         state[1:] += error * rng.standard_normal(state[1:].shape)
     track = rollout(law, batch, p, v, substeps=SUBSTEPS, values=values)
-    return np.moveaxis(track, 0, 1).reshape(N_DRAWS, len(batch.times), len(scenes),
-                                            len(receivers), p.shape[-1])  # fmt: skip
+    shape = (count, len(batch.times), len(scenes), len(receivers), p.shape[-1])
+    return np.moveaxis(track, 0, 1).reshape(shape)
 
 
 def normals(rows, free, sigma):
@@ -229,17 +232,22 @@ def normals(rows, free, sigma):
     for one in rows:
         one = one[np.isfinite(one).all(axis=1)]
         best = one[0]
-        spread = (one[1:] - best) / np.sqrt(max(len(one) - 1, 1))
+        spread = _bounded((one[1:] - best) / np.sqrt(max(len(one) - 1, 1)), sigma)
         means_.append(best)
         roots.append(np.linalg.cholesky(np.diag(sigma**2) + spread.T @ spread))
     means_ = np.array(means_)
     middle = means_.mean(axis=0)
     apart = (means_ - middle) / np.sqrt(len(means_))
     force = means_ - free
-    spread = np.concatenate([apart, FOREIGN * force / np.sqrt(len(means_))])
-    own = np.diag(sigma**2 + (FOREIGN * np.abs(force).mean(axis=0)) ** 2)
+    spread = _bounded(np.concatenate([apart, FOREIGN * force / np.sqrt(len(means_))]), sigma)
+    own = np.diag(sigma**2 + _bounded(FOREIGN * np.abs(force).mean(axis=0), sigma) ** 2)
     roots.append(np.linalg.cholesky(own + spread.T @ spread))
     return np.vstack([means_, middle]), np.stack(roots)
+
+
+def _bounded(moves, sigma):
+    """Moves as far as covariances can hold them beside the noise; farther off tells no more."""
+    return np.clip(moves, -FARTHEST * sigma, FARTHEST * sigma)
 
 
 def log_densities(y, centres, roots):

@@ -69,6 +69,7 @@ LEFT_OUT = {
     "held_out": "what acts in held-out scenes alone was not looked for",
     "removal": "what became superfluous was not taken back",
     "intervals": "neither the noise floor nor all intervals were found out",
+    "errors": "errors on what is held out were not found out",
 }
 METHODS = {
     "parametric": "simulated copies of the held-out scenes, of which there are fewer than five",

@@ -23,6 +23,7 @@ from bsp_gp.simulate.forces import (
     SoftContact,
 )
 from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Pucks, Spring
+from bsp_gp.simulate.machines import MACHINES
 from bsp_gp.simulate.observation import Observation
 from bsp_gp.simulate.skies import Beads, Binary, StarAboutUnseen
 from bsp_gp.simulate.truth import Truth
@@ -214,7 +215,8 @@ def preset(name, effects=(), **numbers):
     0.9
     """
     if name not in PRESETS:
-        raise SettingsError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
+        known = ", ".join((*PRESETS, *MACHINES))
+        raise SettingsError(f"preset must be one of {known}, got {name!r}")
     return replace(configured(PRESETS[name], **numbers), effects=tuple(effects))
 
 

@@ -84,3 +84,11 @@ def test_an_angle_needs_a_unit():
     frame = pd.DataFrame({"t": np.arange(9) * 0.1, "theta": np.arange(9.0)})
     with pytest.raises(DataError, match="unknown unit"):
         bsp_gp.Dataset.from_frames(frame, units={"t": "s"})
+
+
+@pytest.mark.parametrize("law", [
+    "-c * m_i * omega_i", "-c * m_i * abs(omega_i) * omega_i", "-c * m_i * sign(omega_i)",
+    "-k * m_i * sin(theta_i - b)",
+])  # fmt: skip
+def test_torques_are_told_as_they_are_typed(law):
+    assert read_law(angles(), [law]).text(digits=False) == law

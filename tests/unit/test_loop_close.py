@@ -325,3 +325,11 @@ def test_removal_without_time_says_so():
     pruned = prune(rounds_of(data, "a * e_x", "-c * v_i"), data, clock=Clock(0.0))
     assert not pruned.is_complete
     assert pruned.removed == frozenset()
+
+
+def test_errors_that_would_take_longer_than_the_time_limit_are_left_out(monkeypatch):
+    monkeypatch.setattr("bsp_gp.loop.close.LATE_S", 0.0)
+    done = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), time_limit=1e-3)
+    assert done.verdict == "cannot tell" and "errors" in done.left_out
+    assert not np.isfinite(done.total["before"].rollout_rmse)
+    assert "errors on what is held out were not found out" in " ".join(summary_text(done).split())

@@ -364,3 +364,11 @@ def test_brackets_are_written_where_they_are_needed(formula):
 )  # fmt: skip
 def test_components_by_name(short, long):
     assert parse_formula(short, TYPES) == parse_formula(long, TYPES)
+
+
+def test_components_are_written_as_they_are_typed():
+    from bsp_gp.language.render import to_latex, to_text
+
+    law = parse_formula("-K * (x_i - X) * e_x - c * vy_i * e_y", TYPES)
+    assert parse_formula(to_text(law), TYPES) == law and "(x_i - X)" in to_text(law)
+    assert "vy_i" in to_text(law) and "v_{y,i}" in to_latex(law) and "x_i" in to_latex(law)

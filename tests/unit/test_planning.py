@@ -12,7 +12,7 @@ from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
 from bsp_gp.planning.discover import calm, discover
 from bsp_gp.planning.means import Experiment, Range, load_means, means_from
-from bsp_gp.planning.plan import information, plan, weights_of
+from bsp_gp.planning.plan import information, normals, plan, weights_of
 from bsp_gp.planning.rivals import Rival
 
 MEANS = {
@@ -137,6 +137,15 @@ def test_what_a_constant_may_be_is_asked(means):
     assert found.options[0].bits > 1
     with pytest.raises(SettingsError, match="no uncertain constant"):
         plan([one], means, rng=0, about="n")
+
+
+def test_motion_that_could_lead_anywhere_tells_little(means):
+    rows = np.zeros((2, 5, 3))
+    rows[:, 1:, 2] = [[1e9, -1e12, 3.0, 1e15], [0, 1.0, 2.0, 1e9]]
+    centres, roots = normals(rows, np.ones(3), np.full(3, 1e-3))
+    assert np.isfinite(roots).all() and centres.shape == (3, 3)
+    bits, _ = information(np.full(3, 1 / 3), centres, roots, np.random.default_rng(0))
+    assert 0 <= bits < np.log2(3) + 1e-6
 
 
 def test_none_of_these_has_a_probability(means):

@@ -345,3 +345,10 @@ def test_ball_drops(shared_data):
     volleyball = dataset.scene("volleyball_drop1").entities[0]
     assert math.isnan(volleyball.mass)
     assert volleyball.shape == "disc"
+
+
+def test_a_folder_may_hold_its_positions_as_parquet(tmp_path, monkeypatch):
+    table = pd.DataFrame({"t": [0.0, 1.0, 2.0], "entity": "a", "x": [0.0, 1.0, 4.0], "y": 0.0})
+    (tmp_path / "trajectories.parquet").write_bytes(b"")
+    monkeypatch.setattr(pd, "read_parquet", lambda path: table)
+    assert load_dataset(tmp_path).scenes[0].positions[2, 0, 0] == 4.0

@@ -50,7 +50,8 @@ class Companions(Sources):
         ----------
         view : View
         """
-        if len(view.dataset.scenes) > 1 or not _moves_anything(view.fit.law):
+        is_angle = view.dataset.units.is_angle
+        if is_angle or len(view.dataset.scenes) > 1 or not _moves_anything(view.fit.law):
             return Family(self.name)
         stage = Stage(view)
         null, proposals, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0

@@ -72,6 +72,8 @@ class Hidden(Sources):
         ----------
         view : View
         """
+        if view.dataset.units.is_angle:  # no angle says where a source might be
+            return Family(self.name)
         stage = Stage(view)
         null = np.zeros(view.moment_draws.shape[1])
         proposals, n_tried = [], 0
