@@ -79,7 +79,8 @@ class Kind:
     force : callable
         ``force(at, strength, values)``, N.
     inner : callable
-        ``inner(rng, span) -> dict``: constants by the stems of their names in the grammar.
+        ``inner(rng, t, y) -> dict``: constants by the stems of their names in the grammar, for
+        recordings of length `t` in which bodies pass the heights `y` without the force.
     is_whole : bool
         Whether nothing else acts, so that the noise is chosen.
     n_scenes : int or None
@@ -120,26 +121,27 @@ def _to_place(at, c, of, power):
 
 
 def _place(size):
-    return lambda rng, span: dict(zip(("centre_x", "centre_y"), rng.uniform(-size, size, 2),
+    return lambda rng, t, y: dict(zip(("centre_x", "centre_y"), rng.uniform(-size, size, 2),
                                       strict=True))  # fmt: skip
 
 
 KINDS = {
-    "drag of the power 1.5": Kind(LAYOUTS["thrown"], 0.005, _drag, lambda rng, span: {"n": 1.5}),
+    "drag of the power 1.5": Kind(LAYOUTS["thrown"], 0.005, _drag, lambda rng, t, y: {"n": 1.5}),
     "screened pull": Kind(
         LAYOUTS["orbiting"], 0.02,
         lambda at, c, of: _between(at, c, lambda r: np.exp(-r / of["L"]) / r**2),
-        lambda rng, span: {"L": rng.uniform(8.0, 16.0)},
+        lambda rng, t, y: {"L": rng.uniform(8.0, 16.0)},
     ),
     "softened pull": Kind(
-        NEAR_POST, 0.8, _to_post, lambda rng, span: {"L": rng.uniform(0.4, 0.8)}, is_whole=True
+        NEAR_POST, 0.8, _to_post, lambda rng, t, y: {"L": rng.uniform(0.4, 0.8)}, is_whole=True
     ),
     "push above a height": Kind(
-        LAYOUTS["thrown"], 0.05, _above, lambda rng, span: {"h_y": rng.uniform(0.4, 1.2)}
+        LAYOUTS["thrown"], 0.05, _above,
+        lambda rng, t, y: {"h_y": np.quantile(y, rng.uniform(0.3, 0.7))},
     ),
     "push for a while": Kind(
         LAYOUTS["sliding"], 0.02, _for_a_while,
-        lambda rng, span: {"t1": span * rng.uniform(0.2, 0.4), "t2": span * rng.uniform(0.55, 0.8)},
+        lambda rng, t, y: {"t1": t * rng.uniform(0.2, 0.4), "t2": t * rng.uniform(0.55, 0.8)},
     ),
     "spring to a rest point": Kind(
         LAYOUTS["sliding"], 2.0, lambda at, c, of: _to_place(at, c, of, 1), _place(1.0),
@@ -160,8 +162,10 @@ def data_set(name, seed):
     kind, rng = KINDS[name], np.random.default_rng((7, number, seed))
     layout = kind.layout
     plan = Plan("", 2, False, ("mass",), (5, number, seed))
-    span = moved(plan, None, layout, kind.n_scenes)[0].scenes[0].times[-1]
-    of = {key: float(value) for key, value in kind.inner(rng, span).items()}
+    without = moved(plan, None, layout, kind.n_scenes)[0].scenes
+    heights = np.concatenate([s.positions[:, s.dynamic, -1].ravel() for s in without])
+    of = kind.inner(rng, without[0].times[-1], heights)
+    of = {key: float(value) for key, value in of.items()}
     declared, sigma, made = layout.declared(2), layout.sigma, []
 
     def seen(strength):

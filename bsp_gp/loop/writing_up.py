@@ -97,7 +97,8 @@ def judged_together(records):
     Beside a law that only describes the tracks, whatever else is found makes up for it; and where
     something is left that nothing explains, no form is a fact.
     """
-    is_description = any(r.adopted and r.reason in UNLISTED.values() for r in records)
+    reasons = {r.reason for r in records if r.adopted}
+    is_description = bool(reasons & set(UNLISTED.values()))
     last = records[-1]
     is_left = not last.adopted and last.verdict != "nothing missing"
     if not (is_description or is_left):
@@ -106,7 +107,9 @@ def judged_together(records):
     for r in records:
         if r.adopted and r.effect is not None:
             r = replace(r, effect=replace(r.effect, is_fact=False))
-            if is_description and r.verdict == "effect adopted":
+            # What is left beside all is the business of the one whose strength varies, if one does.
+            is_beside = r.reason == "force_beside" and "strength_varies" in reasons
+            if is_description and r.verdict == "effect adopted" or is_beside:
                 r = replace(r, verdict="effective law", reason="beside_description")
         out.append(r)
     return tuple(out)

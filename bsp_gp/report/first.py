@@ -71,7 +71,8 @@ def else_sentence(report):
     effect = rounds[-1].effect
     out = []
     if is_number(effect.probability) and effect.probability >= LEAST:
-        out.append(f"Probability of this form: {format_number(100 * effect.probability, 2)} %.")
+        share = format_number(100 * effect.probability, 2)
+        out.append(f"Probability of this form: {share} %{_none_of_these(rounds[-1])}.")
     n = len(effect.equivalents)
     if n and len(effect.equivalents[0]) <= LONGEST:
         more = f" (and {n - 1} more)" if n > 1 else ""
@@ -79,8 +80,16 @@ def else_sentence(report):
     elif n:
         out.append(f"These data do not tell it from {n} other form{'s' * (n > 1)}, listed below.")
     elif out:
-        out.append("Nothing else that was tried does as well.")
+        doubt = "" if effect.is_fact else "; that its form is the true one is not shown"
+        out.append(f"Nothing else that was tried does as well{doubt}.")
     return " ".join(out)
+
+
+def _none_of_these(round_):
+    """How probable it is that the cause is none that is listed; "" if hardly."""
+    if not round_.unlisted >= LEAST:
+        return ""
+    return f"; of none that is listed: {format_number(100 * round_.unlisted, 2)} %"
 
 
 def bound_sentence(report):

@@ -116,6 +116,9 @@ def _round(done, report):
         noise=tuple(_noise(finding) for finding in done.noise_findings[:_MOST_FINDINGS]),
         bound=_bound(done.hidden_bound),
         effect=None if done.effect is None else _effect(done.effect, name, parts, tied),
+        unlisted=sum(
+            _finite(row["probability"]) for row in done.hypotheses if row["status"] == "linearised"
+        ),
         hypotheses=_hypotheses(done), n_hypotheses=len(done.hypotheses),
         adopted=done.adopted or done.reason == "superseded",
         removed=REASONS["superseded"] if done.reason == "superseded" else "",

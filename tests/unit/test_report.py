@@ -33,6 +33,7 @@ from bsp_gp.report import folder as folder_module
 from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
 from bsp_gp.report.explore import script, script_digest
 from bsp_gp.report.figures import build_figures
+from bsp_gp.report.first import bound_sentence, else_sentence
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.html import render_html
 from bsp_gp.report.numbers import format_number, format_p, format_value, pretty_unit, rounded
@@ -575,3 +576,32 @@ def test_a_number_that_json_cannot_hold_writes_nothing(tmp_path, small):
     with pytest.raises(ValueError, match="JSON"):
         write_report(small, tmp_path / "r", run_info={"x": math.nan})
     assert os.listdir(tmp_path) == []
+
+
+def test_beside_a_name_stand_its_probability_and_that_of_none_of_these():
+    report = sample.adopted()
+    first = report.rounds[0]
+    unknown = {**first.hypotheses[1], "id": 9, "code": "free_force", "law": "free_force along",
+               "status": "linearised", "probability": 0.2}  # fmt: skip
+
+    def told(is_fact):
+        effect = replace(first.effect, equivalents=(), is_fact=is_fact, probability=0.75)
+        rows = (*first.hypotheses, unknown)
+        only = replace(first, effect=effect, hypotheses=rows)
+        return else_sentence(page_of(replace(report, rounds=(only,))))
+
+    assert told(True) == (
+        "Probability of this form: 75 %; of none that is listed: 20 %. "
+        "Nothing else that was tried does as well."
+    )
+    assert told(False).endswith("that its form is the true one is not shown.")
+    assert "none that is listed" not in else_sentence(page_of(report))
+
+
+def test_what_may_be_hidden_is_told_beside_the_final_law():
+    report = sample.adopted()
+    text = summary_text(report)
+    assert "0.012 N (0.31 % of the declared force)" in text
+    assert "signal-to-noise ratio of 2.5 at most" in text.replace("\n  ", " ")
+    assert "may still hide" in bound_sentence(page_of(report))
+    assert bound_sentence(page_of(replace(report, hidden_bound=None))) == ""
