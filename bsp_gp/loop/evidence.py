@@ -84,7 +84,8 @@ def _log_share(fit, hypothesis, criteria):
             widths.append(math.pi * scale / math.sqrt(TURN))
         else:
             role = "linear" if number.name.endswith("]") else roles[number.name]
-            widths.append(math.exp(-_log_prior(role, abs(value), min(error, abs(value)), criteria)))
+            least = min(error, abs(value) or error)  # of a constant that stayed at 0 its error
+            widths.append(math.exp(-_log_prior(role, abs(value), least, criteria)))
             widths[-1] /= math.sqrt(TURN)
     scaled = fit.jacobian * np.minimum(widths, 1e100)
     size = np.linalg.svd(scaled, compute_uv=False)

@@ -57,7 +57,7 @@ def main(argv=None):
     rows = []
     for name in chosen:
         pair = simulated(repo, args.out.resolve() / "simulations", name)
-        for mode in MOST_ROWS:
+        for mode in args.modes:
             told = kept(args.out / "fits" / f"{safe(name)}-{mode}.json",
                         lambda pair=pair, mode=mode: answers_of(pair, mode))  # fmt: skip
             rows += [scored(i, mode, told) for i in items if i["variation_name"] == name]
@@ -72,6 +72,7 @@ def main(argv=None):
 
 def declare(parser):
     parser.add_argument("--repo", type=Path, required=True, help="checkout of the benchmark")
+    parser.add_argument("--modes", nargs="+", default=list(MOST_ROWS), choices=list(MOST_ROWS))
     parser.add_argument("--share", type=float, default=1.0, help="of the simulated pairs of stars")
 
 
@@ -172,7 +173,7 @@ def told_of(kind, found, data):
     span = scene.times[-1] - scene.times[0]
     (chains,), (nodes,) = found.groups, found.nodes
     order = [list(chains.bodies[0]).index(star) for star in STARS]
-    start = nodes[:, order, :, 0, 0]
+    start = nodes[..., 0, 0][:, order]
 
     def motion(t, y):
         p, v = y.reshape(2, 2, -1)
@@ -245,7 +246,8 @@ def _of_orbit(t, r, speeds, pull, a, e, m1, m2):
         out[f"travel_time_orbital_{part}per_path"] = np.interp(part / 100 * path[-1], path, when)
     force = 1 / (1 - e * np.cos(anomaly)) ** 2
     mean = np.trapezoid(force, when) / period
-    out["time_fraction_acceleraton_below_mean"] = np.trapezoid(force < mean, when) / period
+    below = (force < mean).astype(float)
+    out["time_fraction_acceleraton_below_mean"] = np.trapezoid(below, when) / period
     return out
 
 

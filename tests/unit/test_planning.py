@@ -281,3 +281,18 @@ def test_an_interrupted_discovery_goes_on_with_the_same_experiments(tmp_path, me
     (tmp_path / "b" / "discovery.json").write_text("[]")
     with pytest.raises(DataError, match="no discovery to go on from"):
         discover(still, few, 2, rng=5, out=tmp_path / "b")
+
+
+def test_the_share_of_a_constant_that_stays_at_zero_is_a_number(means):
+    from types import SimpleNamespace
+
+    from bsp_gp.loop.criteria import Criteria
+    from bsp_gp.loop.evidence import _log_share
+
+    law = rival(means, pull(-1), k=0.0).law
+    found = SimpleNamespace(
+        law=law, values=np.zeros(1), jacobian=np.array([[2.0]]), covariance=np.full((1, 1), np.inf)
+    )
+    number = SimpleNamespace(name="k", prior=None)
+    share = _log_share(found, SimpleNamespace(parameters=(number,)), Criteria())
+    assert np.isfinite(share)
