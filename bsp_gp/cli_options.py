@@ -343,7 +343,8 @@ def _add_make(commands):
     parser.add_argument(
         "preset", metavar="PRESET",
         help="discs: nbody, bounce, mat, magnet, fall, spring, pucks; machines: pendulum, arm, "
-        "double_pendulum, driven_cart, turntable, quadrotor_lite",
+        "double_pendulum, driven_cart, turntable, quadrotor_lite; stars and beads: binary, "
+        "star_about_unseen, beads",
     )
     _count = _integer(1, MAX_SCENES)
     parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")

@@ -18,12 +18,15 @@ from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
+from bsp_gp.units import Unit
 
 __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
 
 MOST_PAIRS = 300_000
 """Pairs of bodies, at all instants, for which every law is evaluated: more take gigabytes."""
 
+ASTRONOMICAL = 1e6
+"""Size of the data from which an attraction is gravity, and nothing is held, m."""
 N_DRAWS, N_ROW_DRAWS = 49, 99
 """Simulated moments behind the effective number of forces that were tried; residuals row by row."""
 
@@ -112,6 +115,16 @@ class View:
     @property
     def response(self):
         return self._found[1]
+
+    @cached_property
+    def is_astronomical(self):
+        """Whether tracks are so large, in metres, that only gravity acts as far."""
+        sizes = [
+            np.nanmax(s.positions, axis=(0, 1)) - np.nanmin(s.positions, axis=(0, 1))
+            for s in self.dataset.scenes
+        ]
+        is_known = self.dataset.units.is_calibrated(Unit.of(m=1, s=1))
+        return bool(is_known and np.max(sizes) > ASTRONOMICAL)
 
     @property
     def free_gain(self):

@@ -146,7 +146,7 @@ def acceleration(forces, bodies, p, v, t, h):
     still = np.zeros_like(p)
     for force in forces:
         if not force.needs_velocity:
-            still += force.on(bodies, p, v, t)
+            still += force.on(bodies, p, v, t) / (np.sqrt(h) if force.is_random else 1.0)
     still *= free / mass
     wet = [force for force in forces if force.needs_velocity and not force.is_dry]
     a = still

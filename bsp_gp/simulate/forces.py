@@ -23,6 +23,7 @@ __all__ = [
     "Drag",
     "DryFriction",
     "Force",
+    "Kicks",
     "MatFriction",
     "PairForce",
     "PeriodicPush",
@@ -63,6 +64,7 @@ class Force:
 
     needs_velocity: ClassVar[bool] = False
     is_dry: ClassVar[bool] = False
+    is_random: ClassVar[bool] = False
     kind: ClassVar[str] = "field"
 
     def __post_init__(self):
@@ -109,6 +111,33 @@ class UniformField(Force):
     def on(self, bodies, p, v, t):
         size = bodies.mass if self.per_mass else np.ones_like(bodies.mass)
         return (self.strength * size)[..., None] * unit_vector(self.angle)
+
+
+@dataclass(frozen=True)
+class Kicks(Force):
+    """Random kicks of a surrounding of some temperature, with the drag that it makes.
+
+    `on` gives the force times the root of the time for which it is the same.
+
+    Parameters
+    ----------
+    temperature : float, K
+    coefficient : float, kg/s
+        Of the drag.
+    seed : int
+        Kicks at one time are those of a generator of this seed and time.
+    """
+
+    temperature: float
+    coefficient: float
+    seed: int = 0
+    is_random: ClassVar[bool] = True
+    BOLTZMANN: ClassVar[float] = 1.380649e-23
+
+    def on(self, bodies, p, v, t):
+        rng = np.random.default_rng([self.seed, int(np.float64(t).view(np.uint64))])
+        size = math.sqrt(2 * self.coefficient * self.BOLTZMANN * self.temperature)
+        return size * rng.standard_normal(p.shape)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,8 @@ class Layout:
     """Base of all layouts; a frozen dataclass whose `draw(rng)` returns a World."""
 
     positive = ()
+    is_declared = True
+    """Whether the forces are those of the declared model; otherwise nothing is declared."""
 
     def __post_init__(self):
         for item in fields(self):

@@ -25,6 +25,7 @@ from bsp_gp.simulate.forces import (
 from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Pucks, Spring
 from bsp_gp.simulate.machines import MACHINES
 from bsp_gp.simulate.observation import Observation
+from bsp_gp.simulate.skies import Beads, Binary, StarAboutUnseen
 from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
 from bsp_gp.units import UnitSystem
@@ -143,7 +144,8 @@ class Settings:
     @property
     def declared(self):
         """Laws of the model that goes with the data."""
-        return self.laws([effect for effect in self.effects if effect.is_declared])
+        laws = self.laws([effect for effect in self.effects if effect.is_declared])
+        return laws if self.layout.is_declared else laws[len(self.laws([])) :]
 
 
 def _with_power(forces, effect):
@@ -157,6 +159,8 @@ def _with_power(forces, effect):
     )
 
 
+YEAR = 31557600.0
+UNTOUCHED = Contacts(has_contacts=False)
 PRESETS = {
     "nbody": Settings("nbody", NBody(), substeps=1),
     "bounce": Settings("bounce", Bounce(), substeps=1),
@@ -165,8 +169,16 @@ PRESETS = {
     "fall": Settings("fall", Fall(), dt=1 / 50, contacts=Contacts(restitution=0.5), up="y"),
     "spring": Settings("spring", Spring(), dt=1 / 25, up="y"),
     "pucks": Settings("pucks", Pucks(), dt=1 / 25, contacts=Contacts(has_contacts=False)),
-}
-"""The paper's scenes, with its one step of 0.02 per frame, and four more."""
+    "binary": Settings(
+        "binary", Binary(), n_frames=40, dt=YEAR / 2, substeps=200, contacts=UNTOUCHED,
+    ),
+    "star_about_unseen": Settings(
+        "star_about_unseen", StarAboutUnseen(), n_frames=40, dt=YEAR / 2, substeps=200,
+        contacts=UNTOUCHED,
+    ),
+    "beads": Settings("beads", Beads(), n_frames=500, contacts=UNTOUCHED),
+}  # fmt: skip
+"""The paper's scenes, with its one step of 0.02 per frame, and seven more."""
 
 RECORDED = {
     "nbody": {"has_contacts": False, "is_followed": True, "substeps": 50, "noise": 0.05},
@@ -176,6 +188,7 @@ RECORDED = {
     "fall": {"has_contacts": False, "has_table": False, "noise": 0.005},
     "spring": {"noise": 0.003},
     "pucks": {"noise": 0.01},
+    "binary": {"noise": 3e10}, "star_about_unseen": {"noise": 3e10}, "beads": {"noise": 1e-6},
 }
 """Numbers with which a preset is a recording: a camera's noise, and motion that follows the laws
 of its declared model, which know of no hard contacts."""
@@ -316,6 +329,7 @@ def make(settings, rng, engine=run_pymunk):
     truth : Truth
         What really happened.
     """
+    settings = _seeded(settings, rng)
     streams = [child.spawn(2 + len(settings.effects)) for child in rng.spawn(settings.n_scenes)]
     noise_rngs = [stream.pop(1) for stream in streams]
     worlds = [_drawn(settings, stream) for stream in streams]
@@ -332,6 +346,16 @@ def make(settings, rng, engine=run_pymunk):
         tuple(worlds), names, states, settings,
     )  # fmt: skip
     return _dataset(settings, scenes, names), truth
+
+
+def _seeded(settings, rng):
+    """Settings whose random forces have seeds; those without any take nothing of the generator."""
+    if not any(force.is_random for force in settings.forces):
+        return settings
+    forces = [
+        replace(f, seed=int(rng.integers(2**31))) if f.is_random else f for f in settings.forces
+    ]
+    return replace(settings, forces=tuple(forces))
 
 
 def _drawn(settings, stream):

@@ -34,8 +34,7 @@ CHUNK = 1 << 22
 """Numbers in one array at a time."""
 ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
 GRAVITY = f"6.6743e-11 [m^3/(kg s^2)] * m_j * {ATTRACTION}"
-ASTRONOMICAL = 1e6
-"""Size of the data from which an attraction is gravity, m."""
+TYPES = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
 AWAY = 0.1
 """Part of the data's size that a fit may miss and still lead to what extends it."""
 SAME = 1e-6
@@ -120,11 +119,7 @@ def attraction(view, stage):
 
     It is gravity where the data are as large as that takes, else one of its own strength.
     """
-    dataset = view.dataset
-    is_gravity = stage.size > ASTRONOMICAL and dataset.units.is_calibrated(Unit.of(m=1, s=1))
-    types = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
-    formula = parse_formula(GRAVITY if is_gravity else ATTRACTION, types)
-    term = Term(formula, "pair")
+    term = Term(stage.gravity if view.is_astronomical else parse_formula(ATTRACTION, TYPES), "pair")
     return ((term, Term(unit_pull(term, stage.strength)[0], "pair")),)
 
 
@@ -154,6 +149,7 @@ class Stage:
         self.n_dims = len(self.middle)
         law = view.fit.law
         self.strength = fresh_name(law, "M")
+        self.gravity = parse_formula(GRAVITY, TYPES)
         self.names = tuple(fresh_name(law, f"h_{axis}") for axis in "xyz"[: self.n_dims])
         self.places = self.middle + self.size * _grid(self.n_dims)
         per_place = sum(b.target.size for b in batches)
@@ -223,7 +219,7 @@ class Stage:
         out = [
             Proposal(
                 "hidden_body", f"at rest: {texts}", view.hypothesis + part,
-                -view.criteria.cause_nats, gain, 1 + self.n_dims, starts, kind="hidden_body",
+                self.log_prior(terms), gain, 1 + self.n_dims, starts, kind="hidden_body",
                 is_afresh=is_afresh,
             )
         ]  # fmt: skip
@@ -244,9 +240,14 @@ class Stage:
         )
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part,
-            -view.criteria.cause_nats, gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
+            self.log_prior(terms), gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
             is_afresh=self.is_led_away,
         )  # fmt: skip
+
+    def log_prior(self, terms):
+        """Of a source beforehand, nats: gravity is what bends tracks of astronomical size."""
+        is_gravity = all(to_text(term.formula) == to_text(self.gravity) for term, _ in terms)
+        return 0.0 if is_gravity else -self.view.criteria.cause_nats
 
     @property
     def is_led_away(self):
