@@ -271,10 +271,10 @@ class _Ready:
         if self.before_cut is None or found.is_failed:
             return found
         if found not in self._refitted:
-            self._refitted[found] = self._without_held_out(found, hypothesis, bounds)
+            self._refitted[found] = self._without_held_out(found, hypothesis, bounds, clock)
         return self._refitted[found]
 
-    def _without_held_out(self, found, hypothesis, bounds):
+    def _without_held_out(self, found, hypothesis, bounds, clock):
         nothing = replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
         hypothesis = continued(hypothesis, found)
         if not _shows_motion(hypothesis.seen(self.before_cut).scenes):
