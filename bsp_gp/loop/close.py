@@ -159,7 +159,7 @@ def close_loop(
             criteria=criteria,
         )
     rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
-    is_cut = False
+    is_cut = is_swapped = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
         says("looking at what was held out")
@@ -167,13 +167,14 @@ def close_loop(
         found = look(other, swapped_rng)
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
-            ready, rounds = other, found
-    left = None if time_limit is None else time_limit - (time.monotonic() - began)
-    until = Clock(None if left is None else left + LATE_S)
-    rounds = that_foresee(
-        rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-        ready.dataset, ready.split.test, foresight_rng, settings["crew"],
-    )  # fmt: skip
+            ready, rounds, is_swapped = other, found, True
+    if not is_swapped:  # what acts in those scenes only foresees nothing of the others
+        left = None if time_limit is None else time_limit - (time.monotonic() - began)
+        until = Clock(None if left is None else left + LATE_S)
+        rounds = that_foresee(
+            rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
+            ready.dataset, ready.split.test, foresight_rng, settings["crew"],
+        )  # fmt: skip
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )

@@ -57,10 +57,10 @@ def _drop_mass(formula):
 
 
 _ANGLES = tuple((re.compile(pattern), short) for pattern, short in (
-    (r"(?<!\w)\(dot\(p_([ij]) - origin, e_x\) / 1 \[rad\]\)", r"theta_\1"),
-    (r"dot\(p_([ij]) - origin, e_x\) / 1 \[rad\]", r"theta_\1"),
-    (r"(?<!\w)\(dot\(v_([ij]), e_x\) / 1 \[rad\]\)", r"omega_\1"),
-    (r"dot\(v_([ij]), e_x\) / 1 \[rad\]", r"omega_\1"),
+    (r"(?<!\w)\(\bx_([ij]) / 1 \[rad\]\)", r"theta_\1"),
+    (r"\bx_([ij]) / 1 \[rad\]", r"theta_\1"),
+    (r"(?<!\w)\(\bvx_([ij]) / 1 \[rad\]\)", r"omega_\1"),
+    (r"\bvx_([ij]) / 1 \[rad\]", r"omega_\1"),
     (r" \* \(1 \[rad\] \* e_x\)", ""),
     (r"sign\(\(([^()]*)\) / 1 \[1/s\]\)", r"sign(\1)"),
     (r"sign\((omega_[ij]) / 1 \[1/s\]\)", r"sign(\1)"),

@@ -16,6 +16,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposal import continued, with_term
 from bsp_gp.loop.proposers.exponents import power_of
 from bsp_gp.loop.view import View
+from bsp_gp.loop.writing_up import judged_together
 from bsp_gp.physics.force import Term
 from tests.fitted_tracks import law_of
 from tests.loop_views import GRAVITY
@@ -122,7 +123,14 @@ def test_a_power_is_as_stated_where_its_neighbours_are_excluded():
 def test_what_stands_beside_a_description_is_none_the_surer():
     data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
     report = close_loop(data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)
-    adopted = [done for done in report.rounds if done.adopted]
-    assert report.verdict == "effective law" and len(adopted) == 2
-    assert {done.reason for done in adopted} == {"strength_varies", "beside_description"}
-    assert not any(done.effect.is_fact for done in adopted)
+    first, second = report.rounds
+    assert report.verdict == "effective law"
+    assert first.reason == "strength_varies" and not first.effect.is_fact
+    # Weight that differs from scene to scene makes up for what the description lacks, in these
+    # scenes and in no others.
+    assert not second.adopted and second.reason == "predictions_worse"
+    adopted = replace(first, verdict="effect adopted", reason="adopted",
+                      effect=replace(first.effect, is_fact=True))  # fmt: skip
+    _, beside = judged_together([first, adopted])
+    assert beside.verdict == "effective law" and beside.reason == "beside_description"
+    assert not beside.effect.is_fact

@@ -78,7 +78,7 @@ def test_a_push_beyond_a_height_leads():
         return np.array([3.0 * (place[1] > 1.2), 0.0])
 
     best, found = proposed(pushed(push))
-    assert "sign(dot(p_i - origin, e_y) - h_y1)" in best.text
+    assert "sign(y_i - h_y1)" in best.text
     assert is_within(found, c=1.5, h_y=1.2)
 
 
