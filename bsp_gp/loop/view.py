@@ -280,6 +280,8 @@ def selected(gain, rank, null, noise_dof=np.inf, is_continuum=False):
     # Of trials M, the expected number beyond a bar is M sf(bar): counted at the upper half.
     chance = np.sort(p_of_gain(null, rank))[: max(len(null) // 2, 1)]
     bar = chance[-1]
+    if bar == 0.0:  # chances of one trial are below all numbers: what noise shows is counted
+        return float((1 + np.count_nonzero(null >= gain)) / (len(null) + 1))
     share = len(chance) / (len(null) + 1)
     trials = max(np.log1p(-share) / np.log1p(-min(bar, 1 - 1e-12)), 1.0)
     height = float(np.sort(null)[::-1][len(chance) - 1])

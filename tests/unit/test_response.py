@@ -165,3 +165,9 @@ def test_selection_counts_what_was_tried():
 def test_nothing_selected_is_not_significant():
     assert selected(np.nan, 1, np.ones(9)) == 1.0
     assert selected(5.0, 0, np.ones(9)) == 1.0
+
+
+def test_noise_whose_chance_is_below_all_numbers_is_counted_without_a_warning():
+    null = np.full(20, 5000.0)  # of one column, exp(-2500)
+    assert selected(4000.0, 1, null) == pytest.approx(1.0)
+    assert selected(9000.0, 1, null) == pytest.approx(1 / 21)
