@@ -76,7 +76,8 @@ class View:
         """The fit, under the noise that a free force leaves if it is estimated; its response."""
         found, response = self._without_memory or (self._fit, self._as_fitted)
         noise = found.noise
-        if response.level == 1.0 or not noise.is_free.all():
+        is_estimated = noise.is_free[np.isfinite(noise.levels)].all()  # nan: an axis without data
+        if response.level == 1.0 or not is_estimated:
             return found, response
         levels = tuple(level * response.level for level in noise.levels)
         found = replace(found, noise=replace(noise, levels=levels))
@@ -102,6 +103,11 @@ class View:
         response = respond(found, self.dataset)
         needed = self._fit.log_likelihood - found.log_likelihood + self.criteria.noise_nats
         return (found, response) if response.free_height > needed else None
+
+    @property
+    def misfit(self):
+        """Reduced chi-squared of the fit as it was made."""
+        return self._fit.chi2_red
 
     @property
     def is_memory_doubted(self):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
@@ -92,3 +93,30 @@ def test_kicks_are_told_by_the_loop():
     assert known["diffusion"].unit == "um^2/s"
     assert known["diffusion"].low < 1.0 < known["diffusion"].high
     assert known["temperature"].unit == "K" and known["stiffness"].low < 4e-15
+
+
+def test_what_kicks_make_is_what_the_steps_add_up_to():
+    rng = np.random.default_rng(3)
+    best = models_of([kicked(rng, drag=0.5, trap=4.0, n_rows=800)])[0]
+    values = {name: value for name, (value, _, _) in best.values.items()}
+    at_rest = values["speed_variance"] / values["trap_rate"]
+    assert best.variance_after(1e4) == pytest.approx(at_rest, rel=1e-6)
+    assert best.variance_after(1e-3) < 1e-6 * at_rest
+
+
+def test_a_swing_that_can_be_foreseen_is_no_matter_of_kicks():
+    """A spring with drag as the square of the speed was told as kicks in a trap with drag."""
+    times = np.linspace(0.0, 6.0, 241)
+
+    def motion(t, state):
+        return [state[1], -25.0 * state[0] - 0.4 * state[1] - 3.0 * abs(state[1]) * state[1]]
+
+    track = solve_ivp(motion, (0, 6), [0.3, 0.0], t_eval=times, rtol=1e-9, atol=1e-12).y[0]
+    places = np.zeros((241, 1, 2))
+    places[:, 0, 0] = 0.7 + track + 1e-3 * np.random.default_rng(4).standard_normal(241)
+    bob = Entity("bob", "disc", radius=0.01, properties={"mass": 0.2})
+    units = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
+    data = Dataset("spring", (Scene("s", times, places, [bob]),), units=units)
+    report = close_loop(data, (), rng=0, n_bootstrap=0, max_rounds=1)
+    effect = report.rounds[0].effect
+    assert effect is None or effect.code not in ("kicks", "noise")
