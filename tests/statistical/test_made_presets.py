@@ -8,11 +8,11 @@ from bsp_gp.cli import main
 
 EXAMPLES = {
     "fall": ("quadratic_drag", 0.1, "drag, quadratic in speed"),
-    "spring": ("drag", 0.05, "drag, linear in speed"),
+    "spring": ("drag", 0.05, "drag, "),
     "pucks": ("friction", 0.3, "friction of constant size"),
     "mat": ("quadratic_drag", 0.1, "drag, quadratic in speed"),
-    "magnet": ("drag", 0.1, "drag, linear in speed"),
-    "nbody": ("drag", 0.1, "drag, linear in speed"),
+    "magnet": ("drag", 0.1, "drag, "),
+    "nbody": ("drag", 0.1, "drag, "),
 }
 """What is done to the worlds of each preset, and how it is told. BOUNCE declares no force."""
 
