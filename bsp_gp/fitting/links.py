@@ -42,6 +42,15 @@ class Links:
     left: np.ndarray
     values: np.ndarray
 
+    def believed(self, error):
+        """The same with larger errors where much is left: by that part of it, on the average."""
+        rms = np.sqrt(np.mean(np.square(self.left[self.values > 0]))) if self.values.any() else 0.0
+        size = float(np.hypot(1.0, error * rms))
+        return Links(
+            self.pieces, self.by_force / size, self.by_constant / size, self.left / size,
+            self.values / size**2,
+        )  # fmt: skip
+
     def kept(self, keep):
         """The same with the last moments that count in some run, and which do."""
         count = int(keep.sum(axis=1).max(initial=1))

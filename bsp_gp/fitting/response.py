@@ -43,6 +43,8 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
 PASSES = 3
+INEXACT = 0.02
+"""Part of what is left of slow motion that is not believed: no exacter are forces between rows."""
 MEMORIES = 3.0
 """Correlation times that pieces must last for their noise to be independent of one another."""
 MOST_KEPT = 1 << 24
@@ -520,7 +522,7 @@ class _Group:
             if lasts[leads].min() < MEMORIES * self.noise.correlation_time:
                 return None
         links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
-        return links and links.kept(self._kept(links.values, links.left))
+        return links and links.believed(INEXACT).kept(self._kept(links.values, links.left))
 
     # --- batches of the regression ---------------------------------------------------------------
 

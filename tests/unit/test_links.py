@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.fitting import pieces
-from bsp_gp.fitting.links import link, orthonormal
+from bsp_gp.fitting.links import Links, link, orthonormal
 from tests.unit.test_response import GRAVITY, score, thrown, view_of
 
 
@@ -52,3 +52,13 @@ def test_columns_without_effect_have_no_direction():
     matrix[0, :, 0] = 3.0
     q = orthonormal(matrix)[0]
     assert np.square(q).sum() == pytest.approx(1.0)
+
+
+def test_where_much_is_left_a_part_of_it_is_not_believed():
+    much = np.array([[300.0, 400.0]])
+    links = Links(np.array([[0, 1]]), np.ones((1, 2, 2, 3)), np.ones((1, 2, 1)), much,
+                  np.ones((1, 2)))  # fmt: skip
+    size = np.hypot(1.0, 0.02 * np.sqrt(np.mean(np.square(much))))
+    assert links.believed(0.02).left == pytest.approx(much / size)
+    assert links.believed(0.02).by_force == pytest.approx(1 / size)
+    assert links.believed(0.0).left == pytest.approx(much)
