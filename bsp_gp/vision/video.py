@@ -20,7 +20,8 @@ from bsp_gp.output.place import whole_file  # noqa: E402
 
 __all__ = ["Video", "VideoWriter", "open_video"]
 
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+# Silent; OpenCV 5 has it in another place than OpenCV 4.10.
+getattr(cv2.utils, "logging", cv2).setLogLevel(0)
 
 MAX_FPS = 100_000.0
 LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG ", "MPNG", "DIB ", "RGBA", "ULRG")
