@@ -119,7 +119,7 @@ $(VENV)/.ok: setup.cfg pyproject.toml
 	    "$$python" -m venv --clear $(VENV); \
 	fi; \
 	echo "Installing bsp_gp and what it needs into $(VENV) (once; 180 MB to download, 730 MB on disk) ..."; \
-	$(PIP) -e '.[test,astro]'; \
+	$(PIP) -e '.[test,astro,web]'; \
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.ok

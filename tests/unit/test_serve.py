@@ -13,7 +13,8 @@ import pytest
 
 from tests.snippets import ROOT
 
-pytest.importorskip("starlette", reason="the extra [web] is not installed")
+for library in ("starlette", "uvicorn"):
+    pytest.importorskip(library, reason="the extra [web] is not installed")
 
 FALLS = ROOT / "examples" / "falls.csv"
 WEIGHT = "9.81 [m/s^2] * m_i * down"

@@ -7,10 +7,12 @@ import zipfile
 import pytest
 
 from tests.snippets import ROOT
-from tests.unit.test_serve import FALLS, WEIGHT, Server
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytest.importorskip("starlette", reason="the extra [web] is not installed")
+pytest.importorskip("uvicorn", reason="the extra [web] is not installed")
+
+from tests.unit.test_serve import FALLS, WEIGHT, Server  # noqa: E402  (skips without the extra)
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 pytestmark = [
     pytest.mark.slow,
