@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bsp_gp.fitting.free_force import STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import link, orthonormal
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
@@ -51,8 +52,8 @@ MOST_KEPT = 1 << 24
 """Moments of laws that are kept, in numbers."""
 NOTHING = 1e-12
 """Part of what a force shows best, below which a moment is rounding."""
-STRENGTHS = np.logspace(-4, 6, 41)
-"""Of the free force that smooths tracks, squared, in units of what one moment would show."""
+MOST_JOINED = 2000
+"""Instants of joined pieces whose memory of a free force is followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,6 +242,7 @@ class _Group:
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
         self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
+        self.free = FreeForce(np.zeros((0, 0, 0)), self.fine.times)
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
         held = {name for part in constraints_of(fit.law) for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
@@ -410,13 +412,11 @@ class _Group:
             q = orthonormal(own)
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
-            values, vectors = np.linalg.eigh(by_force @ np.swapaxes(by_force, 1, 2))
-            if turn + 1 == PASSES or not self._smoothed(
-                changes, white, by_force, left, values, vectors
-            ):
+            if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left):
                 break
+        values, vectors = FreeForce(by_force, self.fine.times).shown()
         self._linked = self._links(changes, white)
-        self._weigh(values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0])
+        self._weigh(by_force, values, left)
         keep = self._kept(values, left)
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
@@ -436,30 +436,15 @@ class _Group:
     def _kept(self, values, left):
         """Moments without which less than `LOST` is lost of what a force white in time may show."""
         shown = max(float(np.square(left).sum()) - left.size, LEAST_SHOWN)
-        values = np.maximum(values, 0.0)
         tail = np.cumsum(values, axis=1)  # eigenvalues rise
         return tail * shown > LOST * tail[:, -1:].max()
 
-    def _smoothed(self, changes, white, by_force, left, values, vectors):
+    def _smoothed(self, changes, white, by_force, left):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""
-        turned = np.square((np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0])
-        values = np.maximum(values, 0.0)
-        top = values.max(axis=1, keepdims=True)
-        if not np.any(top > 0):
+        self.free = FreeForce(by_force, self.fine.times).chosen(left)
+        force = self.free.smoothest(left)
+        if force is None:
             return False
-        scaled = values / np.where(top > 0, top, 1.0)
-        # One strength for all pieces, by marginal likelihood; 0 is the fitted law alone.
-        height = [
-            -0.5 * float((turned / (1 + s * scaled) + np.log1p(s * scaled)).sum())
-            for s in (0.0, *STRENGTHS)
-        ]
-        best = int(np.argmax(height))
-        if best == 0 or height[best] < height[0] + 1.0:
-            return False
-        strength = STRENGTHS[best - 1] / np.where(top > 0, top, 1.0)
-        weight = strength / (1 + strength * values)
-        inner = (vectors * weight[:, None]) @ (np.swapaxes(vectors, 1, 2) @ left[..., None])
-        force = (np.swapaxes(by_force, 1, 2) @ inner)[..., 0]
         n_forces, n = by_force.shape[2], 2 * self.n_own * self.n_dims
         own = white[:, :, n_forces : n_forces + n]
         rest = white[:, :, -1] - (white[:, :, :n_forces] @ force[..., None])[..., 0]
@@ -474,31 +459,38 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _weigh(self, values, turned):
+    def _weigh(self, by_force, white, left):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
         What a law leaves may have been taken for noise: its level is that of the pure error.
 
         Parameters
         ----------
-        values : ndarray, shape (W, m)
-            What forces show in the moments of pieces, squared.
-        turned : ndarray, shape (W, m)
-            Those moments.
+        by_force : ndarray, shape (W, m, F)
+        white : ndarray, shape (W, m)
+            What a white force shows in moments of pieces, squared.
+        left : ndarray, shape (W, m)
         """
-        top = np.maximum(values, 0.0).max(axis=1, keepdims=True)
+        values, turned = self.free.on(by_force, self.fine.times).seen(left)
+        scaled, top = in_units(values)
         if not np.any(top > 0):
             return
-        parts = [(turned, np.maximum(values, 0.0) / np.where(top > 0, top, 1.0))]
+        parts, count = [(turned, scaled)], _n_open(white)
         if self._linked is not None:
             links = self._linked[0]
             mean = np.where(links.pieces >= 0, top[links.pieces, 0], np.nan)
-            parts.append((links.left, links.values / np.nanmean(mean, axis=1)[:, None]))
+            mean = np.nanmean(mean, axis=1)[:, None]
+            times = self._joined(self.fine.times)
+            if not self.free.memory:
+                parts.append((links.left, links.values / mean))
+                count += _n_open(links.values)
+            elif len(times) <= MOST_JOINED:
+                joined = links.by_force.reshape(*links.left.shape, -1)
+                values, turned = self.free.on(joined, times).seen(links.left)
+                parts.append((turned, values / mean))
+                count += _n_open(links.values)
         square, scaled = (np.concatenate([part[k].ravel() for part in parts]) for k in (0, 1))
-        square, scaled = np.square(square), scaled
-        known = scaled > NOTHING  # noise shows nothing in what states and the like take up
-        square, scaled = square[known], scaled[known]
-        count = max(len(square), 1)
+        square, count = np.square(square), max(count, 1)
         given, freed = [], []
         for s in (0.0, *STRENGTHS):
             size = 1 + s * scaled
@@ -598,6 +590,11 @@ class _Group:
             out[:, self.held] = direct.reshape(out.shape)[:, self.held]
             columns.append(out)
         return columns
+
+
+def _n_open(values):
+    """How many moments there are: noise shows nothing in what states and the like take up."""
+    return int((values > NOTHING * values.max(axis=1, keepdims=True, initial=0.0)).sum())
 
 
 def _refined(chains, per_row):

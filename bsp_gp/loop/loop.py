@@ -239,6 +239,7 @@ class _Turn:
         self.rows = [Row(0, "base", "", "", *base)]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
+        self.levels = np.array(found.noise.levels)  # of the noise by which promises are made
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
         # By what proposers look at, rows or forces: nats that a fit has promised and kept, and the
         # greatest promise that was kept by what leaves no misfit.
@@ -253,7 +254,7 @@ class _Turn:
 
     def propose(self, number, view):
         """Ask all proposers for which there is time."""
-        n = len(self.run.proposers)
+        n, self.levels = len(self.run.proposers), np.array(view.fit.noise.levels)
         for k, proposer in enumerate(self.run.proposers, 1):
             if self.note_time("proposers"):
                 break
@@ -326,9 +327,13 @@ class _Turn:
 
     def _note_gain(self, row, proposal, measure):
         """Remember what a fit has gained of what it promised."""
-        gained = row.log_posterior - self.rows[0].log_posterior
+        new, gained = self.fits[row.id], row.log_posterior - self.rows[0].log_posterior
+        is_explained = new.chi2_red < EXPLAINED
+        levels = np.array(new.noise.levels) / self.levels
+        if is_explained and np.nanmax(levels) < np.sqrt(EXPLAINED):  # the base has a larger noise
+            gained = max(gained, proposal.promise)
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
-        if self.fits[row.id].chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
+        if is_explained and gained > 0.8 * proposal.promise:
             self.kept[measure] = max(self.kept[measure], proposal.promise)
 
     def _tell_near(self, every, above):

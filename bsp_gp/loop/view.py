@@ -27,6 +27,8 @@ MOST_PAIRS = 300_000
 
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
+MOST_LEVELS = 4
+"""Times that the level of the noise is told anew beside a free force."""
 N_DRAWS, N_ROW_DRAWS = 49, 99
 """Simulated moments behind the effective number of forces that were tried; residuals row by row."""
 
@@ -75,13 +77,14 @@ class View:
     def _found(self):
         """The fit, under the noise that a free force leaves if it is estimated; its response."""
         found, response = self._without_memory or (self._fit, self._as_fitted)
-        noise = found.noise
-        is_estimated = noise.is_free[np.isfinite(noise.levels)].all()  # nan: an axis without data
-        if response.level == 1.0 or not is_estimated:
-            return found, response
-        levels = tuple(level * response.level for level in noise.levels)
-        found = replace(found, noise=replace(noise, levels=levels))
-        return found, respond(found, self.dataset)
+        is_free = found.noise.is_free[np.isfinite(found.noise.levels)]  # nan: an axis without data
+        for _ in range(MOST_LEVELS if is_free.all() else 0):
+            if response.level == 1.0:
+                break
+            levels = tuple(level * response.level for level in found.noise.levels)
+            found = replace(found, noise=replace(found.noise, levels=levels))
+            response = respond(found, self.dataset)
+        return found, response
 
     @cached_property
     def _without_memory(self):

@@ -329,6 +329,31 @@ class InnerSearch:
                 scan = replace(scan, best=float(gains[k]), at=points[k])
         return scan
 
+    def linearised(self, scan):
+        """Moments of a form where it does best, and of changes of its inner constants.
+
+        Returns
+        -------
+        ndarray, shape (n, 1 + k)
+            Beside what constants of the law take up.
+        """
+        step = scan.spacing / CLOSER**ZOOMS
+        ends = np.concatenate([scan.at + np.diag(step), scan.at - np.diag(step)])
+        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
+        points = np.clip(np.concatenate([scan.at[None], ends]), low, high)
+        values = {a.name: a.values(points[:, k]) for k, a in enumerate(scan.axes)}
+        term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
+        columns = self.beside(self._columns(term, values))
+        k = len(scan.axes)
+        apart = np.diag(points[1 : k + 1] - points[k + 1 :])
+        changes = (columns[:, 1 : k + 1] - columns[:, k + 1 :]) / np.where(apart > 0, apart, 1.0)
+        return np.concatenate([columns[:, :1], changes], axis=1)
+
+    def moved(self, scan, steps):
+        """A scan with its inner constants changed by steps (k,) in their coordinates."""
+        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
+        return replace(scan, at=np.clip(scan.at + steps, low, high))
+
     def strength(self, scan):
         """The strength of a form where it does best; nan where numbers do not carry it."""
         values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import stats
 
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.ranged import RangedForces
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
+from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
+from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.inner import Form, InnerSearch, read_forms
+from bsp_gp.search.subsets import best_subsets
 
 __all__ = ["Inside", "inner_search"]
 
 MOST = 8
-"""Forms that are looked at more closely."""
+"""Forms that are proposed."""
+MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
+"""Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
+SEPARATE = 0.02
+"""Part of a law that must lie beside a form and changes of it for the two to be told apart."""
 
 
 class Inside:
@@ -38,7 +47,7 @@ class Inside:
     name = "inside"
 
     def __init__(self, laws, dataset):
-        self.grammar = laws.grammar
+        self.grammar, self.common = laws.grammar, laws.common
         self.forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
 
     def propose(self, view):
@@ -64,15 +73,18 @@ class Inside:
                 scans.append(search.scan(form))
         if not scans:
             return Family(self.name)
-        chosen = []
+        distinct = []
         for scan in sorted(scans, key=lambda s: -s.promise):
-            twin = next((c for c in chosen if scan.is_like(c)), None)
+            twin = next((c for c in distinct if scan.is_like(c)), None)
             if twin is not None:
                 twin.ties.append(scan)
-            elif len(chosen) < MOST:
-                chosen.append(scan)
-        closer = [search.closer(scan) for scan in chosen]
-        every = (_proposal(view, search, s) for s in closer if s.best > view.explained)
+            else:
+                distinct.append(scan)
+        # A peak may be much narrower than the grid is coarse: every form is looked at closely.
+        closer = sorted((search.closer(scan) for scan in distinct), key=lambda s: -s.promise)[:MOST]
+        every = [_proposal(view, search, s) for s in closer if s.best > view.explained]
+        if not is_noise:
+            every += [p for s in closer[:MOST_LEADS] for p in self._sums(view, search, s)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
@@ -82,6 +94,61 @@ class Inside:
             f"{len(scans)} forms with constants inside scored at {count} places on grids",
             n_tried=count,
         )  # fmt: skip
+
+    def _sums(self, view, search, scan):
+        """A form and one or two laws of textbooks beside it, where it leaves more than noise.
+
+        The inner constants move with them, as far as moments are linear in these.
+        """
+        left = view.left @ view.left - scan.best
+        if stats.chi2.sf(left, max(view.n_left - 2, 1)) > view.criteria.alpha:
+            return
+        own = search.linearised(scan)
+        taken = orthonormal(own, len(own))
+        laws = [law for law in self.common if _is_shown(view, law)]
+        columns = view.force_columns([split_linear(law)[1] for law in laws]) if laws else own[:, :0]
+        columns = view.beside(columns)
+        beside = columns - taken @ (taken.T @ columns)
+        is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
+        beside = np.where(is_own, beside, 0.0)
+        rest = view.left - taken @ (taken.T @ view.left)
+        subsets = best_subsets(beside, rest, LARGEST - 1)
+        for members in (m for found in subsets.values() for _, m in found[:MOST_SUMS]):
+            yield _sum(view, search, scan, own, [laws[k] for k in members], columns[:, members])
+
+
+def _is_shown(view, law):
+    """Whether all bodies have what a law names, and have it in numbers."""
+    try:
+        return bool(np.isfinite(view.force_columns([split_linear(law)[1]], kind_of(law))).all())
+    except EvaluationError:
+        return False
+
+
+def _sum(view, search, scan, own, laws, columns):
+    """The proposal of a form and laws beside it, all where moments have them together."""
+    both = np.concatenate([own, columns], axis=1)
+    size = np.linalg.norm(both, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    amounts = np.linalg.lstsq(both / size, view.left, rcond=1e-10)[0] / size
+    gain = view.left @ view.left - np.square(view.left - both @ amounts).sum()
+    n_own = own.shape[1]
+    steps = amounts[1:n_own] / amounts[0] if amounts[0] else np.zeros(n_own - 1)
+    one = _proposal(view, search, search.moved(scan, steps))
+    hypothesis, formulas = one.hypothesis, list(one.formulas)
+    starts = {**one.starts, next(iter(formulas[0].constants)): amounts[0]}
+    law = hypothesis.law
+    for formula, amount in zip(laws, amounts[n_own:], strict=True):
+        names = fresh_names(law, formula.constants)
+        term = Term(rename_constants(formula, names), kind_of(formula))
+        values = dict.fromkeys(names.values(), float(amount))
+        hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
+        starts, formulas = {**starts, **values}, [*formulas, term.formula]
+    return replace(
+        one, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
+        formulas=tuple(formulas), ties=(), gain=float(gain), rank=one.rank + len(laws),
+        log_prior=one.log_prior - view.criteria.cause_nats * len(laws),
+    )  # fmt: skip
 
 
 def inner_search(view, grammar, draws):
