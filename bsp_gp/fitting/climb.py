@@ -173,7 +173,7 @@ class Climb:
     def _from_near(self):
         """The minimum that the tracks of a smaller hypothesis lead to, if they lead to one."""
         near, run = self.run.near, self.run
-        if near is None or near.is_failed or near.paper_steps != self.paper_steps:
+        if near is None or not near.shows_tracks or near.paper_steps != self.paper_steps:
             return None
         shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in run.groups]
         if shapes != [nodes.shape for nodes in near.nodes]:  # it has bodies or rows of its own

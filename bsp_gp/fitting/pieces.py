@@ -87,6 +87,18 @@ class Pieces:
         rows, inside = self._gather
         return np.where(inside, nodes[..., rows, self.chain], np.nan)
 
+    def put(self, nodes, states):
+        """States of all chains, those of the rows of pieces (2, R, d, L, W) in their place."""
+        rows, inside = self._gather
+        inside = inside & (rows < self.stop)
+        chain = np.broadcast_to(self.chain, rows.shape)
+        found = states[..., inside]
+        out = nodes.copy()
+        out[..., rows[inside], chain[inside]] = np.where(
+            np.isfinite(found), found, out[..., rows[inside], chain[inside]]
+        )
+        return out
+
     def tolerance(self, noise):
         """Errors that integrations may have, (W,), m."""
         seen = np.isfinite(noise.variance)

@@ -152,6 +152,8 @@ class Response:
         level beside the force is the declared one, if all is declared.
     free_height : float, nats
         The same beside white noise of the level of the fit.
+    nodes : tuple of ndarray, shape (2, R, d, T, S)
+        States of the fit, smoothed where pieces were looked at, per group of like-built chains.
     """
 
     regression: ResponseRegression
@@ -160,6 +162,7 @@ class Response:
     level: float = 1.0
     free_gain: float = 0.0
     free_height: float = 0.0
+    nodes: tuple = ()
 
     def left(self):
         """Residual and columns, as searches take them."""
@@ -191,7 +194,8 @@ def respond(fit, dataset, scenes=None):
     """
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
-        batches, columns, levels, free, used, total = [], [], [], np.zeros(2), 0, 0
+        batches, columns, levels, smoothed = [], [], [], []
+        free, used, total = np.zeros(2), 0, 0
         first = 0
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
@@ -206,6 +210,7 @@ def respond(fit, dataset, scenes=None):
             batches += group.batches()
             columns += group.columns(batches)
             levels.append(group.level)
+            smoothed.append(pieces.put(nodes, group.nodes[..., group.at_rows, :]))
             free += group.free_gain, group.free_height
             used += pieces.n_rows
             total += int(chains.lengths.sum())
@@ -214,7 +219,9 @@ def respond(fit, dataset, scenes=None):
     )
     level = float(np.exp(np.mean(np.log(levels))))
     share = used / max(total, 1)
-    return Response(regression, np.concatenate(columns), share, level, *free.tolist())
+    return Response(
+        regression, np.concatenate(columns), share, level, *free.tolist(), tuple(smoothed)
+    )
 
 
 def _noise(fit, chains, part):

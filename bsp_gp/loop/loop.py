@@ -234,6 +234,7 @@ class _Turn:
 
     def __init__(self, run, found, hypothesis):
         self.run, self.base = run, found
+        self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
         self.rows = [Row(0, "base", "", "", *base)]
@@ -255,6 +256,7 @@ class _Turn:
     def propose(self, number, view):
         """Ask all proposers for which there is time."""
         n, self.levels = len(self.run.proposers), np.array(view.fit.noise.levels)
+        self.near, self.missing = view.near, max(float(view.left @ view.left) - view.n_left, 0.0)
         for k, proposer in enumerate(self.run.proposers, 1):
             if self.note_time("proposers"):
                 break
@@ -328,12 +330,12 @@ class _Turn:
     def _note_gain(self, row, proposal, measure):
         """Remember what a fit has gained of what it promised."""
         new, gained = self.fits[row.id], row.log_posterior - self.rows[0].log_posterior
-        is_explained = new.chi2_red < EXPLAINED
-        levels = np.array(new.noise.levels) / self.levels
-        if is_explained and np.nanmax(levels) < np.sqrt(EXPLAINED):  # the base has a larger noise
-            gained = max(gained, proposal.promise)
+        # Promises are made under the pure error; the base may have been fitted under a larger one.
+        level = float(np.nanmax(np.array(new.noise.levels) / self.levels))
+        left = max(level**2 * new.chisqr - (new.n_rows - new.n_free), 0.0)
+        gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
-        if is_explained and gained > 0.8 * proposal.promise:
+        if new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
             self.kept[measure] = max(self.kept[measure], proposal.promise)
 
     def _tell_near(self, every, above):
@@ -369,7 +371,7 @@ class _Turn:
         run = self.run
         both = {False, True}
         return run.crew.work(
-            _fit_of, (self.base, run.dataset, run.criteria, run.bounds, run.clock), queue,
+            _fit_of, (self.near, run.dataset, run.criteria, run.bounds, run.clock), queue,
             lambda job: not self._is_behind(job[1], both, is_again=False),
         )  # fmt: skip
 

@@ -122,6 +122,13 @@ class View:
         return self._found[0]
 
     @property
+    def near(self):
+        """The fit as it was made, at smoothed tracks: where fits of what may be missing begin."""
+        smoothed, nodes = self.response.nodes, self._fit.nodes
+        is_same = [a.shape for a in smoothed] == [a.shape for a in nodes]
+        return replace(self._fit, nodes=smoothed) if is_same else self._fit
+
+    @property
     def response(self):
         return self._found[1]
 

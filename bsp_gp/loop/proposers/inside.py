@@ -106,8 +106,8 @@ class Inside:
         own = search.linearised(scan)
         taken = orthonormal(own, len(own))
         laws = [law for law in self.common if _is_shown(view, law)]
-        columns = view.force_columns([split_linear(law)[1] for law in laws]) if laws else own[:, :0]
-        columns = view.beside(columns)
+        columns = [view.force_columns([split_linear(law)[1]], kind_of(law)) for law in laws]
+        columns = view.beside(np.concatenate([own[:, :0], *columns], axis=1))
         beside = columns - taken @ (taken.T @ columns)
         is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
         beside = np.where(is_own, beside, 0.0)
