@@ -302,8 +302,9 @@ class _Turn:
                 continue
             self.run.says(f"fit {k + 1} of {len(queue)}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
-            if row.status == "unconverged" and k < n_first and len(queue) < n_first + MOST_AGAIN:
-                queue.append((source, replace(proposal, patience=PATIENT)))
+            is_open = row.status == "unconverged" and self._is_ahead(row)
+            if is_open and k < n_first and len(queue) < n_first + MOST_AGAIN:
+                queue.append((source, replace(proposal, patience=PATIENT, near=self.fits[row.id])))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:
@@ -327,12 +328,21 @@ class _Turn:
             return True
         return REACH * (proposal.promise + self.run.criteria.class_nats) < found
 
+    def _is_ahead(self, row):
+        """Whether a descent was left where less is unexplained than beside any fit so far."""
+        others = (self._left(f) for k, f in self.fits.items() if k != row.id and not f.is_failed)
+        return self._left(self.fits[row.id]) < min(others, default=math.inf)
+
+    def _left(self, found):
+        """Reduced chi-squared under the noise by which promises are made."""
+        return float(np.nanmax(np.array(found.noise.levels) / self.levels)) ** 2 * found.chi2_red
+
     def _note_gain(self, row, proposal, measure):
         """Remember what a fit has gained of what it promised."""
         new, gained = self.fits[row.id], row.log_posterior - self.rows[0].log_posterior
         # Promises are made under the pure error; the base may have been fitted under a larger one.
-        level = float(np.nanmax(np.array(new.noise.levels) / self.levels))
-        left = max(level**2 * new.chisqr - (new.n_rows - new.n_free), 0.0)
+        dof = new.n_rows - new.n_free
+        left = max(self._left(new) - 1.0, 0.0) * dof
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
         if new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:

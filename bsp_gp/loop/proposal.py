@@ -63,6 +63,8 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
+    near : Fit or None
+        Where an earlier descent was left, to begin there.
     is_last : bool
         Whether it says all of the tracks: nothing is asked for beside it.
     """
@@ -85,6 +87,7 @@ class Proposal:
     is_sole: bool = False
     patience: int = 1
     is_afresh: bool = False
+    near: object = None
     is_last: bool = False
 
     @cached_property
@@ -121,7 +124,7 @@ class Proposal:
             Of the constants of what is declared.
         deadline : float, optional
         """
-        near = None if self.is_afresh else base
+        near = self.near or (None if self.is_afresh else base)
         return fit(
             self.hypothesis, dataset, starts=self.starts, near=near,
             effort=self.patience * criteria.effort,

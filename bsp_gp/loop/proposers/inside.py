@@ -14,6 +14,7 @@ from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.periods import wave_beside
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
@@ -84,7 +85,8 @@ class Inside:
         closer = sorted((search.closer(scan) for scan in distinct), key=lambda s: -s.promise)[:MOST]
         every = [_proposal(view, search, s) for s in closer if s.best > view.explained]
         if not is_noise:
-            every += [p for s in closer[:MOST_LEADS] for p in self._sums(view, search, s)]
+            leads = (*closer[:MOST_LEADS], None)
+            every += [p for lead in leads for p in self._sums(view, search, lead)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
@@ -98,23 +100,42 @@ class Inside:
     def _sums(self, view, search, scan):
         """A form and one or two laws of textbooks beside it, where it leaves more than noise.
 
+        Where all of these leave more, a push with a period joins them; without a form only then.
         The inner constants move with them, as far as moments are linear in these.
         """
-        left = view.left @ view.left - scan.best
-        if stats.chi2.sf(left, max(view.n_left - 2, 1)) > view.criteria.alpha:
+        if scan is not None and _is_noise(view, scan.best, 2):
             return
-        own = search.linearised(scan)
-        taken = orthonormal(own, len(own))
         laws = [law for law in self.common if _is_shown(view, law)]
         columns = [view.force_columns([split_linear(law)[1]], kind_of(law)) for law in laws]
+        own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
         columns = view.beside(np.concatenate([own[:, :0], *columns], axis=1))
-        beside = columns - taken @ (taken.T @ columns)
-        is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
-        beside = np.where(is_own, beside, 0.0)
-        rest = view.left - taken @ (taken.T @ view.left)
-        subsets = best_subsets(beside, rest, LARGEST - 1)
-        for members in (m for found in subsets.values() for _, m in found[:MOST_SUMS]):
-            yield _sum(view, search, scan, own, [laws[k] for k in members], columns[:, members])
+        every = np.concatenate([own, columns], axis=1)
+        wave, gain = None, _gain(view, every)
+        if not _is_noise(view, gain, every.shape[1]):
+            wave = wave_beside(view, every)
+        for lead in [None] * (scan is not None) + [wave] * (wave is not None):
+            waves = own[:, :0] if lead is None else lead.columns
+            taken = orthonormal(np.concatenate([own, waves], axis=1), len(own))
+            beside = columns - taken @ (taken.T @ columns)
+            is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
+            rest = view.left - taken @ (taken.T @ view.left)
+            subsets = best_subsets(np.where(is_own, beside, 0.0), rest, LARGEST - 1)
+            chosen = [members for found in subsets.values() for _, members in found[:MOST_SUMS]]
+            for members in [()] * (scan is not None and lead is not None) + chosen:
+                own_laws = [laws[k] for k in members]
+                yield _sum(view, search, scan, own, own_laws, columns[:, members], lead)
+
+
+def _is_noise(view, gain, rank):
+    """Whether what is left beside a gain is no more than noise."""
+    left = view.left @ view.left - gain
+    return stats.chi2.sf(left, max(view.n_left - rank, 1)) > view.criteria.alpha
+
+
+def _gain(view, columns):
+    """What columns explain together."""
+    basis = orthonormal(columns, len(columns))
+    return float(np.square(basis.T @ view.left).sum())
 
 
 def _is_shown(view, law):
@@ -125,29 +146,39 @@ def _is_shown(view, law):
         return False
 
 
-def _sum(view, search, scan, own, laws, columns):
-    """The proposal of a form and laws beside it, all where moments have them together."""
-    both = np.concatenate([own, columns], axis=1)
+def _sum(view, search, scan, own, laws, columns, wave=None):
+    """The proposal of a form and others beside it, all where moments have them together."""
+    both = np.concatenate([own, columns, *((wave.columns,) if wave else ())], axis=1)
     size = np.linalg.norm(both, axis=0)
     size = np.where(size > 0, size, 1.0)
     amounts = np.linalg.lstsq(both / size, view.left, rcond=1e-10)[0] / size
     gain = view.left @ view.left - np.square(view.left - both @ amounts).sum()
     n_own = own.shape[1]
-    steps = amounts[1:n_own] / amounts[0] if amounts[0] else np.zeros(n_own - 1)
-    one = _proposal(view, search, search.moved(scan, steps))
+    if scan is None:
+        one = Proposal("law", "", view.hypothesis, 0.0, 0.0, 0, n_dims=view.dataset.n_dims)
+        starts = {}
+    else:
+        steps = amounts[1:n_own] / amounts[0] if amounts[0] else np.zeros(n_own - 1)
+        one = _proposal(view, search, search.moved(scan, steps))
+        starts = {**one.starts, next(iter(one.formulas[0].constants)): amounts[0]}
     hypothesis, formulas = one.hypothesis, list(one.formulas)
-    starts = {**one.starts, next(iter(formulas[0].constants)): amounts[0]}
     law = hypothesis.law
-    for formula, amount in zip(laws, amounts[n_own:], strict=True):
+    for formula, amount in zip(laws, amounts[n_own:], strict=False):
         names = fresh_names(law, formula.constants)
         term = Term(rename_constants(formula, names), kind_of(formula))
         values = dict.fromkeys(names.values(), float(amount))
         hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
         starts, formulas = {**starts, **values}, [*formulas, term.formula]
+    bounds, rank, n_more = one.bounds, one.rank + len(laws), len(laws)
+    if wave is not None:
+        hypothesis = hypothesis + wave.part
+        starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))
+        bounds, rank, n_more = bounds | {wave.names[-1]: wave.bounds}, rank + 3, n_more + 1
+        formulas += [term.formula for term in wave.part.law.terms]
     return replace(
         one, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
-        formulas=tuple(formulas), ties=(), gain=float(gain), rank=one.rank + len(laws),
-        log_prior=one.log_prior - view.criteria.cause_nats * len(laws),
+        bounds=bounds, formulas=tuple(formulas), ties=(), gain=float(gain), rank=rank,
+        log_prior=one.log_prior - view.criteria.cause_nats * n_more,
     )  # fmt: skip
 
 

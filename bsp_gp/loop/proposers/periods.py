@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces
@@ -12,14 +14,17 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
+from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Periods", "Scan", "rates_of"]
+__all__ = ["Periods", "Scan", "Wave", "rates_of", "wave_beside"]
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
 NYQUIST = 0.9
 ZOOMS, CLOSER = 4, 4.0
 """Finer rates about the best, and how much finer each time."""
+MOST_PEAKS = 4
+"""Rates that are looked at closely beside other forces."""
 BLOCK = 128
 """Frequencies that are scored at a time."""
 
@@ -59,11 +64,73 @@ class Periods:
         )  # fmt: skip
 
 
-class Scan:
-    """Gains of cosines and sines of many rates on targets (n, 1 + B): the data, and noise."""
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """A push with a period along one axis, where it explains most beside other forces.
 
-    def __init__(self, view, rates, targets):
-        self.view, self.rates, self.targets = view, rates, targets
+    Attributes
+    ----------
+    part : Forces
+    names : tuple of str
+        Constants of the cosine, the sine and the rate.
+    rate : float, rad/s
+    bounds : tuple of float
+        Of the rate.
+    columns : ndarray, shape (n, 3)
+        Moments of the cosine, the sine, and a change of the rate.
+    """
+
+    part: Forces
+    names: tuple
+    rate: float
+    bounds: tuple
+    columns: np.ndarray
+
+
+def wave_beside(view, columns):
+    """The push with a period that explains most beside moments (n, c); None if there is none."""
+    rates = rates_of(view)
+    if not len(rates):
+        return None
+    basis = orthonormal(columns, len(columns))
+    target = view.left - basis @ (basis.T @ view.left)
+    alone = Scan(view, rates, view.left[:, None])
+    scan = Scan(view, rates, target[:, None], basis)
+    (has_mass, weights, _), *_ = _variants(view)
+    best = None
+    for axis in np.flatnonzero(np.isfinite(view.fit.noise.levels)):
+        kernel = scan.kernels(weights, axis)
+        # Beside what imitates it a peak is much narrower than that of the push alone.
+        starts = [(rate, -np.inf) for rate, _ in alone.peaks(kernel)] + scan.peaks(kernel)
+        for rate, gain in starts:
+            rate, most = scan.closer([kernel], rate, gain)
+            if best is None or most > best[0]:
+                best = most, rate, axis, kernel
+    if best is None:
+        return None
+    _, rate, axis, kernel = best
+    step = (rates[1] - rates[0] if len(rates) > 1 else rate) / CLOSER**ZOOMS
+    here, before, after = scan.waves(kernel, np.array([rate, rate - step, rate + step])).swapaxes(
+        0, 1
+    )
+    amounts = np.linalg.lstsq(scan.beside(here), target, rcond=1e-10)[0]
+    change = (after - before) @ amounts / (2 * step)
+    terms, constants = _push(view, (axis,), has_mass)
+    return Wave(
+        Forces(ForceLaw(terms, constants | {next(reversed(constants)): rate})), tuple(constants),
+        rate, (float(rates[0]), float(rates[-1])),
+        view.beside(np.column_stack([here, change])),
+    )  # fmt: skip
+
+
+class Scan:
+    """Gains of cosines and sines of many rates on targets (n, 1 + B): the data, and noise.
+
+    An orthonormal basis (n, k) of what else may explain them is projected out of the waves.
+    """
+
+    def __init__(self, view, rates, targets, basis=None):
+        self.view, self.rates, self.targets, self.basis = view, rates, targets, basis
         self.batches = view.response.regression.batches
 
     def kernels(self, weights, axis):
@@ -88,10 +155,18 @@ class Scan:
         alone = [(k,) for k in range(n)]
         out = {along: [] for along in (alone if n == 1 else [*alone, tuple(range(n))])}
         for first in range(0, len(self.rates), BLOCK):
-            waves = [self._waves(kernel, self.rates[first : first + BLOCK]) for kernel in kernels]
+            waves = [self.waves(kernel, self.rates[first : first + BLOCK]) for kernel in kernels]
             for along, found in out.items():
                 found.append(self._gain(np.concatenate([waves[k] for k in along], axis=2)))
         return {along: np.concatenate(found) for along, found in out.items()}
+
+    def peaks(self, kernel):
+        """The highest peaks of the gain, looked at closely, as pairs of rate and gain."""
+        gain = self.gains([kernel])[(0,)][:, 0]
+        padded = np.concatenate([[-np.inf], gain, [-np.inf]])
+        peaks = np.flatnonzero((gain >= padded[:-2]) & (gain > padded[2:]))
+        peaks = peaks[np.argsort(-gain[peaks])][:MOST_PEAKS]
+        return [self.closer([kernel], self.rates[k], gain[k]) for k in peaks]
 
     def closer(self, kernels, rate, gain):
         """The best rate near one of those that were scored, and what all axes gain with it."""
@@ -99,14 +174,14 @@ class Scan:
         for zoom in range(ZOOMS):
             near = rate + step / CLOSER**zoom * np.linspace(-1, 1, 9)
             near = np.clip(near, self.rates[0], self.rates[-1])
-            columns = np.concatenate([self._waves(kernel, near) for kernel in kernels], axis=2)
+            columns = np.concatenate([self.waves(kernel, near) for kernel in kernels], axis=2)
             found = self._gain(columns)[:, 0]
             k = int(np.argmax(found))
             if found[k] > gain:
                 rate, gain = near[k], found[k]
         return float(rate), float(gain)
 
-    def _waves(self, kernel, rates):
+    def waves(self, kernel, rates):
         """Moments of cosines and sines, (n, F, 2)."""
         parts = []
         for batch, matrix in zip(self.batches, kernel, strict=True):
@@ -115,12 +190,19 @@ class Scan:
             parts.append(np.stack(waves, axis=-1).reshape(-1, len(rates), 2))
         return np.concatenate(parts)
 
+    def beside(self, columns):
+        """Columns (n, c) beside what constants of the law, and the basis, can take up."""
+        columns = self.view.beside(columns)
+        if self.basis is None:
+            return columns
+        return columns - self.basis @ (self.basis.T @ columns)
+
     def _gain(self, columns):
         """Gains of columns (n, F, c), (F, 1 + B)."""
         n, f, c = columns.shape
         size = np.sqrt(np.square(columns).sum(axis=0))
         flat = (columns / np.where(size > 0, size, 1.0)).reshape(n, f * c)
-        flat = self.view.beside(flat)
+        flat = self.beside(flat)
         dots = (flat.T @ self.targets).reshape(f, c, -1)
         unit = flat.reshape(n, f, c).transpose(1, 2, 0)
         values, vectors = np.linalg.eigh(unit @ np.swapaxes(unit, 1, 2))
