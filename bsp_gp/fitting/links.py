@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Links", "link", "orthonormal"]
+__all__ = ["Links", "less_exact", "link", "orthonormal"]
 
 MOST_NUMBERS = 2 * 10**7
 """Bound on a matrix of states by forces."""
@@ -41,6 +41,14 @@ class Links:
     by_constant: np.ndarray
     left: np.ndarray
     values: np.ndarray
+
+    def is_exact(self, error):
+        """Whether errors of forces, of variances (W, F), show less than noise in all moments."""
+        if not error.any():
+            return True
+        own = np.where((self.pieces >= 0)[..., None], error[self.pieces], 0.0)
+        shown = self.by_force * np.sqrt(own)[:, None]
+        return bool(np.square(shown).sum(axis=(2, 3)).max(initial=0.0) < 1.0)
 
     def believed(self, error):
         """The same with larger errors where much is left: by that part of it, on the average."""
@@ -158,6 +166,21 @@ def _stacked(found, n_forces):
         values[at, -height:] = np.maximum(shown, 0.0)
     shape = (count, n_rows, most, n_forces)
     return Links(pieces, by_force.reshape(shape), rest[..., :-1], rest[..., -1], values)
+
+
+def less_exact(by_force, moments, error):
+    """Moments (W, m, c) of unit error that were so but for errors of forces, of variances (W, F).
+
+    Parameters
+    ----------
+    by_force : ndarray, shape (W, m, F)
+        The moments by forces.
+    """
+    if not error.any():
+        return moments
+    covariance = (by_force * error[:, None]) @ np.swapaxes(by_force, 1, 2)
+    lower = np.linalg.cholesky(covariance + np.eye(covariance.shape[1]))
+    return np.linalg.solve(lower, moments)
 
 
 def orthonormal(matrices):

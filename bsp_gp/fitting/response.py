@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.free_force import STRENGTHS, FreeForce, in_units
-from bsp_gp.fitting.links import link, orthonormal
+from bsp_gp.fitting.links import less_exact, link, orthonormal
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
@@ -421,9 +421,13 @@ class _Group:
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left):
                 break
-        values, vectors = FreeForce(by_force, self.fine.times).shown()
-        self._linked = self._links(changes, white)
+        values, _ = FreeForce(by_force, self.fine.times).shown()
+        error = self._inexact(by_force, left)
+        self._linked = self._links(changes, white, error)
         self._weigh(by_force, values, left)
+        beyond = less_exact(by_force, beyond, error)
+        by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
+        values, vectors = FreeForce(by_force, self.fine.times).shown()
         keep = self._kept(values, left)
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
@@ -439,6 +443,32 @@ class _Group:
         self.by_constant = np.swapaxes(turned @ by_constant, 0, 1)
         shape = (*turned.shape[:2], -1, self.n_own, self.n_dims)
         return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
+
+    def _inexact(self, by_force, left):
+        """Variances of forces at instants, (W, F): they are evaluated at places that have errors.
+
+        What is missing changes along a track with the place, and is as much in error as the place
+        times that: small beside a law that is nearly right, and all there is beside one that is
+        far off, of which a track shows the errors of many turns.
+        """
+        error = np.zeros((by_force.shape[0], by_force.shape[2]))
+        force = self.free.smoothest(left) if self.free.memory else None
+        if force is None:
+            return error
+        n_fine, n_pieces = self.fine.times.shape
+        shape = (n_pieces, n_fine, self.n_own, self.n_dims)
+        force = np.moveaxis(force.reshape(shape), 0, -1)[self.at_rows]  # (rows, R, d, W)
+        places = np.moveaxis(self.nodes[0, ..., self.at_rows, :], 2, 0)
+        changes = [
+            np.nansum(np.square(np.diff(values, axis=0)), axis=(0, 1, 2))
+            for values in (force, places)
+        ]  # fmt: skip
+        slope = np.where(changes[1] > 0, changes[0] / np.where(changes[1] > 0, changes[1], 1), 0.0)
+        variance = np.moveaxis(np.nan_to_num(self.noise.variance), 1, 0)  # (W, rows, R, d)
+        # What is in error at a row is so at the instants up to the next one.
+        own = slope[:, None, None, None] * variance * self.per_row**2
+        error.reshape(shape)[:, self.at_rows] = own
+        return error
 
     def _kept(self, values, left):
         """Moments without which less than `LOST` is lost of what a force white in time may show."""
@@ -511,7 +541,7 @@ class _Group:
         best = best if self.fit.noise.is_free.any() else max(given)
         self.free_gain, self.free_height = best - freed[0][0], best - given[0]
 
-    def _links(self, changes, white):
+    def _links(self, changes, white, error):
         """Moments of what joins the pieces, and which count; None where nothing does."""
         leads = self.pieces.leads
         if not leads.any():
@@ -521,7 +551,9 @@ class _Group:
             if lasts[leads].min() < MEMORIES * self.noise.correlation_time:
                 return None
         links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
-        return links and links.believed(INEXACT).kept(self._kept(links.values, links.left))
+        if links is None or not links.is_exact(error):
+            return None
+        return links.believed(INEXACT).kept(self._kept(links.values, links.left))
 
     # --- batches of the regression ---------------------------------------------------------------
 

@@ -451,16 +451,21 @@ def _chosen(every, clear, criteria):
     Promises of different families are not of one measure.
     """
     top = every[0][1].promise if every else 0.0
-    best, simplest = {}, {}
+    best, simplest, others = {}, {}, {}
     for name, proposal in every:
         if name in clear:
             best.setdefault(name, (name, proposal))
             # A single cause is fitted, however well a set of causes does.
             if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
+            # Beside a law that is far off promises are not exact: of what promises about as much,
+            # the best of every size, and of every form that leads a sum.
+            if proposal.promise > top - max(FAR_BEHIND, top / 50):
+                others.setdefault((name, proposal.rank), (name, proposal))
+                others.setdefault((name, proposal.lead), (name, proposal))
     near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
     chosen, keys = [], set()
-    for name, proposal in [*best.values(), *simplest.values(), *near]:
+    for name, proposal in [*best.values(), *simplest.values(), *others.values(), *near]:
         if len(chosen) == criteria.most_fits:
             break
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):

@@ -11,6 +11,7 @@ from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
+from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
@@ -96,6 +97,14 @@ class Proposal:
         if not self.formulas:
             return self.code, self.text
         return self.code, *sorted(canonical_key(f, self.n_dims) for f in self.formulas)
+
+    @property
+    def lead(self):
+        """The first of its formulas as text, its numbers unnamed; what it is, where it has none."""
+        if not self.formulas:
+            return self.key
+        first = self.formulas[0]
+        return to_text(rename_constants(first, dict.fromkeys(first.constants, "c")))
 
     @property
     def texts_of_ties(self):

@@ -39,6 +39,10 @@ ZOOMS, CLOSER = 5, 3.0
 """Finer grids about the best, and how much finer each is."""
 SAME = 1e-9
 """Part of a gain by which two forms that are one on these data may differ."""
+MOVES, LITTLE = 6, 1e-3
+"""Times that a finer grid moves along, and the part of a gain that is worth it."""
+MOST_PEAKS = 3
+"""Places on the first grid that are looked at more closely."""
 CHUNK = 1 << 21
 """Numbers in one array at a time."""
 CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middle"))
@@ -117,6 +121,8 @@ class Scan:
         Greatest, as far as it was looked for.
     at, spacing : ndarray, shape (k,)
         Coordinates of that, and the distance to its neighbours on the grid.
+    peaks : sequence of ndarray, shape (k, 2)
+        Where on the grid it may be, with the distance to neighbours there.
     ties : list of Scan
         That are the same on these data.
     """
@@ -130,6 +136,7 @@ class Scan:
     best: float
     at: np.ndarray
     spacing: np.ndarray
+    peaks: tuple
     ties: list = field(default_factory=list)
 
     @property
@@ -295,7 +302,8 @@ class InnerSearch:
         axes = self.axes_of(form)
         if not axes or len(axes) > MOST_INNER:
             nothing = np.zeros(self.draws.shape[1])
-            return Scan(form, axes or (), 0, 0.0, nothing, 0.0, 0.0, np.zeros(0), np.zeros(0))
+            none = np.zeros(0)
+            return Scan(form, axes or (), 0, 0.0, nothing, 0.0, 0.0, none, none, ())
         return self.scan(form, COARSE)
 
     def scan(self, form, coarse=1):
@@ -313,21 +321,29 @@ class InnerSearch:
         k = int(np.argmax(gains))
         volume = float(np.log(np.mean(np.exp(0.5 * (gains - gains[k])))))
         null = np.square(unit.T @ self.draws).max(axis=0, initial=0.0)
-        best = float(gains[k])
-        return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T)
+        best, peaks = float(gains[k]), _peaks(grid, gains)
+        return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T, peaks)
 
     def closer(self, scan):
-        """The same with the best sought on finer grids."""
+        """The same with the best sought on finer grids, which move along while that gains."""
         span = np.linspace(-1, 1, 5 if len(scan.axes) < 3 else 3)
         steps = np.array(list(every(span, repeat=len(scan.axes))))
         low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
-        for zoom in range(ZOOMS):
-            points = np.clip(scan.at + steps * scan.spacing / CLOSER**zoom, low, high)
-            gains = np.square(self._unit(scan.form, scan.axes, points).T @ self.target)
-            k = int(np.argmax(gains))
-            if gains[k] > scan.best:
-                scan = replace(scan, best=float(gains[k]), at=points[k])
-        return scan
+        best = scan
+        for start in scan.peaks:
+            here = replace(scan, at=start[:, 0], spacing=start[:, 1], best=0.0)
+            for zoom in range(ZOOMS):
+                for _ in range(MOVES if len(scan.axes) > 1 else 1):
+                    before = here.best
+                    points = np.clip(here.at + steps * here.spacing / CLOSER**zoom, low, high)
+                    gains = np.square(self._unit(scan.form, scan.axes, points).T @ self.target)
+                    k = int(np.argmax(gains))
+                    if gains[k] > here.best:
+                        here = replace(here, best=float(gains[k]), at=points[k])
+                    if not here.best > (1 + LITTLE) * before:
+                        break
+            best = here if here.best > best.best else best
+        return best
 
     def linearised(self, scan):
         """Moments of a form where it does best, and of changes of its inner constants.
@@ -416,6 +432,21 @@ class InnerSearch:
     def _number(self, k):
         value = float(f"{self.middle[k]:.6g}")
         return Number(value, STATE_INPUTS["p_i"].unit, f"{value:g} [m]")
+
+
+def _peaks(grid, gains):
+    """The best points (k, 2) of a grid (C, k, 2) that are no neighbours of one another."""
+    chosen = []
+    for k in np.argsort(-gains):
+        is_new = all(
+            (np.abs(grid[k, :, 0] - at[:, 0]) > 1.5 * np.maximum(at[:, 1], grid[k, :, 1])).any()
+            for at in chosen
+        )
+        if is_new:
+            chosen.append(grid[k])
+        if len(chosen) == MOST_PEAKS:
+            break
+    return tuple(chosen)
 
 
 def _point(parts):
