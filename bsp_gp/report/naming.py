@@ -52,6 +52,15 @@ def _loose(e):
     return f"{_WORDS.get(e['of'], e['of'])} to the {value} ({low} to {high})"
 
 
+_WHOLE = (
+    (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
+    (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
+    (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
+    (r"norm\(.*centre_.*\)\^n\d* \* normalize",
+     "force to a point, to a fitted power of distance"),
+)  # fmt: skip
+"""Texts of laws with constants inside that have a name of their own."""
+
 _INNER = (
     ("sign(t", "switched on and off in time"), ("sign(", "beyond a threshold"),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
@@ -62,7 +71,12 @@ _INNER = (
 
 def _inner_phrase(direction, formula, powers):
     """Name a term with constants inside: "spring to a point", "force along e_x, fading ..."."""
-    above, below = factors(split_linear(formula)[1])
+    rest = split_linear(formula)[1]
+    for mark, phrase in _WHOLE:
+        found = re.search(mark, to_text(rest))
+        if found:
+            return phrase.format(*found.groups())
+    above, below = factors(rest)
     inner = [to_text(f) for f in (*above, *below) if f.constants and f.type.shape != "vector"]
     text = to_text(direction)
     is_place = "centre_" in text

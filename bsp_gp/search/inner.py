@@ -46,6 +46,8 @@ MOST_PEAKS = 3
 CHUNK = 1 << 21
 """Numbers in one array at a time."""
 CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middle"))
+ABOUT = "about "
+"""Before a quantity whose values reach as far beyond those of the data as these are apart."""
 PLACE = "centre_"
 """How names of the coordinates of a place begin."""
 
@@ -269,8 +271,10 @@ class InnerSearch:
         text = self._texts[name]
         if ".." in text:
             return Axis(name, *map(float, text.split("..")))
-        formula = parse_formula(text, self._types)
+        formula = parse_formula(text.removeprefix(ABOUT), self._types)
         found = self._values(self.placed(formula))
+        if text.startswith(ABOUT) and len(found) and np.ptp(found):
+            return Axis(name, 2 * found.min() - found.max(), 2 * found.max() - found.min())
         if not isinstance(formula, Call) or formula.operator not in ("norm", "abs"):
             return Axis(name, found.min(), found.max()) if len(found) and np.ptp(found) else None
         found = found[found > 0]
