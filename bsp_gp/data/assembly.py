@@ -375,7 +375,7 @@ def _time_index(rows, smallest):
     return order, is_new, np.flatnonzero(is_first)
 
 
-def build_scenes(rows, roster):
+def build_scenes(rows, roster, *, without_track=()):
     """Scenes in order of first appearance, and notes.
 
     Parameters
@@ -383,6 +383,8 @@ def build_scenes(rows, roster):
     rows : Rows
     roster : Roster or None
         None: every entity is a point of unknown mass.
+    without_track : sequence of str
+        Names in the roster that need no rows.
     """
     smallest = _check_order(rows)
     order, is_new, starts = _time_index(rows, smallest)
@@ -403,7 +405,7 @@ def build_scenes(rows, roster):
                 remedy="drop short tracks (trackpy.filter_stubs) or split the data set",
             )
         scenes.append(_scene(rows, part, entities, row, local, is_new[start:stop], shape))
-    return tuple(scenes), _unused(roster, used)
+    return tuple(scenes), _unused(roster, used, without_track)
 
 
 def _entities(rows, part, roster, points, used):
@@ -472,10 +474,11 @@ def unwrapped(scene):
     return replace(scene, positions=places)
 
 
-def _unused(roster, used):
+def _unused(roster, used, without_track):
     if roster is None:
         return ()
-    idle = sorted({e.name for k, e in enumerate(roster.entities) if k not in used})
+    idle = {e.name for k, e in enumerate(roster.entities) if k not in used}
+    idle = sorted(idle - set(without_track))
     if not idle:
         return ()
     return (f"{len(idle)} row(s) of {roster.file} have no trajectory: {', '.join(idle[:10])}",)
