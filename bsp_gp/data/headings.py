@@ -28,7 +28,8 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_error", "is_run", "number_columns", "run_of", "told",
+    "is_angle", "is_angle_name", "is_error", "is_rate", "is_run", "number_columns",
+    "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -163,7 +164,13 @@ def run_of(title):
 
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
-    return bool(_words(text) & _ACCELERATION_WORDS)
+    is_symbol = re.fullmatch(r"a[\s_]?[xyz]", text.strip().lower()) is not None
+    return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
+
+
+def is_rate(text):
+    """Whether a heading speaks of what a gyroscope measures."""
+    return bool(_words(text) & {"gyroscope", "gyroskop", "gyro"})
 
 
 def is_error(text):
