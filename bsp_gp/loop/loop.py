@@ -30,7 +30,7 @@ what explains as much is told from the same moments as it."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_AGAIN = 3
-"""Fits that did not converge and are tried again, with patience, at the end of a round."""
+"""Fits that did not converge and are gone on with, with patience, at the end of a round."""
 SAME_MINIMUM = 1e-3
 """Nats within which two descents of one cause have come to one minimum."""
 MOST_TOLD = 10
@@ -304,7 +304,7 @@ class _Turn:
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and k < n_first and len(queue) < n_first + MOST_AGAIN:
-                queue.append((source, replace(proposal, patience=PATIENT, near=self.fits[row.id])))
+                queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:
