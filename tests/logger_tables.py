@@ -218,6 +218,7 @@ SET_ASIDE = {
 
 AU = 149597870700.0
 TURN = np.round(np.cos(6 * T), 6)
+YEARS = 365.25 * 86400 * (np.arange(8) + 2000.5)
 LATER = {
     "rotary motion sensor of vernier": Sample("pendulum.csv", table(
         '"Latest: Time (s)","Latest: Angle (rad)","Latest: Velocity (rad/s)"', T, TURN, -TURN,
@@ -229,9 +230,8 @@ LATER = {
     "measures of a double star": Sample("stf60.csv", table(
         "epoch,rho (arcsec),theta (deg)", [f"{2000 + k}.5" for k in range(8)], 1 + T,
         np.degrees(TURN),
-    ).encode(), one((1 + T) * np.cos(TURN), (1 + T) * np.sin(TURN),
-                    t=365.25 * 86400 * (np.arange(8) + 2000.5)),
-        options={"units": {"time": "yr"}}, told=("rho", "theta")),
+    ).encode(), one((1 + T) * np.sin(TURN), (1 + T) * np.cos(TURN), t=YEARS, entity="companion")
+        | one(0 * T, t=YEARS, entity="primary"), told=("rho", "theta", "decimal years", "primary")),
     "libreoffice": Sample("fall.ods", spreadsheet({"Zeit (s)": T, "Höhe (cm)": 100 * FALL}),
                           one(y=FALL), up="y", told=("Höhe",)),
     "tracker, commas": Sample("ball.csv", table(

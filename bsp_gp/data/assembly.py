@@ -15,11 +15,12 @@ from bsp_gp.data.headings import (
     is_acceleration,
     is_angle,
     is_error,
+    is_rate,
 )
 from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
-from bsp_gp.units import Unit
+from bsp_gp.units import ACCELERATION, Unit
 
 __all__ = ["Rows", "axes_of", "build_rows", "build_scenes"]
 
@@ -200,8 +201,8 @@ def axes_of(table, declaration):
     """
     columns = [str(column) for column in table.frame.columns]
     axes = [axis for axis in "xyz" if axis in columns]
+    _refuse_rates(table, declaration, axes)
     if axes not in (["x"], ["y"]):
-        _refuse_accelerations(table, axes)
         require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
         return axes, ()
     other = "y" if axes == ["x"] else "x"
@@ -227,16 +228,29 @@ def axes_of(table, declaration):
     return ["x", "y"], note
 
 
-def _refuse_accelerations(table, axes):
-    """DataError where a table has accelerations, as of a telephone, in the place of positions."""
-    found = [column for column in table.present if is_acceleration(column)]
-    if found and not axes:
-        raise DataError(
-            f"the table has accelerations ({', '.join(found[:3])}) and no positions; tracks of "
-            "positions are needed", file=table.file,
-            remedy="record the motion from outside (film, motion sensor); or, if one of the "
-            "columns is a position, name it: --columns x=ITS_NAME",
-        )  # fmt: skip
+def _refuse_rates(table, declaration, axes):
+    """DataError where a table has what a telephone's sensors give in the place of positions."""
+    theirs = {name: table.theirs.get(name, name) for name in map(str, table.frame.columns)}
+    said = set(declaration.units)
+    units = {} if "length" in said else {n: table.units.get(n, "") for n in set(theirs) - said}
+    turns = re.compile(r"(?:rad|deg|°).*")  # a rate without an angle may be anything
+    for what, is_kind, is_named in (
+        ("accelerations", lambda text: unit_of(text) == ACCELERATION, is_acceleration),
+        ("angular velocities", lambda text: unit_of(text) == Unit.of(s=-1) and turns.match(text),
+         is_rate),
+    ):  # fmt: skip
+        of_unit = {name for name, text in units.items() if is_kind(text)}
+        found = [column for column in table.present if is_named(column)]
+        found = found or [theirs[name] for name in theirs if name in of_unit]
+        if found and (not axes or of_unit & set(axes)):
+            raise DataError(
+                f"the table has {what} ({', '.join(found[:3])}) and no positions; tracks of "
+                "positions are needed, and where a body starts, how fast, and how a sensor drifts "
+                f"do not follow from {what}", file=table.file,
+                remedy="record the motion from outside: a film, a motion sensor, or of a telephone "
+                "its distance (LiDAR, sonar) or location (GPS); or, if one of the columns is a "
+                "position, name it: --columns x=ITS_NAME",
+            )  # fmt: skip
 
 
 def _without_gaps(table):
@@ -375,7 +389,7 @@ def _time_index(rows, smallest):
     return order, is_new, np.flatnonzero(is_first)
 
 
-def build_scenes(rows, roster):
+def build_scenes(rows, roster, *, without_track=()):
     """Scenes in order of first appearance, and notes.
 
     Parameters
@@ -383,6 +397,8 @@ def build_scenes(rows, roster):
     rows : Rows
     roster : Roster or None
         None: every entity is a point of unknown mass.
+    without_track : sequence of str
+        Names in the roster that need no rows.
     """
     smallest = _check_order(rows)
     order, is_new, starts = _time_index(rows, smallest)
@@ -403,7 +419,7 @@ def build_scenes(rows, roster):
                 remedy="drop short tracks (trackpy.filter_stubs) or split the data set",
             )
         scenes.append(_scene(rows, part, entities, row, local, is_new[start:stop], shape))
-    return tuple(scenes), _unused(roster, used)
+    return tuple(scenes), _unused(roster, used, without_track)
 
 
 def _entities(rows, part, roster, points, used):
@@ -472,10 +488,11 @@ def unwrapped(scene):
     return replace(scene, positions=places)
 
 
-def _unused(roster, used):
+def _unused(roster, used, without_track):
     if roster is None:
         return ()
-    idle = sorted({e.name for k, e in enumerate(roster.entities) if k not in used})
+    idle = {e.name for k, e in enumerate(roster.entities) if k not in used}
+    idle = sorted(idle - set(without_track))
     if not idle:
         return ()
     return (f"{len(idle)} row(s) of {roster.file} have no trajectory: {', '.join(idle[:10])}",)

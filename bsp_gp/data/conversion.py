@@ -17,7 +17,7 @@ from bsp_gp.units import (
     parse_unit,
 )
 
-__all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "unit_of"]
+__all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "ratio_of", "unit_of"]
 
 _WORDS = {
     "m": "meter metern mètre mètres metri metro metros metre metres meters",
@@ -28,7 +28,7 @@ _WORDS = {
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
     "year": "jahr jahre années ans anni años yrs", "au": "ae ua", "deg": "° grad degrees degree",
-    "rad": "radian radians radiant",
+    "rad": "radian radians radiant", "arcsec": "\" ″ '' ” arcsecs",
 }  # fmt: skip
 _WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 """Units as people write them out, in the languages whose headings are known."""
@@ -58,6 +58,18 @@ def unit_of(text):
         return _scale(text)[1]
     except UnitError:
         return None
+
+
+def ratio_of(one, other):
+    """How many of a unit another one is, as 0.001 mas of an arcsec; None if they differ in kind."""
+    if one.strip() == other.strip():
+        return 1.0
+    read = parse_unit if {one.strip(), other.strip()} <= set(OF_THE_SKY) else _scale
+    try:
+        (scale, unit), (of, kind) = read(one.strip()), read(other.strip())
+    except UnitError:
+        return None
+    return scale / of if unit == kind else None
 
 
 def _scale(text):

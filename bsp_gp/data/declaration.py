@@ -43,8 +43,8 @@ class Declaration:
     name : str or None
     units : mapping of str to str
         Kind or column -> unit.
-    angle_from, angle_turns : str
-        Axis on which an angle is 0, and how it turns, see `polar.from_polar`.
+    angle_from, angle_turns : str or None
+        Axis on which an angle is 0, and how it turns, see `polar.from_polar`; None if unsaid.
     up, dt, fps, noise, noise_memory, velocity
         As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units. Noise may be
         a mapping of bodies, or of globs of them, to their own.
@@ -66,8 +66,8 @@ class Declaration:
     name: str | None = None
     units: Mapping = field(default_factory=dict)
     up: str | None = None
-    angle_from: str = "x"
-    angle_turns: str = "counter-clockwise"
+    angle_from: str | None = None
+    angle_turns: str | None = None
     dt: float | None = None
     fps: float | None = None
     noise: tuple[float, ...] | Mapping | None = None
@@ -211,8 +211,8 @@ class _Reader:
             name=name,
             units=self.texts(self.table("units"), "units"),
             up=self.choice(axes, "up", UP_AXES),
-            angle_from=self.choice(axes, "angle_from", ANGLE_FROM, "x"),
-            angle_turns=self.choice(axes, "angle_turns", ANGLE_TURNS, "counter-clockwise"),
+            angle_from=self.choice(axes, "angle_from", ANGLE_FROM),
+            angle_turns=self.choice(axes, "angle_turns", ANGLE_TURNS),
             dt=self.positive(self.content, "dt"),
             fps=self.positive(self.content, "fps"),
             noise=self.noise(),

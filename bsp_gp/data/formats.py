@@ -25,6 +25,7 @@ from bsp_gp.data.headings import (
     run_of,
     told,
 )
+from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
 from bsp_gp.data.wide import groups_of, stack
@@ -32,7 +33,7 @@ from bsp_gp.errors import DataError
 
 __all__ = ["Table", "long_table", "read_table"]
 
-_NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null"]
+_NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "--", "---"]
 _HEAD_LINES = 60
 
 
@@ -179,7 +180,7 @@ def long_table(
 
 
 def _place(heading):
-    order = (*TEXT_COLUMNS, *NUMBER_COLUMNS)
+    order = (*TEXT_COLUMNS, *NUMBER_COLUMNS, *POLAR_COLUMNS)
     return order.index(heading.name) if heading.name in order else len(order)
 
 
@@ -290,7 +291,7 @@ def _parse_slowly(source, options, numeric, names):
     decimal_comma = "," if options["sep"] != "," else None
     frame = pd.read_csv(source.for_pandas, dtype=str, **options)
     for column in numeric:
-        cells = frame[column].where(frame[column].str.strip() != "")  # blanks are no value
+        cells = frame[column].where(~frame[column].str.strip().isin(_NAN))  # no value
         if names[column] == "t" and seconds_of(cells) is not None:
             frame[column] = cells
             continue

@@ -11,7 +11,16 @@ import re
 from dataclasses import dataclass, replace
 
 from bsp_gp.data.conversion import is_unit, unit_of
-from bsp_gp.data.polar import POLAR_COLUMNS, is_polar
+from bsp_gp.data.polar import POLAR_ALIASES, POLAR_COLUMNS, is_polar
+from bsp_gp.data.polar_words import (
+    date_unit,
+    error_of,
+    is_angle_word,
+    is_bare_error,
+    is_far,
+    is_of_sky,
+    is_position_angle,
+)
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
@@ -19,7 +28,8 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_error", "is_run", "number_columns", "run_of", "told",
+    "is_angle", "is_angle_name", "is_error", "is_rate", "is_run", "number_columns",
+    "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -28,9 +38,8 @@ NUMBER_COLUMNS = (
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
     "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
-    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec",
-    "separation": "distance", "position_angle": "angle", "sseparation": "sdistance",
-    "sposition_angle": "sangle", "epoch": "t",
+    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec", "epoch": "t",
+    **POLAR_ALIASES,
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
 """How sure the meaning of a heading is."""
@@ -63,12 +72,6 @@ _ERROR_WORDS = _set(
     " genauigkeit likelihood confidence incertitude"
 )
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
-_ANGLE_WORDS = _set(
-    "angle winkel theta θ phi φ pa position angular positionswinkel auslenkwinkel drehwinkel angolo"
-    " ángulo angulo"
-)
-_FAR_WORDS = _set("separation sep rho ρ distance abstand radius r distanz distanza distancia")
-"""A distance from where an angle is measured."""
 _ANGLE = re.compile(
     r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
 )
@@ -161,7 +164,13 @@ def run_of(title):
 
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
-    return bool(_words(text) & _ACCELERATION_WORDS)
+    is_symbol = re.fullmatch(r"a[\s_]?[xyz]", text.strip().lower()) is not None
+    return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
+
+
+def is_rate(text):
+    """Whether a heading speaks of what a gyroscope measures."""
+    return bool(_words(text) & {"gyroscope", "gyroskop", "gyro"})
 
 
 def is_error(text):
@@ -195,11 +204,12 @@ def headings(cells, rename=None, *, is_track=True):
     -------
     tuple of Heading
     """
-    back = {theirs.strip(): ours for ours, theirs in (rename or {}).items()}
+    back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()}
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
     found = [_read(cell, back, is_track) for cell in cells]
     if is_track:
-        found = _with_angles(_turned(_with_bodies(found)))
+        found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
+        found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
     return tuple(_settled(found))
 
@@ -242,7 +252,8 @@ def _split_unit(cell, back, is_track):
             name = _guess(stem)
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
             return stem, match[2].strip()
-        if is_track and _is_of(stem, _ANGLE_WORDS) and match[2].strip().lower() in ANGLES:
+        is_turn = is_angle_word(stem) and match[2].strip().lower() in ANGLES
+        if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):
             return stem, match[2].strip()
     return cell, ""
 
@@ -276,23 +287,49 @@ def _guess(name):
     return None
 
 
-def _is_of(text, known):
-    """Whether all words of a heading are of a kind."""
-    return bool(_words(text) - {""}) and _words(text) - {""} <= known
-
-
 def _turned(found):
     """Where no column is a place: a distance and an angle, or an angle alone in that of x."""
-    if any(h.name in ("x", "y", "z") and h.sure < GUESS for h in found) or has_place(found):
+    names = [h.name for h in found]
+    if any(h.name in ("x", "y", "z") and h.sure < GUESS for h in found) or is_sky(names):
         return found
-    far = [h for h in found if h.sure == UNKNOWN and _is_of(h.name, _FAR_WORDS)]
-    angles = [h for h in found if h.sure == UNKNOWN and _is_of(h.name, _ANGLE_WORDS)
-              and (h.unit.lower() in ANGLES or (far and not h.unit))]  # fmt: skip
+    far, angles = ([h for h in found if h.name == name] for name in ("distance", "angle"))
+    far = far if "angle" in names or any(h.sure < GUESS for h in far) else []
+    far = far or [h for h in found if h.sure == UNKNOWN and is_far(h.name)]
+    angles = angles if far and angles else [
+        h for h in found if h.sure == UNKNOWN and is_angle_word(h.name)
+        and (h.unit.lower() in ANGLES or (far and not h.unit))
+    ]  # fmt: skip
     owners = [h.owner for h in angles]
     if len(set(owners)) != len(owners) or (far and (len(far), owners) != (1, [("", "")])):
         return found
     names = {id(h): "angle" if far else "x" for h in angles} | {id(h): "distance" for h in far}
-    return [replace(h, name=names[id(h)], sure=GUESS) if id(h) in names else h for h in found]
+    return [
+        replace(h, name=names[id(h)], sure=min(h.sure, GUESS)) if id(h) in names else h
+        for h in found
+    ]
+
+
+def _with_polar_errors(found):
+    """Beside a distance and an angle: their errors."""
+    if not is_polar(h.name for h in found):
+        return found
+    out = []
+    for h in found:
+        of = error_of(h.name) if h.sure == UNKNOWN else None
+        if h.sure == UNKNOWN and out and out[-1].name in ("distance", "angle"):
+            of = out[-1].name if is_bare_error(h.name) else of
+        out.append(replace(h, name=f"s{of}", sure=GUESS) if of else h)
+    return out
+
+
+def _with_dates(found):
+    """Beside places on the sky: a column of years or Julian dates, where none is a time."""
+    names = {h.name for h in found}
+    is_dated = any(h.name == "t" or (h.sure == UNKNOWN and _guess(h.name) == "t") for h in found)
+    if is_dated or not (is_polar(names) or is_sky(names)):
+        return found
+    k = next((k for k, h in enumerate(found) if date_unit(h.name) is not None), None)
+    return [replace(h, name="t", sure=GUESS) if j == k else h for j, h in enumerate(found)]
 
 
 def _guessed(heading, names):
@@ -388,10 +425,16 @@ def told(found):
     guesses = list({(h.name, h.body): h for h in reversed(found) if h.sure == GUESS}.values())[::-1]
     if not guesses:
         return ""
+    ours = {h.name: h for h in found}
+    is_star = is_polar(ours) and (
+        is_position_angle(ours["angle"].theirs) or is_of_sky(ours["distance"].unit)
+    )  # fmt: skip
+    back = {name: alias for alias, name in POLAR_ALIASES.items()} if is_star else {}
     listed = ", ".join(
-        f"{h.theirs!r} as {h.name}" + (f" of {h.body}" if h.body else "") for h in guesses[:12]
+        f"{h.theirs!r} as {back.get(h.name, h.name)}" + (f" of {h.body}" if h.body else "")
+        for h in guesses[:12]
     )
-    names = dict.fromkeys(h.name for h in guesses if not h.body)
+    names = dict.fromkeys(back.get(h.name, h.name) for h in guesses if not h.body)
     options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
     return in_python(
         f"columns read by their words: {listed}; if one is not that, say which is: --columns "

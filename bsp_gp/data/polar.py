@@ -6,13 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.conversion import ratio_of
 from bsp_gp.data.roster import require_columns
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import parse_unit
 
-__all__ = ["POLAR_COLUMNS", "from_polar", "is_polar"]
+__all__ = ["POLAR_ALIASES", "POLAR_COLUMNS", "from_polar", "is_polar"]
 
 POLAR_COLUMNS = ("distance", "angle", "sdistance", "sangle")
+POLAR_ALIASES = {
+    "separation": "distance", "position_angle": "angle", "sseparation": "sdistance",
+    "sposition_angle": "sangle",
+}  # fmt: skip
+"""The same as those who measure double stars call them."""
 
 
 def is_polar(columns):
@@ -67,22 +73,20 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
         require_columns(table, ["sdistance", "sangle"])
         key = "sangle" if "sangle" in found else "angle"
         across = distance * _numbers(table, "sangle") * _scale_of_angle(table, found, key)
-        along = _numbers(table, "sdistance")
+        along = _numbers(table, "sdistance") * _ratio_of_errors(table, found)
         for name, error in (("sdistance", along), ("sangle", across)):
             _check(table, error < 0, name, "a standard error must not be negative", error)
         new["sx"] = np.hypot(cosine * along, sine * across)
         new["sy"] = np.hypot(sine * along, cosine * across)
     rest = frame.drop(columns=[c for c in POLAR_COLUMNS if c in frame.columns])
-    moved = {"distance": ("x", "y"), "sdistance": ("sx", "sy")}
 
     def renamed(texts):
         out = {k: text for k, text in texts.items() if k not in POLAR_COLUMNS}
-        for old, axes in moved.items():
-            if old in texts:
-                out |= dict.fromkeys(axes, texts[old])
-        return out
+        axes = ("x", "y", "sx", "sy") if "sx" in new else ("x", "y")
+        return out | dict.fromkeys(axes if "distance" in texts else (), texts.get("distance"))
 
-    note = "distance and angle were read as x and y, with the errors of each axis by itself"
+    note = "distance and angle were read as x and y"
+    note += ", with the errors of each axis by itself" if "sx" in new else ""
     return (
         replace(table, frame=rest.assign(**new), units=renamed(table.units),
                 notes=(*table.notes, note)),
@@ -105,6 +109,20 @@ def _check(table, bad, column, problem, values=None):
             problem + got, file=table.file, row=int(table.frame.index[k]), column=column,
             remedy="leave the whole row out to mark a gap in the track",
         )  # fmt: skip
+
+
+def _ratio_of_errors(table, units):
+    """What errors of the distance are multiplied by to be in its unit."""
+    own, of = units.get("sdistance"), units.get("distance", units.get("length"))
+    if own is None or of is None:
+        return 1.0
+    ratio = ratio_of(own, of)
+    if ratio is None:
+        raise DataError(
+            f"errors of the distance are in {own!r}, the distance is in {of!r}", file=table.file,
+            column="sdistance", remedy="give both in units of one kind",
+        )  # fmt: skip
+    return ratio
 
 
 def _scale_of_angle(table, units, column):

@@ -131,6 +131,9 @@ def _finish(head, number, delimiter, found):
             break
         if len(row) != len(found) or any(map(_is_number, row)):
             break
+    below = split_line(head[data_line], delimiter) if data_line < len(head) else ()
+    if below and all(re.fullmatch("-{2,}", cell) for cell in below):  # a rule under the header
+        data_line += 1
     title = split_line(_COMMENT.sub("", head[number - 1]), delimiter) if number else ()
     if number and _DIALECT.match(head[number - 1]):
         title = ()

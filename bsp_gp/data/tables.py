@@ -24,10 +24,11 @@ from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import headings, is_angle, is_angle_name
-from bsp_gp.data.polar import from_polar
+from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sky import from_sky
+from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError
@@ -221,11 +222,12 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
+    table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_angles(table, declaration)
-    start, sense = declaration.angle_from, declaration.angle_turns
-    if table.theirs.get("angle", "").lower().startswith("position"):  # from north through east
-        start, sense = "y", "clockwise"
-    table, declared = from_polar(table, declaration.units, start=start, sense=sense)
+    table, declared = from_polar(
+        table, declaration.units, start=declaration.angle_from or "x",
+        sense=declaration.angle_turns or "counter-clockwise",
+    )  # fmt: skip
     table, declared = from_sky(table, declared, declaration.sky)
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
@@ -241,7 +243,8 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
-    scenes, idle = build_scenes(rows, roster)
+    scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
+    scenes = with_primary(scenes, roster) if is_star else scenes
     if conversion.system.is_angle:
         scenes = tuple(map(unwrapped, scenes))
     has_times = "t" in table.frame.columns
@@ -335,7 +338,7 @@ def _units_of(tables, declared):
 def _require_renames(declaration, tables):
     found = frozenset().union(*(table.renamed for table in tables))
     for ours, theirs in declaration.columns.items():
-        if ours not in found:
+        if POLAR_ALIASES.get(ours, ours) not in found:
             present = [column for table in tables for column in table.present]
             raise DataError(
                 f"[columns] {ours} = {theirs!r}: there is no column of that name; "

@@ -33,7 +33,7 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 
-__all__ = ["Response", "ResponseBatch", "ResponseRegression", "respond"]
+__all__ = ["RESOLVED", "Response", "ResponseBatch", "ResponseRegression", "respond"]
 
 PHASE = 0.4
 """Radians that a motion may turn between two instants at which forces are evaluated."""
@@ -43,6 +43,8 @@ LOST, LEAST_SHOWN = 0.1, 100.0
 """Chi-squared that moments may lose which are left out, where forces show so much at least."""
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
+RESOLVED = 1e-6
+"""Part of what is left that is beyond the moments: forces act in steps from instant to instant."""
 PASSES = 3
 INEXACT = 0.02
 """Part of what is left of slow motion that is not believed: no exacter are forces between rows."""
@@ -535,7 +537,10 @@ class _Group:
             given.append(-0.5 * (rest + volume))
             level = max(rest / count, np.finfo(float).tiny)
             freed.append((-0.5 * (count * (np.log(level) + 1) + volume), level))
-        best, level = max(freed)
+        best, _ = max(freed)
+        # Where all there is may be force as well as noise, the level is the greatest that may be.
+        level = max(level for height, level in freed if height > best - SURELY)
+        level = max(level, RESOLVED * float(square.sum()) / count)
         is_lower = level < MUCH_LOWER**2 and best > max(given) + SURELY
         self.level = float(np.sqrt(level)) if is_lower else 1.0
         best = best if self.fit.noise.is_free.any() else max(given)

@@ -11,12 +11,15 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 
+import numpy as np
+
 from bsp_gp.errors import DataError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.language.formula import Formula
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import Round
-from bsp_gp.loop.proposal import Family
+from bsp_gp.loop.proposal import Family, continued
+from bsp_gp.loop.view import View
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["joined_texts", "rounds_from", "text_of"]
@@ -76,9 +79,12 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None, criteria
     except (ValueError, TypeError, KeyError, AttributeError, ImportError) as error:
         raise DataError("kept rounds cannot be read", remedy="start anew") from error
     for each in kept:
-        fits = {0: found}
+        fits, near = {0: found}, found
+        if each["proposals"] and found.shows_tracks:
+            entering = continued(hypothesis, found)
+            near = View(found, entering, dataset, np.random.default_rng(0), criteria).near
         for number, proposal in each["proposals"].items():
-            fits[number] = proposal.fitted(found, dataset, criteria=criteria, bounds=bounds)
+            fits[number] = proposal.fitted(near, dataset, criteria=criteria, bounds=bounds)
         each["hypotheses"] = {0: hypothesis, **each["hypotheses"]}
         each["families"] = tuple(Family(name, certificate=c) for name, c in each["families"])
         done = Round(entering=found, fits=fits, **each)

@@ -30,7 +30,7 @@ what explains as much is told from the same moments as it."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_AGAIN = 3
-"""Fits that did not converge and are tried again, with patience, at the end of a round."""
+"""Fits that did not converge and are gone on with, with patience, at the end of a round."""
 SAME_MINIMUM = 1e-3
 """Nats within which two descents of one cause have come to one minimum."""
 MOST_TOLD = 10
@@ -290,7 +290,7 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above, asked = len(queue), {}, set()
+        n_first, above, most, asked = len(queue), {}, {}, set()
         fits = self._fits(queue)
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
@@ -304,7 +304,7 @@ class _Turn:
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and k < n_first and len(queue) < n_first + MOST_AGAIN:
-                queue.append((source, replace(proposal, patience=PATIENT, near=self.fits[row.id])))
+                queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if row.is_fit:
@@ -313,7 +313,8 @@ class _Turn:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
-        self._tell_near(every, above)
+                most[source] = max(most.get(source, -math.inf), proposal.promise)
+        self._tell_near(every, above, most)
 
     def _is_behind(self, proposal, measures, is_again):
         """Whether a proposal promises too little beside what was found to be worth a fit.
@@ -348,7 +349,7 @@ class _Turn:
         if new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
             self.kept[measure] = max(self.kept[measure], proposal.promise)
 
-    def _tell_near(self, every, above):
+    def _tell_near(self, every, above, most):
         """Rows of what was scored only, in the terms of what was fitted of its family.
 
         Parameters
@@ -356,6 +357,9 @@ class _Turn:
         every : list of (str, Proposal)
         above : dict of str to dict of int to (float, float)
             By family and rank, posteriors and likelihoods above what was promised.
+        most : dict of str to float
+            By family, the greatest promise of what was fitted: of what promises much more nothing
+            is foreseen, it was asked for and did not fit.
         """
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
@@ -363,11 +367,14 @@ class _Turn:
         equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            own = above.get(source, {0: (-math.inf, -math.inf)})
+            if source not in above:
+                continue
+            own = above[source]
             # Where none of so many numbers was fitted, no more is expected than of any other.
             offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
             evidence = offset + proposal.promise - proposal.log_prior
             is_near = offset + proposal.promise > least or evidence > equal
+            is_near = is_near and proposal.promise <= most[source] + criteria.class_nats
             if is_near and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(

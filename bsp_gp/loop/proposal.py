@@ -58,14 +58,12 @@ class Proposal:
         By which it is judged, if not by itself alone: beside forces that know no physics, where
         more may be missing than one cause explains.
     patience : int
-        Times the usual effort that its fit may take.
+        Times the usual effort for which its fit may go on, if that does not do.
     is_sole : bool
         Whether nothing else is asked for where it leaves no misfit when it is judged so.
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
-    near : Fit or None
-        Where an earlier descent was left, to begin there.
     is_last : bool
         Whether it says all of the tracks: nothing is asked for beside it.
     """
@@ -88,7 +86,6 @@ class Proposal:
     is_sole: bool = False
     patience: int = 1
     is_afresh: bool = False
-    near: object = None
     is_last: bool = False
 
     @cached_property
@@ -133,12 +130,16 @@ class Proposal:
             Of the constants of what is declared.
         deadline : float, optional
         """
-        near = self.near or (None if self.is_afresh else base)
-        return fit(
-            self.hypothesis, dataset, starts=self.starts, near=near,
-            effort=self.patience * criteria.effort,
-            bounds={**self.hypothesis.own(bounds), **self.bounds}, deadline=deadline,
-        )  # fmt: skip
+        known = {
+            "starts": self.starts, "bounds": {**self.hypothesis.own(bounds), **self.bounds},
+            "deadline": deadline,
+        }  # fmt: skip
+        near = None if self.is_afresh else base
+        found = fit(self.hypothesis, dataset, near=near, effort=criteria.effort, **known)
+        if self.patience > 1 and found.status == "unconverged":  # on from where it was left
+            effort = self.patience * criteria.effort
+            found = fit(self.hypothesis, dataset, near=found, effort=effort, **known)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,8 @@ class View:
         for _ in range(MOST_LEVELS if is_free.all() else 0):
             if response.level == 1.0:
                 break
-            levels = tuple(level * response.level for level in found.noise.levels)
+            levels = np.maximum(np.array(found.noise.levels) * response.level, found.noise.floors)
+            levels = tuple(levels.tolist())
             found = replace(found, noise=replace(found.noise, levels=levels))
             response = respond(found, self.dataset)
         return found, response

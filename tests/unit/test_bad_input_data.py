@@ -211,3 +211,21 @@ def test_bad_arguments(tmp_path, arguments, expected):
 def test_bad_frames(frames, expected):
     with pytest.raises(DataError, match=expected):
         Dataset.from_frames(frames)
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("Time (s),Acceleration x (m/s^2),Acceleration y (m/s^2)", "accelerations (Acceleration x"),
+        ("t,ax,ay", "accelerations (ax, ay)"),
+        ("Time (s),X (m/s^2),Y (m/s^2)", "accelerations (X (m/s^2)"),
+        ("Time (s),Gyroscope x (rad/s),Gyroscope y (rad/s)", "angular velocities (Gyroscope x"),
+    ],
+)
+def test_what_a_telephone_feels_is_no_track(tmp_path, header, expected):
+    path = tmp_path / "Raw Data.csv"
+    path.write_text(header + "\n" + "".join(f"{k / 50},0.{k},9.8\n" for k in range(9)))
+    with pytest.raises(DataError) as error:
+        load_dataset(path)
+    for text in (expected, "no positions", "film", "LiDAR, sonar", "GPS"):
+        assert text in str(error.value)

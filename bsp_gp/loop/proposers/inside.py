@@ -28,6 +28,8 @@ MOST = 8
 """Forms that are proposed."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
+ROUNDING = 1e-9
+"""Part of what a law explains by which another that is the same on these data may differ."""
 SEPARATE = 0.02
 """Part of a law that must lie beside a form and changes of it for the two to be told apart."""
 
@@ -83,9 +85,11 @@ class Inside:
                 distinct.append(scan)
         # A peak may be much narrower than the grid is coarse: every form is looked at closely.
         closer = sorted((search.closer(scan) for scan in distinct), key=lambda s: -s.promise)[:MOST]
-        every = [_proposal(view, search, s) for s in closer if s.best > view.explained]
+        least = (1 + ROUNDING) * view.explained + 1.0  # what its constants gain by chance alone
+        every = [_proposal(view, search, s) for s in closer if s.best > least]
         if not is_noise:
-            leads = (*closer[:MOST_LEADS], None)
+            is_enough = any(_is_noise(view, s.best, 2) for s in closer)
+            leads = closer[:MOST_LEADS] if is_enough else [*closer[:MOST_LEADS], None]
             every += [p for lead in leads for p in self._sums(view, search, lead)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)

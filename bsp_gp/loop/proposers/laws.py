@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
+from bsp_gp.fitting.response import RESOLVED
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.grammar import PLACED
 from bsp_gp.language.inputs import SHORT, property_of
@@ -15,7 +16,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
-from bsp_gp.loop.proposers.sums import RESOLVED, pairs_of, properties_of, sets_of
+from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import dataset_types, input_types_of

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from bsp_gp.fitting.response import RESOLVED
 from bsp_gp.language.formula import Call, Constant, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
@@ -18,14 +19,12 @@ from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
 from bsp_gp.search.subsets import best_subsets
 
-__all__ = ["RESOLVED", "pairs_of", "properties_of", "sets_of"]
+__all__ = ["pairs_of", "properties_of", "sets_of"]
 
 MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
 """Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
 LEAST_APART = 0.02
 """Part of a law, squared, that must lie beside another for the two to be told apart."""
-RESOLVED = 1e-6
-"""Part of what is left that is beyond the moments: forces act in steps from instant to instant."""
 SIMILAR = 0.01
 """Part of the best gain within which the simplest law says which properties matter."""
 

@@ -1,0 +1,110 @@
+"""Words by which headings speak of a distance and an angle, of their errors, and of dates."""
+
+from __future__ import annotations
+
+import re
+
+from bsp_gp.units import OF_THE_SKY
+
+__all__ = [
+    "date_unit", "error_of", "is_angle_word", "is_bare_error", "is_besselian", "is_far",
+    "is_of_sky", "is_position_angle", "plain_words", "sky_unit",
+]  # fmt: skip
+
+
+def _set(text):
+    return frozenset(text.split())
+
+
+_FAR = _set(
+    "separation sep rho ρ distance abstand radius r distanz distanza distancia separación"
+    " separazione séparation"
+)
+_ANGLE = _set(
+    "angle winkel theta θ phi φ pa position pos angular positionswinkel auslenkwinkel drehwinkel"
+    " angolo ángulo angulo posizione posición"
+)
+_POSITION_ANGLE = _set("pa position pos positionswinkel posizione posición")
+_ARCSEC = ('"', "″", "''", "”", "arcsecs", "arcseconds")
+_FILLER = _set("angular obs observed measured de di of")
+"""Words that change nothing beside one that counts."""
+_ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur incertitude ± +/-")
+_GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
+"""``erho``, ``σθ``, ``PAerr``: an error without a blank."""
+_YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
+_DAY = _set("jd mjd hjd bjd")
+_DATE = _set("date epoch ep obs observed observation of time day days t") | _YEAR | _DAY
+
+
+def plain_words(text):
+    """The words of a heading, lower case; ``P.A.`` is ``pa``."""
+    words = re.split(r"[\s_\-()\[\]/,]+", text.lower().replace("+/-", "±"))
+    return {word.replace(".", "") for word in words} - {""}
+
+
+def _is_of(text, known):
+    words = plain_words(text)
+    return bool(words & (known - _FILLER)) and words <= known | _FILLER
+
+
+def is_far(text):
+    """Whether a heading speaks of a distance from where an angle is measured."""
+    return _is_of(text, _FAR)
+
+
+def is_angle_word(text):
+    """Whether all words of a heading are those of an angle."""
+    return bool(plain_words(text)) and plain_words(text) <= _ANGLE | _FILLER
+
+
+def is_position_angle(text):
+    """Whether a heading names an angle that is counted from north through east."""
+    return bool(plain_words(text) & _POSITION_ANGLE)
+
+
+def sky_unit(text):
+    """A unit as it is known: ``"`` and its like are arcseconds; others as they are."""
+    return "arcsec" if text.strip().lower() in _ARCSEC else text
+
+
+def is_of_sky(unit):
+    """Whether a unit is one of small angles on the sky."""
+    return sky_unit(unit).strip() in OF_THE_SKY
+
+
+def error_of(text):
+    """Of which column a heading is the error: "distance", "angle", or None."""
+    words = plain_words(text)
+    rest = words - _ERROR
+    glued = _GLUED.fullmatch(text.strip().lower())
+    names = [" ".join(rest)] if words & _ERROR else [glued[1] or glued[2]] if glued else []
+    for name in names:
+        if is_far(name):
+            return "distance"
+        if is_angle_word(name):
+            return "angle"
+    return None
+
+
+def is_bare_error(text):
+    """Whether a heading says error and nothing else, as beside the column that it is of."""
+    return bool(plain_words(text)) and plain_words(text) <= _ERROR
+
+
+def date_unit(text):
+    """The unit that the name of a column of dates implies ("yr", "day"), "" if none is; or None.
+
+    >>> date_unit("Besselian year"), date_unit("Epoch (MJD)"), date_unit("Obs. date")
+    ('yr', 'day', '')
+    >>> date_unit("observer") is None
+    True
+    """
+    words = plain_words(text)
+    if not words or not words <= _DATE or words <= _set("obs observed of"):
+        return None
+    return "yr" if words & _YEAR else "day" if words & _DAY else ""
+
+
+def is_besselian(text):
+    """Whether a heading counts years in the manner of Bessel."""
+    return bool(plain_words(text) & _set("besselian bessel byear"))
