@@ -29,6 +29,9 @@ FAR_BEHIND = 100.0
 what explains as much is told from the same moments as it."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
+MOST_OF_ALL = 0.9
+"""Part of all that is missing by the moments that a cause must explain not to stay behind what
+tracks have gained otherwise."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 SAME_MINIMUM = 1e-3
@@ -290,13 +293,14 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above, most, asked = len(queue), {}, {}, set()
+        n_first, above, most, asked = len(queue), {}, {}, {}
         fits = self._fits(queue)
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
-            is_first = source not in asked and k < n_first
-            asked.add(source)
+            # A single cause is of its family's own measure, like the first.
+            is_first = k < n_first and proposal.rank < asked.get(source, math.inf)
+            asked[source] = min(proposal.rank, asked.get(source, math.inf))
             measures = {self.measure.get(source, False)} if is_first else {False, True}
             if self._is_behind(proposal, measures, is_again=k >= n_first):
                 continue
@@ -327,6 +331,8 @@ class _Turn:
             return True
         if is_again and proposal.promise < found:
             return True
+        if measures == {False} and proposal.gain > MOST_OF_ALL * self.missing:
+            return False  # moments cannot promise more
         return REACH * (proposal.promise + self.run.criteria.class_nats) < found
 
     def _is_ahead(self, row):

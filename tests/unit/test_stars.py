@@ -235,8 +235,9 @@ def _orbit(t, *, half_axis=1.2, period=40.0, eccentricity=0.4, periastron=1947.0
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("quoted", ["", ",0.01,0.5"])
 def test_the_law_of_an_orbit_is_the_inverse_square_of_the_distance_to_the_primary(
-    tmp_path, monkeypatch, capsys
+    tmp_path, monkeypatch, capsys, quoted
 ):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(5)
@@ -244,8 +245,9 @@ def test_the_law_of_an_orbit_is_the_inverse_square_of_the_distance_to_the_primar
     rho, angle = _orbit(t)
     rho += 0.01 * rng.standard_normal(len(t))
     angle = (angle + 0.5 * rng.standard_normal(len(t))) % 360
-    rows = [f"{a:.1f},{b:.4f},{c:.2f}" for a, b, c in zip(t, rho, angle, strict=True)]
-    (tmp_path / "star.csv").write_text("\n".join(["date,separation (arcsec),PA (deg)", *rows]))
+    rows = [f"{a:.1f},{b:.4f},{c:.2f}{quoted}" for a, b, c in zip(t, rho, angle, strict=True)]
+    header = "date,separation (arcsec),PA (deg)" + (",sep_err,PA_err" if quoted else "")
+    (tmp_path / "star.csv").write_text("\n".join([header, *rows]))
     assert main(["fit", "star.csv", "--quiet"]) == 0
     out = capsys.readouterr().out
     assert "pull to primary, as distance⁻²" in out

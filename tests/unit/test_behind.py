@@ -1,0 +1,27 @@
+"""Which proposals promise too little, beside what was found, to be fitted."""
+
+from types import SimpleNamespace
+
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.loop import _Turn
+
+
+def is_behind(promise, gain, *, found, missing, measures):
+    turn = SimpleNamespace(
+        found=found, kept={False: 0.0, True: 0.0}, missing=missing,
+        run=SimpleNamespace(criteria=Criteria()),
+    )  # fmt: skip
+    proposal = SimpleNamespace(promise=promise, gain=gain)
+    return _Turn._is_behind(turn, proposal, measures, is_again=False)
+
+
+def test_a_law_that_explains_all_that_moments_miss_is_fitted_whatever_a_rod_has_gained():
+    found = {False: 3000.0, True: 0.0}
+    assert is_behind(1000.0, 2000.0, found=found, missing=8000.0, measures={False})
+    assert not is_behind(1000.0, 2000.0, found=found, missing=2100.0, measures={False})
+
+
+def test_what_rows_have_gained_is_of_another_measure():
+    found = {False: 0.0, True: 3000.0}
+    assert not is_behind(1000.0, 2000.0, found=found, missing=8000.0, measures={False})
+    assert is_behind(1000.0, 2000.0, found=found, missing=2100.0, measures={False, True})
