@@ -253,7 +253,9 @@ class _Group:
         self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
         self.free = FreeForce(np.zeros((0, 0, 0)), self.fine.times)
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
-        held = {name for part in constraints_of(fit.law) for name in part.names}
+        constraints = constraints_of(fit.law)
+        self.is_held, self.n_told = bool(constraints), None
+        held = {name for part in constraints for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
 
     def _flow(self, chains):
@@ -420,6 +422,7 @@ class _Group:
             own = white[:, :, n_forces : n_forces + n]
             q = orthonormal(own)
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
+            beyond[:, :, :n_forces] = self._told(beyond[:, :, :n_forces])
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left):
                 break
@@ -445,6 +448,23 @@ class _Group:
         self.by_constant = np.swapaxes(turned @ by_constant, 0, 1)
         shape = (*turned.shape[:2], -1, self.n_own, self.n_dims)
         return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
+
+    def _told(self, by_force):
+        """Moments by force, (W, m, F), without those in which what bodies are held by leaks.
+
+        A rod takes up forces along it. Tracks that are smoothed lead from row to row as no fit
+        does, and there a little of such a force shows: a free force without bound would be told
+        by that from whatever is left. How many moments there are is counted at the fit itself.
+        """
+        if not self.is_held:
+            return by_force
+        values, vectors = FreeForce(by_force, self.fine.times).shown()
+        if self.n_told is None:
+            top = values.max(axis=1, keepdims=True, initial=0.0)
+            self.n_told = (values > NOTHING * top).sum(axis=1, keepdims=True)
+        n = values.shape[1]
+        vectors = np.where((np.arange(n) >= n - self.n_told)[:, None], vectors, 0.0)
+        return vectors @ (np.swapaxes(vectors, 1, 2) @ by_force)
 
     def _inexact(self, by_force, left):
         """Variances of forces at instants, (W, F): they are evaluated at places that have errors.

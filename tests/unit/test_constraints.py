@@ -1,5 +1,7 @@
 """Constraints: read, kept by tracks, with exact derivatives, and fitted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,8 +9,10 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.errors import LawError
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.parts.constraints import read_constraint
+from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.rolling import roll
 from bsp_gp.fitting.starts import first_nodes
 from bsp_gp.physics.engine.chains import build_chains
@@ -123,6 +127,16 @@ def test_rod_and_friction_are_fitted_together(law, force):
     assert found.errors.rollout_rmse < 3e-3
     # A rod takes a place and a velocity from the two axes.
     assert found.n_free == 4 + 2
+
+
+def test_beside_a_law_that_is_far_off_a_rod_still_takes_up_what_acts_along_it():
+    data = replace(bob(lambda v: -0.15 * v, dt=1 / 30, sigma=2e-4), noise=(2e-4, 2e-4))
+    found = fit(Hypothesis.from_laws(data, [WEIGHT, "norm(p_i - (a, b)) = L"]), data)
+    assert found.chi2_red > 1e3  # friction was not declared
+    left, _ = respond(found, data).left()
+    # Two numbers of a row, of which the rod takes one up.
+    assert len(left) < 1.1 * len(data.scenes[0].times)
+    assert left @ left < found.chisqr
 
 
 def test_units_of_the_data_are_those_of_bare_numbers():
