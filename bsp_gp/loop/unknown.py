@@ -20,6 +20,7 @@ from bsp_gp.language.formula import Formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.constancy import logarithms, powers_in, varied
 from bsp_gp.loop.trace import free_forces
+from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["Unknown", "unknowns"]
 
@@ -27,6 +28,8 @@ CODES = ("varying_strength", "free_force")
 FALL = 4.5
 """Weights of cosines fall as ``exp(-k^2 / FALL)``."""
 COUNT = 4
+LITTLE = 4
+"""Power of `Criteria.constant_within` down to which amplitudes that are none are tried."""
 NODES = 41
 """Amplitudes over which evidence is summed, in equal steps of their logarithm."""
 SEEN, LEAST = 1e-6, 0.1
@@ -77,20 +80,36 @@ def unknowns(view, terms, gain):
     -------
     tuple of Unknown
     """
-    found = []
+    # Under the pure error the tracks show more of what was found than the base, under its own.
+    gain = max(gain, _shown(view, terms))
+    found, little = [], [0.0]
     for term in terms:
-        of_term = [
-            Unknown(CODES[0], term.formula, "", variable, _log_odds(view, columns * np.sqrt(w)))
-            for variable, columns, w in _variations(view, term)
-        ]
+        of_term = []
+        for variable, columns, w in _variations(view, term):
+            odds, below = _log_odds(view, columns * np.sqrt(w))
+            of_term.append(Unknown(CODES[0], term.formula, "", variable, odds))
+            little.append(below)
         found += _as_one(of_term)
     free = []
     for direction, variable, columns in free_forces(view, COUNT):
         is_named = variable in ("body", "scene")
         order = np.zeros(columns.shape[1]) if is_named else np.arange(columns.shape[1])
-        odds = _log_odds(view, columns * np.exp(-np.square(order) / FALL / 2), gain)
+        odds, below = _log_odds(view, columns * np.exp(-np.square(order) / FALL / 2), gain)
         free.append(Unknown(CODES[1], None, direction, variable, odds))
-    return (*found, *_as_one(free))
+        little.append(below)
+    # What as little explains as a law may change, or leave, speaks for none of them.
+    found = (*found, *_as_one(free))
+    return tuple(replace(one, log_odds=one.log_odds - max(little)) for one in found)
+
+
+def _shown(view, terms):
+    """Chi-squared that terms of the law of a view make in its moments."""
+    if not terms:
+        return 0.0
+    names = dict.fromkeys(name for term in terms for name in term.formula.constants)
+    known = {name: view.fit.law.constants[name] for name in names}
+    moments = view.response.moments_of(ForceLaw(tuple(terms), known))
+    return float(moments @ moments) if np.isfinite(moments).all() else 0.0
 
 
 def _as_one(tried):
@@ -115,9 +134,10 @@ def _variations(view, term):
 
 
 def _log_odds(view, columns, gain=None):
-    """Log-evidence of a Gaussian process with these columns beside none, nats, or None.
+    """Log-evidence of a Gaussian process with these columns beside none, nats.
 
-    None where they would show nothing that the constants do not.
+    Of amplitudes from `Criteria.constant_within`, and the greatest of those below. None and zero
+    where the columns would show nothing that the constants do not.
 
     Parameters
     ----------
@@ -128,15 +148,20 @@ def _log_odds(view, columns, gain=None):
         Sum of the squares that they then have beside the constants.
     """
     if not np.isfinite(columns).all():
-        return None
+        return None, 0.0
     basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
     seen = sizes > SEEN * np.linalg.norm(columns, axis=0).max(initial=0.0)
     square, sizes = np.square(basis[:, seen].T @ view.left), np.square(sizes[seen])
     if gain is not None and seen.any():
         sizes *= max(gain, 0.0) / sizes.sum()
     if not sizes.sum() > LEAST:
-        return None
-    amplitudes = np.geomspace(view.criteria.constant_within, 1.0, NODES)
-    share = np.square(amplitudes)[:, None] * sizes
-    heights = 0.5 * (square * share / (1 + share) - np.log1p(share)).sum(axis=1)
-    return float(np.logaddexp.reduce(heights) - np.log(NODES))
+        return None, 0.0
+    within = view.criteria.constant_within
+    little, much = (
+        0.5 * (square * share / (1 + share) - np.log1p(share)).sum(axis=1)
+        for share in (
+            np.square(np.geomspace(*ends, NODES))[:, None] * sizes
+            for ends in ((within**LITTLE, within), (within, 1.0))
+        )
+    )
+    return float(np.logaddexp.reduce(much) - np.log(NODES)), float(little.max())

@@ -6,6 +6,7 @@ import hashlib
 import math
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
+from itertools import takewhile
 
 import numpy as np
 
@@ -198,10 +199,9 @@ def _effect(done, dataset, bounds, known, criteria):
     old = {name for name, _ in done.entering.parameters}
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
-    varies = [
-        v for v in known.varies
-        if v.p_value <= criteria.alpha and v.share > criteria.constant_within
-    ]  # fmt: skip
+    # A change of strength that explains no more than one which a law may have is not asked for.
+    surely = (v for v in known.varies if v.p_value <= criteria.alpha)
+    varies = list(takewhile(lambda v: v.share > criteria.constant_within, surely))
     is_apart = all(e.is_as_stated(criteria) for e in known.exponents)
     return Effect(
         name=best.text,
