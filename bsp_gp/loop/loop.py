@@ -293,8 +293,9 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above, most, asked = len(queue), {}, {}, {}
-        fits = self._fits(queue)
+        n_first, above, highest, asked = len(queue), {}, {}, {}
+        fits, n_left = self._fits(queue), self.run.criteria.most_fits
+        n_most = len(controls) + n_left
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
@@ -302,12 +303,18 @@ class _Turn:
             is_first = k < n_first and proposal.rank < asked.get(source, math.inf)
             asked[source] = min(proposal.rank, asked.get(source, math.inf))
             measures = {self.measure.get(source, False)} if is_first else {False, True}
-            if self._is_behind(proposal, measures, is_again=k >= n_first):
+            is_again = k >= n_first
+            if self._is_behind(proposal, measures, is_again):
                 continue
-            self.run.says(f"fit {k + 1} of {len(queue)}: {proposal.text}")
+            if len(controls) <= k < n_first:
+                if not n_left:
+                    continue
+                n_left -= 1
+            most = min(n_first, n_most) + len(queue) - n_first
+            self.run.says(f"fit {min(k + 1, most)} of {most}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
-            if is_open and k < n_first and len(queue) < n_first + MOST_AGAIN:
+            if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
@@ -317,8 +324,8 @@ class _Turn:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
-                most[source] = max(most.get(source, -math.inf), proposal.promise)
-        self._tell_near(every, above, most)
+                highest[source] = max(highest.get(source, -math.inf), proposal.promise)
+        self._tell_near(every, above, highest)
 
     def _is_behind(self, proposal, measures, is_again):
         """Whether a proposal promises too little beside what was found to be worth a fit.
@@ -479,8 +486,6 @@ def _chosen(every, clear, criteria):
     near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
     chosen, keys = [], set()
     for name, proposal in [*best.values(), *simplest.values(), *others.values(), *near]:
-        if len(chosen) == criteria.most_fits:
-            break
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             keys.add(proposal.key)

@@ -89,7 +89,10 @@ class Inside:
         every = [_proposal(view, search, s) for s in closer if s.best > least]
         if not is_noise:
             is_enough = any(_is_noise(view, s.best, 2) for s in closer)
-            leads = closer[:MOST_LEADS] if is_enough else [*closer[:MOST_LEADS], None]
+            # Of forms of which one is the other's special case both lead: the best of every size.
+            sizes = {len(s.axes): s for s in reversed(closer)}
+            leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
+            leads = leads if is_enough else (*leads, None)
             every += [p for lead in leads for p in self._sums(view, search, lead)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
