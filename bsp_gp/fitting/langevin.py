@@ -18,7 +18,6 @@ from scipy.stats import chi2, kurtosistest
 
 __all__ = ["COST", "Langevin", "Track", "best_of", "models_of"]
 
-DOUBLINGS = 20
 COST = 4.0
 """Nats that a force must gain: a rate that is not there gains as much in less than one of a
 hundred recordings (a random walk's own test, which no chi-squared is)."""
@@ -79,18 +78,6 @@ class Langevin:
     def score(self):
         """Log-likelihood less what its forces cost, nats."""
         return self.log_likelihood - COST * len(self.terms) + INERTIA * self.is_overdamped
-
-    def variance_after(self, time):
-        """Variance of a place that kicks have made after a time in seconds, per axis, m^2."""
-        known = {name: value for name, (value, _, _) in self.values.items()}
-        power = known.get("diffusion" if self.is_overdamped else "kick_power", 0.0)
-        model = _Model(
-            self.is_overdamped, known.get("drag_rate", 0.0), known.get("trap_rate", 0.0), power, 0.0
-        )
-        f, q, _ = (each[0] for each in model.transitions(np.array([time / 2**DOUBLINGS])))
-        for _ in range(DOUBLINGS):  # one long step would overflow
-            q, f = f @ q @ f.T + q, f @ f
-        return float(q[0, 0])
 
 
 def models_of(tracks, noise=None):

@@ -109,11 +109,6 @@ class View:
         return (found, response) if response.free_height > needed else None
 
     @property
-    def misfit(self):
-        """Reduced chi-squared of the fit as it was made."""
-        return self._fit.chi2_red
-
-    @property
     def is_memory_doubted(self):
         """Whether a force that knows no physics is likelier than the memory of the noise."""
         return self._without_memory is not None

@@ -92,16 +92,9 @@ def test_kicks_are_told_by_the_loop():
     known = {c.name: c for c in page.constants}
     assert known["diffusion"].unit == "um^2/s"
     assert known["diffusion"].low < 1.0 < known["diffusion"].high
-    assert known["temperature"].unit == "K" and known["stiffness"].low < 4e-15
-
-
-def test_what_kicks_make_is_what_the_steps_add_up_to():
-    rng = np.random.default_rng(3)
-    best = models_of([kicked(rng, drag=0.5, trap=4.0, n_rows=800)])[0]
-    values = {name: value for name, (value, _, _) in best.values.items()}
-    at_rest = values["speed_variance"] / values["trap_rate"]
-    assert best.variance_after(1e4) == pytest.approx(at_rest, rel=1e-6)
-    assert best.variance_after(1e-3) < 1e-6 * at_rest
+    assert known["temperature"].unit == "K"
+    stiffness = known["stiffness"]
+    assert abs(stiffness.value - 4e-15) < stiffness.high - stiffness.low  # of 90 %: 3.3 sigma
 
 
 def test_a_swing_that_can_be_foreseen_is_no_matter_of_kicks():
@@ -119,4 +112,4 @@ def test_a_swing_that_can_be_foreseen_is_no_matter_of_kicks():
     data = Dataset("spring", (Scene("s", times, places, [bob]),), units=units)
     report = close_loop(data, (), rng=0, n_bootstrap=0, max_rounds=1)
     effect = report.rounds[0].effect
-    assert effect is None or effect.code not in ("kicks", "noise")
+    assert effect.code == "law" and "centre_x1" in effect.law and "norm(v_i)^2" in effect.law

@@ -21,9 +21,6 @@ __all__ = ["Kicks"]
 
 LEAST_ROWS = 100
 """Of a track: on fewer nobody tells kicks from a force that changes."""
-LEAST_MADE = 0.25
-"""Part of the variance of tracks that kicks must make to be asked before laws are: of a motion that
-can be foreseen they would take up whatever else a law lacks."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -92,8 +89,6 @@ class Kicks:
             return replace(known, proposals=(_slowed(view, best, gain),))
         if "kicks" not in best.terms or best.oddity < view.criteria.alpha:
             return known
-        if _made(best, tracks) < LEAST_MADE:
-            return known
         proposal = Kicked(
             "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
             len(best.values), kind="kicks", is_last=True,
@@ -104,13 +99,6 @@ class Kicks:
     def details(self, view, proposal, fit, rng):
         """What kicks and forces are, as constants of a report."""
         return {"constants": proposal.constants} if isinstance(proposal, Kicked) else {}
-
-
-def _made(model, tracks):
-    """Part of the variance of tracks that kicks make in half of their time."""
-    made = [model.variance_after(float(t.times[-1] - t.times[0]) / 2) for t in tracks]
-    seen = [float(t.places.var(axis=0).mean()) for t in tracks]
-    return sum(made) / max(sum(seen), np.finfo(float).tiny)
 
 
 def _slowed(view, model, gain):

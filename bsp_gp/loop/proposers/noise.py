@@ -14,9 +14,6 @@ __all__ = ["Noise"]
 TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.3, 0.6, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
 
-FAR_OFF = 10.0
-"""Reduced chi-squared of a fit beyond which no memory is a rival: its noise is what is left beside
-smooth forces, and so much more is a motion that the law lacks."""
 TINY = np.finfo(float).tiny
 
 
@@ -26,7 +23,7 @@ class Noise:
     Noise that was declared is estimated instead, with whatever parts it has, where the pure error
     contradicts it. Where it is estimated, memory is asked for in every fit, on what is left beside
     forces that know no physics; on few rows, or where it is slow, there is not enough of that. Here
-    it stands beside the forces that would do as well, unless the law is far off.
+    it stands beside the forces that would do as well.
     """
 
     name = "noise"
@@ -52,7 +49,7 @@ class Noise:
         ]  # fmt: skip
         gains = [_gain(view, remembered) for remembered in models]
         best = int(np.argmax(gains))
-        if gains[best] <= 0 or view.misfit > FAR_OFF:
+        if gains[best] <= 0:
             return Family(self.name)
         noise = TrackNoise(models[best], is_given=True)
         proposal = Proposal(
