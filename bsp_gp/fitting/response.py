@@ -6,8 +6,10 @@ with all initial states projected out, this is a linear regression in the force:
 smooth forces that know no physics, and noise that was simulated are all weighed on the same rows,
 whether they are dense or coarse.
 
-Forces are evaluated where the bodies were: on tracks smoothed by a free force (white in time) as
-strong as the data ask for, so that the answer does not hang on how wrong the fitted law is.
+Forces are evaluated where the bodies were: on tracks smoothed by a free force as strong and as
+smooth as the data ask for, so that the answer does not hang on how wrong the fitted law is. These
+places are in error, and so are forces that change with the place: moments count as far as that
+allows.
 """
 
 from __future__ import annotations
