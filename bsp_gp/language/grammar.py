@@ -396,7 +396,10 @@ class _Reader:
         except UnitError as error:
             raise GrammarError(f"type of {name}: {error}") from None
         if scale != 1.0:
-            raise GrammarError(f"type of {name}: unit must be SI, got {unit.strip()!r}")
+            raise GrammarError(
+                f"type of {name}: unit must be SI, got {unit.strip()!r}; write {str(parsed)!r}, "
+                "values of the data are converted to it"
+            )
         return Type(shape, parsed)
 
     def rules(self):

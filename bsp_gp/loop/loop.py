@@ -310,8 +310,11 @@ class _Turn:
                 if not n_left:
                     continue
                 n_left -= 1
+            # Proposals that are passed over are none of the fits that may yet come.
+            behind = max(len(controls) - k - 1, 0) + len(queue) - max(k + 1, n_first)
+            behind += min(n_left, max(n_first - max(k + 1, len(controls)), 0))
             most = min(n_first, n_most) + len(queue) - n_first
-            self.run.says(f"fit {min(k + 1, most)} of {most}: {proposal.text}")
+            self.run.says(f"fit {most - behind} of {most}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:

@@ -77,7 +77,7 @@ METHODS = {
     "resampled": "resampling whole held-out scenes", "none": "",
 }  # fmt: skip
 NOISE = {
-    "size": "it is of another size than declared",
+    "size": "it is of another size than declared or quoted",
     "autocorrelation": "it has a memory from row to row",
     "tails": "it has heavier tails than a normal distribution",
     "level_of_scene": "its level differs from scene to scene",

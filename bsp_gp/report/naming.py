@@ -168,9 +168,12 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if is_loose:
             return f"{'drag' if brakes else 'forward push'}{where}"
         total = speed + (1 if text == "v_i" else 0)
-        if total == 0:
-            return f"{'friction' if brakes else 'forward push'} of constant size{where}"
         kind = "drag" if brakes else "forward push"
+        # A function of the velocity that is no power, such as an operator of one's own.
+        if any(name not in _WORDS and "v_i" in _input_names(name) for name in powers):
+            return kind + _scaling(powers | ({"norm(v_i)": total} if total else {})) + where
+        if total == 0:
+            return f"{'friction' if brakes else kind} of constant size{where}"
         return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
     if text.startswith("perp(normalize(v_i") or text.startswith("cross("):
         return f"force across the velocity, speed^{speed:g} (magnetic or Magnus){where}"

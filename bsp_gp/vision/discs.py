@@ -315,9 +315,12 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     if radius is not None:
         patches = [p for p in patches if abs(p[2] - radius) < 0.15 * radius + 1]
     if not patches:
+        blue, green, red = np.round(colour).astype(int)
         raise DataError(
-            f"no free-standing round patch of the colour BGR {np.round(colour).tolist()}",
-            remedy=f"give the radius in px, or another colour{_moving_colour(images)}",
+            f"no free-standing round patch of the colour #{red:02x}{green:02x}{blue:02x}",
+            remedy=f"give the radius in px, or another colour{_moving_colour(images)}; where that "
+            "is its colour already, something that it touches (a rod) may look alike: mark it "
+            "with moving:X,Y,W,H@FRAME",
         )
     typical = float(np.median([p[2] for p in patches]))
     patches = [p for p in patches if abs(p[2] - typical) < 0.05 * typical + 0.5]

@@ -100,7 +100,8 @@ def test_a_fast_bounce_outside_of_the_window_is_found(tmp_path):
 def test_no_disc_of_that_colour_is_an_error(tmp_path):
     images = [frame((80, 80), [("red", (40.0, 40.0))])] * 3
     video = open_video(write_video(tmp_path / "a.mkv", images))
-    with pytest.raises(DataError, match="no free-standing round patch"):
+    told = r"no free-standing round patch of the colour #[0-9a-f]{6}; .* moving:X,Y,W,H@FRAME"
+    with pytest.raises(DataError, match=told):
         DiscTracker(video, {"blue": COLOURS["blue"]})
 
 

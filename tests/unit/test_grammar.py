@@ -245,7 +245,7 @@ def test_vectors_have_rules_of_their_own_and_velocities_more():
         ({"types__Mass": "scalar kg", "rules__Mass": "m_i"}, ("['Mass'] cannot be reached",)),
         ({"types__Coeff": "number kg"}, ("type of Coeff", "got 'number'")),
         ({"types__Coeff": "scalar zorkmid"}, ("type of Coeff", "unknown unit")),
-        ({"inputs__m_i": "scalar g"}, ("type of m_i", "must be SI", "'g'")),
+        ({"inputs__m_i": "scalar g"}, ("type of m_i", "must be SI", "'g'", "write 'kg'")),
         ({"operators": {"mul": "times"}}, ("[operators] mul = 'times'",)),
         ({"grammar__kind": "triple"}, ("kind must be one of", "'triple'")),
         ({"grammar__kind": ["pair", "field"]}, ("one kind",)),

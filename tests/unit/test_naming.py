@@ -35,6 +35,8 @@ def formula(text):
         ("c1 * inverse(norm(v_i)) * normalize(v_i)", -0.1, "drag, power -1 in speed"),
         ("c1 * R_i^2 * norm(v_i)^2 * normalize(v_i)", -0.1, "drag, quadratic in speed"),
         ("c1 * normalize(v_i)", -0.1, "friction of constant size"),
+        ("c1 * m_i * tanh(norm(v_i) / 2 [m/s]) * normalize(v_i)", -0.1,
+         "drag, as tanh(norm(v_i) / 2 [m/s])"),
         ("c1 * normalize(v_i)", 0.1, "forward push of constant size"),
         ("c1 * m_i * mu_j * normalize(v_i) * is_on(s_i, p_i, s_j, p_j)", -9.8,
          "friction of constant size while on the mat"),
