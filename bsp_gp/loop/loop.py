@@ -295,7 +295,7 @@ class _Turn:
         queue = [*controls, *chosen]
         n_first, above, highest, asked = len(queue), {}, {}, {}
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
-        n_most = len(controls) + n_left
+        n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
@@ -310,11 +310,9 @@ class _Turn:
                 if not n_left:
                     continue
                 n_left -= 1
-            # Proposals that are passed over are none of the fits that may yet come.
-            behind = max(len(controls) - k - 1, 0) + len(queue) - max(k + 1, n_first)
-            behind += min(n_left, max(n_first - max(k + 1, len(controls)), 0))
+            n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             most = min(n_first, n_most) + len(queue) - n_first
-            self.run.says(f"fit {most - behind} of {most}: {proposal.text}")
+            self.run.says(f"fit {n_fits} of {most}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
