@@ -8,6 +8,7 @@ and noise that is told from what laws lack.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class FreeForce:
         """The same force on other moments."""
         return FreeForce(by_force, times, self.memory)
 
+    @cached_property
     def spread(self):
         """Moments by force, times its covariance in time, (W, m, L R d)."""
         if not self.memory:
@@ -57,9 +59,10 @@ class FreeForce:
             own[:] = np.einsum("lk,mkr->mlr", _matern(apart / self.memory), there, optimize=True)
         return out.reshape(self.by_force.shape)
 
+    @cached_property
     def shown(self):
         """Covariance of moments by a force of one as eigenvalues (W, m) that rise, and vectors."""
-        values, vectors = np.linalg.eigh(self.spread() @ np.swapaxes(self.by_force, 1, 2))
+        values, vectors = np.linalg.eigh(self.spread @ np.swapaxes(self.by_force, 1, 2))
         return np.maximum(values, 0.0), vectors
 
     def seen(self, left):
@@ -69,7 +72,7 @@ class FreeForce:
         -------
         values, turned : ndarray, shape (W, m)
         """
-        values, vectors = self.shown()
+        values, vectors = self.shown
         return values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0]
 
     def chosen(self, left):
@@ -87,14 +90,13 @@ class FreeForce:
 
     def smoothest(self, left):
         """Accelerations (W, L R d) that are likeliest to have left moments (W, m); None if none."""
-        values, vectors = self.shown()
-        turned = (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0]
+        (values, turned), (_, vectors) = self.seen(left), self.shown
         strength, height, least = _as_likely(turned, values)
         if not strength.any() or height < least + LIKELIER:
             return None
         weight = strength / (1 + strength * values)
         inner = (vectors * weight[:, None]) @ turned[..., None]
-        return (np.swapaxes(self.spread(), 1, 2) @ inner)[..., 0]
+        return (np.swapaxes(self.spread, 1, 2) @ inner)[..., 0]
 
 
 def _as_likely(turned, values):

@@ -428,13 +428,13 @@ class _Group:
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left):
                 break
-        values, _ = FreeForce(by_force, self.fine.times).shown()
+        values, _ = FreeForce(by_force, self.fine.times).shown
         error = self._inexact(by_force, left)
         self._linked = self._links(changes, white, error)
         self._weigh(by_force, values, left)
         beyond = less_exact(by_force, beyond, error)
         by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
-        values, vectors = FreeForce(by_force, self.fine.times).shown()
+        values, vectors = FreeForce(by_force, self.fine.times).shown
         keep = self._kept(values, left)
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
@@ -460,7 +460,7 @@ class _Group:
         """
         if not self.is_held:
             return by_force
-        values, vectors = FreeForce(by_force, self.fine.times).shown()
+        values, vectors = FreeForce(by_force, self.fine.times).shown
         if self.n_told is None:
             top = values.max(axis=1, keepdims=True, initial=0.0)
             self.n_told = (values > NOTHING * top).sum(axis=1, keepdims=True)

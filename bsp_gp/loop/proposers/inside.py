@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy import stats
@@ -14,7 +15,7 @@ from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
-from bsp_gp.loop.proposers.periods import wave_beside
+from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
@@ -93,7 +94,8 @@ class Inside:
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
             leads = leads if is_enough else (*leads, None)
-            every += [p for lead in leads for p in self._sums(view, search, lead)]
+            laws, alone = _shown(view, self.common), cache(lambda: waves_alone(view))
+            every += [p for lead in leads for p in _sums(view, search, lead, laws, alone)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
@@ -104,33 +106,31 @@ class Inside:
             n_tried=count,
         )  # fmt: skip
 
-    def _sums(self, view, search, scan):
-        """A form and one or two laws of textbooks beside it, where it leaves more than noise.
+def _sums(view, search, scan, shown, alone):
+    """A form and one or two laws of textbooks beside it, where it leaves more than noise.
 
-        Where all of these leave more, a push with a period joins them; without a form only then.
-        The inner constants move with them, as far as moments are linear in these.
-        """
-        if scan is not None and _is_noise(view, scan.best, 2):
-            return
-        laws = [law for law in self.common if _is_shown(view, law)]
-        columns = [view.force_columns([split_linear(law)[1]], kind_of(law)) for law in laws]
-        own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
-        columns = view.beside(np.concatenate([own[:, :0], *columns], axis=1))
-        every = np.concatenate([own, columns], axis=1)
-        wave, gain = None, _gain(view, every)
-        if not _is_noise(view, gain, every.shape[1]):
-            wave = wave_beside(view, every)
-        for lead in [None] * (scan is not None) + [wave] * (wave is not None):
-            waves = own[:, :0] if lead is None else lead.columns
-            taken = orthonormal(np.concatenate([own, waves], axis=1), len(own))
-            beside = columns - taken @ (taken.T @ columns)
-            is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
-            rest = view.left - taken @ (taken.T @ view.left)
-            subsets = best_subsets(np.where(is_own, beside, 0.0), rest, LARGEST - 1)
-            chosen = [members for found in subsets.values() for _, members in found[:MOST_SUMS]]
-            for members in [()] * (scan is not None and lead is not None) + chosen:
-                own_laws = [laws[k] for k in members]
-                yield _sum(view, search, scan, own, own_laws, columns[:, members], lead)
+    Where all of these leave more, a push with a period joins them; without a form only then.
+    The inner constants move with them, as far as moments are linear in these.
+    """
+    if scan is not None and _is_noise(view, scan.best, 2):
+        return
+    own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
+    laws, columns = shown
+    every = np.concatenate([own, columns], axis=1)
+    wave, gain = None, _gain(view, every)
+    if not _is_noise(view, gain, every.shape[1]):
+        wave = wave_beside(view, every, alone())
+    for lead in [None] * (scan is not None) + [wave] * (wave is not None):
+        waves = own[:, :0] if lead is None else lead.columns
+        taken = orthonormal(np.concatenate([own, waves], axis=1), len(own))
+        beside = columns - taken @ (taken.T @ columns)
+        is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(columns, axis=0)
+        rest = view.left - taken @ (taken.T @ view.left)
+        subsets = best_subsets(np.where(is_own, beside, 0.0), rest, LARGEST - 1)
+        chosen = [members for found in subsets.values() for _, members in found[:MOST_SUMS]]
+        for members in [()] * (scan is not None and lead is not None) + chosen:
+            own_laws = [laws[k] for k in members]
+            yield _sum(view, search, scan, own, own_laws, columns[:, members], lead)
 
 
 def _is_noise(view, gain, rank):
@@ -145,12 +145,18 @@ def _gain(view, columns):
     return float(np.square(basis.T @ view.left).sum())
 
 
-def _is_shown(view, law):
-    """Whether all bodies have what a law names, and have it in numbers."""
-    try:
-        return bool(np.isfinite(view.force_columns([split_linear(law)[1]], kind_of(law))).all())
-    except EvaluationError:
-        return False
+def _shown(view, laws):
+    """Laws of which all bodies have what they name, and their moments, (n, c)."""
+    found = {}
+    for law in laws:
+        try:
+            column = view.force_columns([split_linear(law)[1]], kind_of(law))
+        except EvaluationError:  # some body lacks a property
+            continue
+        if np.isfinite(column).all():
+            found[law] = column
+    nothing = np.zeros((len(view.left), 0))
+    return list(found), view.beside(np.concatenate([nothing, *found.values()], axis=1))
 
 
 def _sum(view, search, scan, own, laws, columns, wave=None):

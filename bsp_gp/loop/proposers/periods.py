@@ -16,7 +16,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Periods", "Scan", "Wave", "rates_of", "wave_beside"]
+__all__ = ["Periods", "Scan", "Wave", "rates_of", "wave_beside", "waves_alone"]
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
@@ -87,21 +87,37 @@ class Wave:
     columns: np.ndarray
 
 
-def wave_beside(view, columns):
-    """The push with a period that explains most beside moments (n, c); None if there is none."""
+def waves_alone(view):
+    """For `wave_beside`: rates, and by axis moments of pushes and the rates that do best alone."""
     rates = rates_of(view)
     if not len(rates):
-        return None
+        return rates, {}
+    alone = Scan(view, rates, view.left[:, None])
+    (_, weights, _), *_ = _variants(view)
+    axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
+    kernels = {axis: alone.kernels(weights, axis) for axis in axes}
+    return rates, {axis: (k, [r for r, _ in alone.peaks(k)]) for axis, k in kernels.items()}
+
+
+def wave_beside(view, columns, alone):
+    """The push with a period that explains most beside moments (n, c); None if there is none.
+
+    Parameters
+    ----------
+    view : View
+    columns : ndarray, shape (n, c)
+    alone : tuple
+        Of `waves_alone`.
+    """
+    rates, pushes = alone
     basis = orthonormal(columns, len(columns))
     target = view.left - basis @ (basis.T @ view.left)
-    alone = Scan(view, rates, view.left[:, None])
     scan = Scan(view, rates, target[:, None], basis)
-    (has_mass, weights, _), *_ = _variants(view)
+    (has_mass, *_), *_ = _variants(view)
     best = None
-    for axis in np.flatnonzero(np.isfinite(view.fit.noise.levels)):
-        kernel = scan.kernels(weights, axis)
+    for axis, (kernel, known) in pushes.items():
         # Beside what imitates it a peak is much narrower than that of the push alone.
-        starts = [(rate, -np.inf) for rate, _ in alone.peaks(kernel)] + scan.peaks(kernel)
+        starts = [(rate, -np.inf) for rate in known] + scan.peaks(kernel)
         for rate, gain in starts:
             rate, most = scan.closer([kernel], rate, gain)
             if best is None or most > best[0]:
