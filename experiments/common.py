@@ -117,6 +117,13 @@ def _turn(folder):
         lock.release()
 
 
+def take_share(parser):
+    """Declare ``--share``, for studies whose kinds take turns, so that a part has all of them."""
+    parser.add_argument(
+        "--share", type=float, default=1.0, help="of the seeds of each kind (default: all)"
+    )
+
+
 def data_root():
     """The folder of all reference data: $BSP_GP_DATA, by default ../shared/data."""
     return Path(os.environ.get("BSP_GP_DATA", ROOT.parent / "shared" / "data"))

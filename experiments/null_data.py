@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 from causes import is_adopted
-from common import options, run_jobs, write_study
+from common import options, run_jobs, take_share, write_study
 from made_worlds import FALL, NBODY, SPRING, make_apart, world
 
 from bsp_gp.loop.close import close_loop
@@ -58,9 +58,9 @@ def is_noise(done):
     return done.effect is not None and done.effect.code == "noise" and done.adopted
 
 
-def jobs_of(quick, seed):
+def jobs_of(quick, seed, share=1.0):
     """The jobs, every kind of set in turn."""
-    jobs, n = [], QUICK_SETS if quick else N_SETS
+    jobs, n = [], QUICK_SETS if quick else round(share * N_SETS)
     for k in range(n):
         declared = list(WORLDS)[k % 3]
         noise_kind = list(MEMORY)[k // 3 % 3]
@@ -117,8 +117,8 @@ def figure(table):
 
 
 def main():
-    args = options(__doc__.splitlines()[0])
-    table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
+    args = options(__doc__.splitlines()[0], declare=take_share)
+    table = run_jobs(jobs_of(args.quick, args.seed, args.share), work, args.out, args.workers)
     write_study(summary(table), figure(table), args.out, "null_data")
 
 

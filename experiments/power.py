@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from causes import LAWS, PERIOD, Cause, Judge, causes_of, is_adopted, start_of
-from common import options, run_jobs, write_study
+from common import options, run_jobs, take_share, write_study
 from made_worlds import CLOSEST, FALL, MAT, NBODY, PUCKS, make_apart, world
 
 from bsp_gp.data.noise import declare_noise
@@ -245,21 +245,22 @@ def oracle(dataset, truth, case):
     return fit_law(dataset, laws, starts=_rates(read_law(dataset, laws))).errors.rollout_rmse
 
 
-def jobs_of(quick, seed):
+def jobs_of(quick, seed, share=1.0):
     """The jobs.
 
     Every other seed by the second engine where it has the effect, every other pair of seeds with
     noise that is estimated.
     """
     cases = ("linear drag", "magnetic") if quick else CASES
-    seeds = (seed, seed + 3) if quick else range(seed, seed + N_SEEDS + MORE_SEEDS)
+    n_seeds, n_more = round(share * N_SEEDS), round(share * MORE_SEEDS)
+    seeds = (seed, seed + 3) if quick else range(seed, seed + n_seeds + n_more)
     able = {}
     for case in cases:
         name, numbers, build, strength = CASES[case]
         able[case] = engine_of("mujoco", world(name, numbers, [build(strength)])) is not None
     return [(case, "mujoco" if s % 2 and able[case] else "pymunk", NOISES[s // 2 % 2], snr, s)
             for snr in SNRS for s in seeds for case in cases
-            if s < seed + N_SEEDS or CASES[case][0] == "fall"]  # fmt: skip
+            if s < seed + n_seeds or CASES[case][0] == "fall"]  # fmt: skip
 
 
 def summary(table):
@@ -355,8 +356,8 @@ def figure(table):
 
 
 def main():
-    args = options(__doc__.splitlines()[0])
-    table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
+    args = options(__doc__.splitlines()[0], declare=take_share)
+    table = run_jobs(jobs_of(args.quick, args.seed, args.share), work, args.out, args.workers)
     write_study(summary(table), figure(table), args.out, "power")
 
 

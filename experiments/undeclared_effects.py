@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from battery_worlds import AS_IT_IS, KINDS, able, noisy, tuned_to
 from causes import Judge, causes_of, is_adopted
-from common import options, run_jobs, write_study
+from common import options, run_jobs, take_share, write_study
 from power import ALPHA, FORCES
 
 from bsp_gp.loop.close import close_loop
@@ -146,11 +146,11 @@ def work(name, engine, snr, seed):
     }]  # fmt: skip
 
 
-def jobs_of(quick, seed):
+def jobs_of(quick, seed, share=1.0):
     """The jobs; every other seed by the second engine where it has the effect."""
     names, snrs = (QUICK, (WANTED_SNR,)) if quick else (KINDS, SNRS)
     has_second = {name: able(name, "mujoco") for name in names}
-    seeds = range(seed, seed + (1 if quick else N_SEEDS))
+    seeds = range(seed, seed + (1 if quick else round(share * N_SEEDS)))
     return [
         (name, "mujoco" if s % 2 and has_second[name] else "pymunk", snr, s)
         for snr in snrs for s in seeds for name in names
@@ -246,8 +246,8 @@ def figure(table):
 
 
 def main():
-    args = options(__doc__.splitlines()[0])
-    table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
+    args = options(__doc__.splitlines()[0], declare=take_share)
+    table = run_jobs(jobs_of(args.quick, args.seed, args.share), work, args.out, args.workers)
     write_study(summary(table), figure(table), args.out, "confusion")
 
 
