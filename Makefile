@@ -72,8 +72,9 @@ quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/qu
 	    tail -n 1 runs/quick/$$name.log; \
 	done
 
-lint: $(VENV)/.dev  ## check the code with ruff
+lint: $(VENV)/.dev  ## check the code with ruff, and its types with mypy
 	@$(BIN)/ruff check $(ARGS) .
+	@$(BIN)/mypy
 
 bench: $(VENV)/.dev  ## time the searches, other tools beside them
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -e '.[peers]'

@@ -8,10 +8,13 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["generator"]
+__all__ = ["Random", "generator"]
+
+Random = np.random.Generator | int | None
+"""What may be given; see `generator`."""
 
 
-def generator(rng=None):
+def generator(rng: Random = None) -> np.random.Generator:
     """A Generator: the one given, or one of a seed; None is the seed 0, as on the command line.
 
     Parameters

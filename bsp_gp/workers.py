@@ -19,7 +19,7 @@ MOST_KNOWN = 2
 """Shared values that a worker keeps."""
 _PR_SET_PDEATHSIG = 1
 _NUMBERS = itertools.count()
-_KNOWN = {}
+_KNOWN: dict = {}
 """Shared values of this process, if it is a worker."""
 _NOT_KNOWN = "this worker does not have the shared value"
 

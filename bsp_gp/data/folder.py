@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 from bsp_gp.data.cells import safe_cell
 from bsp_gp.data.declaration import toml_text
 from bsp_gp.data.roster import OWN_COLUMNS
-from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.data.scene import PROPERTY_UNITS, Dataset
 from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
 from bsp_gp.units import OF_THE_SKY, UNCALIBRATED
@@ -21,7 +22,9 @@ __all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
 TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
 
 
-def save_dataset(dataset, folder, overwrite=False, *, kind="data set"):
+def save_dataset(
+    dataset: Dataset, folder: str | os.PathLike, overwrite: bool = False, *, kind: str = "data set"
+):  # fmt: skip
     """Write `dataset` as a folder that `load_dataset` reads back to the same numbers.
 
     Parameters

@@ -11,7 +11,7 @@ import dataclasses
 import hashlib
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +40,11 @@ MAX_COLUMNS = 12
 """Columns whose meaning is told."""
 
 
-def load_dataset(path, *, units=None, columns=None, fps=None, dt=None, train=None, test=None):
+def load_dataset(
+    path: str | os.PathLike, *, units: dict | None = None,
+    columns: dict | None = None, fps: float | None = None, dt: float | None = None,
+    train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
+) -> Dataset:  # fmt: skip
     """Read a data set folder, or a lone delimited file.
 
     Parameters

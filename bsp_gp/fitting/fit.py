@@ -601,7 +601,7 @@ def _tracks_of(run, climb, minimum: Minimum):
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
     for shooting, nodes, noise, parts in zip(
         climb.problem.shootings, minimum.point.nodes, climb.noises,
-        minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
+        getattr(minimum.linearised, "condensed", [()] * len(run.groups)),
         strict=True,
     ):  # fmt: skip
         chains = shooting.chains

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.data.drawn import plot_constants
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
-from bsp_gp.data.scene import CHECK
+from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError, in_python
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
@@ -34,7 +34,7 @@ from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units
 from bsp_gp.physics.masses import check_properties, with_usable_masses
-from bsp_gp.randomness import generator
+from bsp_gp.randomness import Random, generator
 from bsp_gp.units import Unit
 
 __all__ = [
@@ -161,7 +161,11 @@ class LawFit:
         return strong_correlations(self.constants, self.correlation)
 
 
-def fit_law(dataset, laws, *, rng=None, noise=None, starts=None, bounds=None, time_limit=None):
+def fit_law(
+    dataset: Dataset, laws: ForceLaw | str | Sequence[str], *, rng: Random = None,
+    noise: float | Sequence[float] | None = None, starts: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None, time_limit: float | None = None,
+) -> LawFit:  # fmt: skip
     """Fit the constants of a law to a data set.
 
     Parameters

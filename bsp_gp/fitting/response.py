@@ -79,7 +79,7 @@ class ResponseBatch(RegressionBatch):
         """Moments of accelerations (n, S, R, ..., d), shape (m, S, 1, ..., 1)."""
         valid = self.valid[(slice(None),) * 3 + (None,) * (values.ndim - 4)]
         values = np.where(valid, values, 0.0)
-        n, s, r, d = (*values.shape[:3], values.shape[-1])
+        (n, s, r), d = values.shape[:3], values.shape[-1]
         flat = np.moveaxis(values, (1, -1), (0, 3)).reshape(s, n * r * d, -1)
         with np.errstate(over="ignore", invalid="ignore"):
             out = self.whitener.reshape(s, -1, n * r * d) @ flat

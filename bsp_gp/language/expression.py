@@ -15,7 +15,7 @@ from bsp_gp.language.grammar import Slot, fill
 
 __all__ = ["Expression", "derive", "from_lists", "to_formula", "to_lists"]
 
-_KNOWN = weakref.WeakValueDictionary()
+_KNOWN: weakref.WeakValueDictionary = weakref.WeakValueDictionary()
 _LOCK = threading.RLock()  # a collected tree may be made again while one is made
 
 

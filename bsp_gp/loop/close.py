@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import time
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, replace
 
@@ -11,6 +13,7 @@ import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
@@ -24,7 +27,7 @@ from bsp_gp.fitting.law_fit import (
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.inference.latents import declared_latents
-from bsp_gp.language.grammar import load_grammar
+from bsp_gp.language.grammar import Grammar, load_grammar
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
@@ -46,7 +49,7 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
-from bsp_gp.randomness import generator
+from bsp_gp.randomness import Random, generator
 from bsp_gp.search.choice import BUDGET
 from bsp_gp.workers import Crew
 
@@ -59,11 +62,16 @@ WRITING_SHARE = 0.25
 
 
 def close_loop(
-    dataset, declared=(), *, rng=None, grammar="physics", criteria=None, alpha=None, max_rounds=5,
-    max_levels=8, search="exhaustive", search_budget=BUDGET, starts=None, bounds=None,
-    time_limit=None, n_bootstrap=40, exclude=("t",), seed=None, workers=None, progress=None,
-    on_round=None, earlier=None, all_rows=False,
-):  # fmt: skip
+    dataset: Dataset, declared: ForceLaw | str | Sequence[str] = (), *, rng: Random = None,
+    grammar: str | os.PathLike | Grammar = "physics", criteria: Criteria | None = None,
+    alpha: float | None = None, max_rounds: int = 5, max_levels: int = 8,
+    search: str = "exhaustive", search_budget: int = BUDGET,
+    starts: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None, time_limit: float | None = None,
+    n_bootstrap: int = 40, exclude: Sequence[str] = ("t",), seed: int | None = None,
+    workers=None, progress=None, on_round: Callable | None = None, earlier=None,
+    all_rows: bool = False,
+) -> LoopReport:  # fmt: skip
     """Find what a declared model lacks, add it, and report the error before and after.
 
     Parameters
@@ -133,7 +141,7 @@ def close_loop(
     says("reading the data set")
     dataset = dataset if all_rows else in_blocks(dataset)
     ready = _Ready(dataset, declared, split_rng)
-    grammar = load_grammar(grammar) if not hasattr(grammar, "inputs") else grammar
+    grammar = grammar if isinstance(grammar, Grammar) else load_grammar(grammar)
     unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})
     if unknown:
         raise SettingsError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -26,7 +27,7 @@ _TUPLES = ("hypotheses", "held_out", "varies_with", "noise_findings", "equivalen
            "exponents", "at", "values", "errors")  # fmt: skip
 
 
-def load_report(path):
+def load_report(path: str | os.PathLike) -> LoopReport:
     """Read a report that `write_report` or ``bsp-gp close`` wrote.
 
     Parameters

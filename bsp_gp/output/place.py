@@ -16,7 +16,7 @@ from bsp_gp.output.replacing import discard, new_folder, put_in_place, recover, 
 
 __all__ = ["Place", "claim", "require_free", "told", "whole_file"]
 
-_HELD = {}
+_HELD: dict = {}
 """Places that this process holds, by path; who holds one may claim it again further in."""
 
 

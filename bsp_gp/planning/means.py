@@ -20,6 +20,7 @@ A file of means, TOML; all numbers are SI. ``"a..b"`` is a range, a list a choic
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -229,7 +230,7 @@ def _drawn(value, rng):
     return value
 
 
-def load_means(path):
+def load_means(path: str | os.PathLike) -> Means:
     """Read a file of means.
 
     Raises

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 
 from bsp_gp.data.cells import safe_cell
+from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.output.place import claim
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.html import render_html
@@ -32,7 +34,10 @@ RESIDUALS = (
 )
 
 
-def write_report(report, folder, *, overwrite=False, run_info=None):
+def write_report(
+    report: LoopReport, folder: str | os.PathLike, *, overwrite: bool = False,
+    run_info: dict | None = None,
+):  # fmt: skip
     """Write report.html, report.json, the law, residuals, figures and run.json.
 
     Parameters

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from bsp_gp.data.scene import CHECK
+from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.report.first import plain_sentence
 from bsp_gp.report.numbers import (
     format_constant,
@@ -36,7 +37,7 @@ _MAX_ROUNDS = 4
 _MAX_CHECKS = 3
 
 
-def summary_text(report, width=WIDTH):
+def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     """Summarise a report in some twenty lines of whole sentences.
 
     Parameters

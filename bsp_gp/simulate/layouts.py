@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def polar(length, angle):
 class Layout:
     """Base of all layouts; a frozen dataclass whose `draw(rng)` returns a World."""
 
-    positive = ()
+    positive: ClassVar[tuple[str, ...]] = ()
     is_declared = True
     """Whether the forces are those of the declared model; otherwise nothing is declared."""
 

@@ -415,7 +415,7 @@ def _observed(name, world, states: States, k, observation, rng):
     if observation.noise:
         positions[:, moving] += observation.errors(shape, rng)
     seen = world.seen
-    return Scene(name, states.times, positions[:, seen], [world.entities[i] for i in seen])
+    return Scene(name, states.times, positions[:, seen], tuple(world.entities[i] for i in seen))
 
 
 def _unsaid(settings):
