@@ -1,4 +1,4 @@
-"""Thirty small tables as loggers and programs write them, and what is to be read of each.
+"""Small tables as loggers and programs write them, and what is to be read of each.
 
 Headers follow the programs' own documentation and files that people have published: Vernier's
 Logger Pro, Graphical Analysis and Video Analysis, PASCO's Capstone and SPARKvue, phyphox, Tracker,
@@ -287,3 +287,37 @@ LATER = {
     ).encode(), one(x=SPRING, scene="Run #1")),
 }  # fmt: skip
 """Of another day, and written before any of them was tried."""
+
+A_LINE = "Versuch Nr.;Zeit in s;Weg in cm;Höhe in cm"
+MORE = {
+    "capstone, runs after a comma": Sample("spring.csv", table(
+        '"Time (s), Run #1","Position (m), Run #1","Time (s), Run #2","Position (m), Run #2"',
+        T, SPRING, T, ACROSS,
+    ).encode(), one(x=SPRING, scene="Run #1") | one(x=ACROSS, scene="Run #2")),
+    "numbered trials of a German Excel": Sample("wurf.csv", table(
+        A_LINE, ["1"] * 8 + ["2"] * 8, [*T, *T], [*100 * ACROSS, *100 * SPRING],
+        [*100 * FALL, *100 * FALL], sep=";", decimal=",", end="\r\n",
+    ).encode("cp1252"), one(ACROSS, FALL, scene="1") | one(SPRING, FALL, scene="2"), up="y",
+        told=("Versuch Nr.", "1252")),
+    "components of a double star": Sample("stars.csv", table(
+        "Date,A_x [AU],A_y [AU],B_x [AU],B_y [AU]", [f"2020-01-{k + 1:02d}" for k in range(8)],
+        ACROSS, FALL, SPRING, -FALL,
+    ).encode(), {
+        (None, "A"): (86400.0 * np.arange(8), AU * ACROSS, AU * FALL),
+        (None, "B"): (86400.0 * np.arange(8), AU * SPRING, -AU * FALL),
+    }, told=("A_x",)),
+    "a height by its letter": Sample("fall.xlsx", workbook(
+        [["t / s", "h / cm"], *([t, h] for t, h in zip(
+            T.tolist(), (100 * FALL).tolist(), strict=True))]
+    ), one(y=FALL), up="y", told=("h / cm",)),
+    "units in angle brackets and braces": Sample("throw.csv", table(
+        "time <ms>;pos.x {mm};pos.y {mm}", 1000 * T, 1000 * ACROSS, 1000 * FALL, sep=";",
+    ).encode(), one(ACROSS, FALL)),
+    "units after a dash": Sample("cart.csv", table(
+        "Elapsed time - s,Displacement - cm", T, 100 * SPRING,
+    ).encode(), one(x=SPRING), told=("Displacement",)),
+    "runs that no heading tells": Sample("two.csv", table(
+        "Zeit in s;Weg in cm", [*T, *T], [*100 * ACROSS, *100 * SPRING], sep=";", decimal=",",
+    ).encode(), refused=("must increase", "--columns scene=")),
+}  # fmt: skip
+"""What a new user's files of a third day were not read, or refused without the option."""

@@ -349,6 +349,12 @@ def _codes(table, column, default):
     return codes.astype(np.int64), unique
 
 
+_BELOW = (
+    "where recordings or bodies stand below each other, say which column tells them apart: "
+    '--columns scene="..." or entity="..."'
+)
+
+
 def _check_order(rows):
     """Times of one entity must increase; returns the smallest step of every scene."""
     key = rows.scene * len(rows.entity_names) + rows.entity
@@ -363,11 +369,11 @@ def _check_order(rows):
         if rows.times[k] == before:
             rows.fail(
                 f"{rows.label(k)} has two rows at t = {before:.9g} (duplicate)", k, "t",
-                "keep one row per scene, time and entity",
+                f"keep one row per scene, time and entity; {_BELOW}",
             )  # fmt: skip
         rows.fail(
             f"times of {rows.label(k)} must increase, got {before:.9g} then {rows.times[k]:.9g}",
-            k, "t", "sort the rows by time, or give another name to each track",
+            k, "t", f"sort the rows by time; {_BELOW}",
         )  # fmt: skip
     smallest = np.full(len(rows.scene_names), np.inf)
     np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])

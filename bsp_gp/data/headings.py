@@ -43,13 +43,13 @@ ALIASES = {
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
 """How sure the meaning of a heading is."""
-_WITH_UNIT = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]")
-_AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+in\s+|_)[(\[]?([^()\[\]_]+)[)\]]?")
-"""``t / s``, ``t in s``, ``t, s``, ``t_s`` and ``v / (m/s)``: what follows may be a unit."""
+_WITH_UNIT = re.compile(r"(.*?)\s*[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
+_AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+(?:in|-|–)\s+|_)[(\[]?([^()\[\]_]+)[)\]]?")
+"""``t / s``, ``t in s``, ``t - s``, ``t, s``, ``t_s``, ``v / (m/s)``: then comes a unit."""
 _RUN = r"(?:run|data ?set|lauf|versuch|messung|trial|essai|prova|ensayo|latest|latest run)"
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+", re.IGNORECASE)
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
-_RUN_AFTER = re.compile(rf"(.*\S)\s+({_RUN_NAME.pattern})", re.IGNORECASE)
+_RUN_AFTER = re.compile(rf"(.*[^\s,;])[\s,;]+({_RUN_NAME.pattern})", re.IGNORECASE)
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
@@ -85,7 +85,7 @@ _GUESSES = {
                   " wurf throw drop shot recording aufnahme repetition scene szene"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
-    "y": _set("height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
+    "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
     "x": _PLACE_WORDS | _set("distance strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
                              " extension s"),
@@ -180,7 +180,7 @@ def is_error(text):
 
 
 def _words(text):
-    return set(re.split(r"[\s_\-()\[\]/]+", text.lower()))
+    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", text.lower())}
 
 
 def has_place(found):
@@ -263,7 +263,7 @@ def _our_name(name):
     lower = name.lower()
     if lower in NUMBER_COLUMNS + TEXT_COLUMNS:
         return lower, LITERAL
-    words = re.split(r"[\s_-]+", lower)
+    words = re.split(r"[\s_.-]+", lower)
     symbols = [word for word in words if word in ("t", "x", "y", "z")]
     about = {word for word in words if word not in symbols}
     is_time = about <= _TIME_WORDS or (symbols == ["t"] and about <= _PLACE_WORDS)
@@ -393,7 +393,9 @@ def _of_body(heading):
     if after and not before:
         axis, body = after[1], after[2] or after[3]
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
-    if not body or not is_length or is_error(body) or (is_unit(body) and not body.isdecimal()):
+    is_component = before is not None and body.isupper()  # A and B of a double star, no amperes
+    names_unit = is_unit(body) and not body.isdecimal() and not is_component
+    if not body or not is_length or is_error(body) or names_unit:
         return heading
     return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)
 

@@ -6,13 +6,13 @@ import pytest
 from bsp_gp.cli import main
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, on_command_line
-from tests.logger_tables import LATER, LOOKED_AT, SET_ASIDE
+from tests.logger_tables import LATER, LOOKED_AT, MORE, SET_ASIDE
 
-SAMPLES = LOOKED_AT | SET_ASIDE | LATER
+SAMPLES = LOOKED_AT | SET_ASIDE | LATER | MORE
 
 
 def test_there_are_thirty_of_them_half_set_aside_and_fifteen_of_another_day():
-    assert len(LOOKED_AT) == len(SET_ASIDE) == len(LATER) == 15 and len(SAMPLES) == 45
+    assert len(LOOKED_AT) == len(SET_ASIDE) == len(LATER) == 15 and len(SAMPLES) == 45 + len(MORE)
 
 
 @pytest.mark.parametrize("name", SAMPLES)
