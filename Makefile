@@ -95,7 +95,7 @@ wheel: $(VENV)/.dev  ## build and check the wheel and the sdist, and run the dem
 	@bash tests/wheel.sh $(BIN)/python
 
 clean:  ## remove .venv, build products and caches
-	rm -rf $(VENV) .venv-oldest build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .benchmarks
+	rm -rf $(VENV) .venv-oldest build dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last, so that an interrupted install is taken up again, and a finished one

@@ -120,8 +120,21 @@ def _turn(folder):
 def take_share(parser):
     """Declare ``--share``, for studies whose kinds take turns, so that a part has all of them."""
     parser.add_argument(
-        "--share", type=float, default=1.0, help="of the seeds of each kind (default: all)"
+        "--share", type=fraction, default=1.0, help="of the seeds of each kind (default: all)"
     )
+
+
+def fraction(text):
+    """A share as an option gives it."""
+    share = float(text)
+    if not 0 < share <= 1:
+        raise argparse.ArgumentTypeError(f"must lie above 0 and at most at 1, got {text}")
+    return share
+
+
+def of_share(number, share):
+    """A share of a number of sets, one at the least."""
+    return max(round(share * number), 1)
 
 
 def data_root():

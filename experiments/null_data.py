@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 from causes import is_adopted
-from common import options, run_jobs, take_share, write_study
+from common import of_share, options, run_jobs, take_share, write_study
 from made_worlds import FALL, NBODY, SPRING, make_apart, world
 
 from bsp_gp.loop.close import close_loop
@@ -60,7 +60,7 @@ def is_noise(done):
 
 def jobs_of(quick, seed, share=1.0):
     """The jobs, every kind of set in turn."""
-    jobs, n = [], QUICK_SETS if quick else round(share * N_SETS)
+    jobs, n = [], QUICK_SETS if quick else of_share(N_SETS, share)
     for k in range(n):
         declared = list(WORLDS)[k % 3]
         noise_kind = list(MEMORY)[k // 3 % 3]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from causes import LAWS, PERIOD, Cause, Judge, causes_of, is_adopted, start_of
-from common import options, run_jobs, take_share, write_study
+from common import of_share, options, run_jobs, take_share, write_study
 from made_worlds import CLOSEST, FALL, MAT, NBODY, PUCKS, make_apart, world
 
 from bsp_gp.data.noise import declare_noise
@@ -252,7 +252,7 @@ def jobs_of(quick, seed, share=1.0):
     noise that is estimated.
     """
     cases = ("linear drag", "magnetic") if quick else CASES
-    n_seeds, n_more = round(share * N_SEEDS), round(share * MORE_SEEDS)
+    n_seeds, n_more = of_share(N_SEEDS, share), of_share(MORE_SEEDS, share)
     seeds = (seed, seed + 3) if quick else range(seed, seed + n_seeds + n_more)
     able = {}
     for case in cases:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from battery_worlds import AS_IT_IS, KINDS, able, noisy, tuned_to
 from causes import Judge, causes_of, is_adopted
-from common import options, run_jobs, take_share, write_study
+from common import of_share, options, run_jobs, take_share, write_study
 from power import ALPHA, FORCES
 
 from bsp_gp.loop.close import close_loop
@@ -150,7 +150,7 @@ def jobs_of(quick, seed, share=1.0):
     """The jobs; every other seed by the second engine where it has the effect."""
     names, snrs = (QUICK, (WANTED_SNR,)) if quick else (KINDS, SNRS)
     has_second = {name: able(name, "mujoco") for name in names}
-    seeds = range(seed, seed + (1 if quick else round(share * N_SEEDS)))
+    seeds = range(seed, seed + (1 if quick else of_share(N_SEEDS, share)))
     return [
         (name, "mujoco" if s % 2 and has_second[name] else "pymunk", snr, s)
         for snr in snrs for s in seeds for name in names

@@ -306,6 +306,12 @@ MORE = {
         (None, "A"): (86400.0 * np.arange(8), AU * ACROSS, AU * FALL),
         (None, "B"): (86400.0 * np.arange(8), AU * SPRING, -AU * FALL),
     }, told=("A_x",)),
+    "accelerations by their letter": Sample("shake.csv", table(
+        "t,A_x,A_y", T, ACROSS, FALL,
+    ).encode(), refused=("accelerations (A_x, A_y)",)),
+    "forces by their letter": Sample("pulls.csv", table(
+        "t,F_x,F_y", T, ACROSS, FALL,
+    ).encode(), refused=("no column 'x'", "F_x")),
     "a height by its letter": Sample("fall.xlsx", workbook(
         [["t / s", "h / cm"], *([t, h] for t, h in zip(
             T.tolist(), (100 * FALL).tolist(), strict=True))]

@@ -24,7 +24,7 @@ TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml
 
 def save_dataset(
     dataset: Dataset, folder: str | os.PathLike, overwrite: bool = False, *, kind: str = "data set"
-):  # fmt: skip
+) -> Path:  # fmt: skip
     """Write `dataset` as a folder that `load_dataset` reads back to the same numbers.
 
     Parameters

@@ -393,8 +393,8 @@ def _of_body(heading):
     if after and not before:
         axis, body = after[1], after[2] or after[3]
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
-    is_component = before is not None and body.isupper()  # A and B of a double star, no amperes
-    names_unit = is_unit(body) and not body.isdecimal() and not is_component
+    # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
+    names_unit = not unit and is_unit(body) and not body.isdecimal()
     if not body or not is_length or is_error(body) or names_unit:
         return heading
     return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)

@@ -41,8 +41,8 @@ MAX_COLUMNS = 12
 
 
 def load_dataset(
-    path: str | os.PathLike, *, units: dict | None = None,
-    columns: dict | None = None, fps: float | None = None, dt: float | None = None,
+    path: str | os.PathLike, *, units: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | None = None, fps: float | None = None, dt: float | None = None,
     train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
 ) -> Dataset:  # fmt: skip
     """Read a data set folder, or a lone delimited file.

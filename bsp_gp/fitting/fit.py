@@ -22,7 +22,6 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
 from bsp_gp.fitting.noise_estimate import estimate
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
-from bsp_gp.fitting.problem import Minimum
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import ChainNoise
@@ -595,13 +594,13 @@ class _Tracks:
     white_variance: np.ndarray
 
 
-def _tracks_of(run, climb, minimum: Minimum):
+def _tracks_of(run, climb, minimum):
     residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
     constants, _ = climb.coordinates.constants(minimum.values)
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
     for shooting, nodes, noise, parts in zip(
         climb.problem.shootings, minimum.point.nodes, climb.noises,
-        getattr(minimum.linearised, "condensed", [()] * len(run.groups)),
+        minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
         strict=True,
     ):  # fmt: skip
         chains = shooting.chains

@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import os
+from collections.abc import Mapping
+from pathlib import Path
 
 from bsp_gp.data.cells import safe_cell
 from bsp_gp.loop.outcome import LoopReport
@@ -36,8 +38,8 @@ RESIDUALS = (
 
 def write_report(
     report: LoopReport, folder: str | os.PathLike, *, overwrite: bool = False,
-    run_info: dict | None = None,
-):  # fmt: skip
+    run_info: Mapping | None = None,
+) -> Path:  # fmt: skip
     """Write report.html, report.json, the law, residuals, figures and run.json.
 
     Parameters
