@@ -24,7 +24,7 @@ __all__ = [
 NOTHING = "nothing"
 """What is declared where bodies move on as they are."""
 
-HOLDING = ("constraint", "linkage")
+HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
 
 
@@ -296,13 +296,21 @@ def read_law(dataset, texts: Sequence[str]):
     """
     from bsp_gp.fitting.parts.constraints import read_constraint  # parts themselves
     from bsp_gp.fitting.parts.linkage import is_linkage, read_linkage
+    from bsp_gp.fitting.parts.walls import is_wall, read_wall
 
     types = dataset_types(dataset)
     is_angle, terms, frame = dataset.units.is_angle, [], []
     texts = [texts] if isinstance(texts, str) else list(texts)
-    for text in (t for t in texts if "=" in t or is_linkage(t)):
-        frame.append((read_linkage if is_linkage(text) else read_constraint)(dataset, text))
-    forces = [text for text in texts if not ("=" in text or is_linkage(text))]
+    forces = []
+    for text in texts:
+        if is_wall(text):
+            frame.append(read_wall(dataset, text))
+        elif is_linkage(text):
+            frame.append(read_linkage(dataset, text))
+        elif "=" in text:
+            frame.append(read_constraint(dataset, text))
+        else:
+            forces.append(text)
     if NOTHING in (told := [text.strip().lower() for text in forces]):
         if len(told) > 1:
             raise LawError(f"{NOTHING!r} means that no force is declared: leave out the others")

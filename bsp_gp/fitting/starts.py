@@ -184,7 +184,7 @@ def _curvatures(groups, noises, size):
 def roles_of(law):
     """What each constant does: "exponent", "rate", "phase", "inner", "linear" or "kept".
 
-    What is kept belongs to a constraint, and begins where the rows have it.
+    What is kept belongs to a constraint or a wall, and begins where the rows have it.
     """
     roles = {}
     for term in law.terms:
@@ -199,7 +199,7 @@ def roles_of(law):
             if node.operator in ("sin", "cos"):
                 _angle_roles(node.args[0], roles)
     for part in law.frame:
-        if part.kind == "constraint":
+        if part.kind in ("constraint", "wall"):
             roles |= dict.fromkeys(part.names, "kept")
     for name in law.names:
         if name not in roles:

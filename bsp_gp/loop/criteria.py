@@ -31,10 +31,10 @@ CAUSES = (
     "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
     "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
     "perspective", "late_log", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact",
-    "rod", "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
+    "bounce", "rod", "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
-KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")
+KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",

@@ -306,7 +306,7 @@ class ForceLaw:
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
         total = _as_torques(total)
-        held = (p for p in self.frame if p.kind in ("constraint", "linkage"))
+        held = (p for p in self.frame if p.kind in ("constraint", "linkage", "wall"))
         return ", ".join([total, *(p.describe() for p in held)])
 
     def latex(self, digits=True, units=None):

@@ -19,6 +19,7 @@ CAUSES = {
     "lens": "a lens that distorts", "perspective": "perspective",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
     "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
+    "bounce": "a floor or wall that it bounces off",
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
@@ -29,13 +30,14 @@ CAUSES = {
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
     "hidden_body": "unseen body", "kicks": "random kicks",
-    "measurement": "measurement", "constraint": "constraint",
+    "measurement": "measurement", "constraint": "constraint", "wall": "floor or wall",
     "declared_term_change": "change of a declared term", "noise": "noise",
 }  # fmt: skip
 FINDINGS = {
     "hidden_body": "{} acts on these",
     "kicks": "{} act on these",
     "constraint": "what moves is held ({})",
+    "wall": "what moves meets {}",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",
     "noise": "the noise is not as it was assumed ({})",

@@ -18,6 +18,7 @@ from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
+from bsp_gp.loop.proposers.walls import Walls
 
 __all__ = ["standard"]
 
@@ -36,6 +37,6 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Pulsing(), Frames(),
-        Hidden(), Companions(), Kicks(), Contacts(), Rods(), Measurement(), LateLogs(),
+        Hidden(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(),
         Defects(), Noise(),
     ]  # fmt: skip

@@ -86,6 +86,8 @@ class Mesh:
     starts, steps : tuple of ndarray
         Per step number the time since the interval's start and the length of the step, s, of the
         first intervals in that order.
+    hits : tuple of ndarray of int
+        Likewise the bounces at the ends of steps, as of `Walls.hits`.
     is_complete : bool
         Whether the integration came to the end of every interval.
     """
@@ -94,6 +96,7 @@ class Mesh:
     order: np.ndarray
     starts: tuple
     steps: tuple
+    hits: tuple
     is_complete: bool = True
 
     @property
@@ -105,6 +108,14 @@ class Mesh:
         return counts
 
     @property
+    def n_hits(self):
+        """Bounces within every interval, shape (K,)."""
+        counts = np.zeros(len(self.order), dtype=int)
+        for hits in self.hits:
+            counts[self.order[: len(hits)]] += hits >= 0
+        return counts
+
+    @property
     def cost(self):
         """What a run costs, in evaluations at one point."""
         return SCHEMES[self.scheme].n_stages * sum(CALL + len(steps) for steps in self.steps)
@@ -113,7 +124,8 @@ class Mesh:
         """Whether it has at least the other's steps in every interval."""
         if self.scheme != other.scheme or not self.is_complete:
             return False
-        return bool(np.all(self.counts >= other.counts))
+        has_these = np.array_equal(self.n_hits, other.n_hits)
+        return has_these and bool(np.all(self.counts >= other.counts))
 
 
 class Flow:
@@ -301,7 +313,8 @@ class Flow:
         """The same with where the intervals end."""
         if self.paper_steps:
             order = np.arange(self.n_intervals)
-            return Mesh("euler", order, (np.zeros(len(order)),), (self.length,)), None
+            none = (np.full(len(order), -1),)
+            return Mesh("euler", order, (np.zeros(len(order)),), (self.length,), none), None
         low = self._mesh(nodes, "rk45")
         n_low = sum(len(h) for h in low[0].steps)
         is_short = n_low <= FEW_STEPS * self.n_intervals and len(low[0].steps) <= 2 * FEW_STEPS
@@ -312,8 +325,10 @@ class Flow:
             return high if high[0].cost < low[0].cost else low
         return high if high[0].is_complete else low
 
-    def _mesh(self, nodes, name, factor=1.0):
+    def _mesh(self, nodes, name, factor=1.0, has_aims=True):
         """Steps of a scheme by its error estimate, within a part of the tolerance.
+
+        With `has_aims` the next node tells where a bounce is that an interval leaves undecided.
 
         Returns
         -------
@@ -325,6 +340,7 @@ class Flow:
         n = self.n_intervals
         state = nodes[..., self.row, self.chain]
         done, h = np.zeros(n), np.abs(self.length)
+        cut = np.full(n, np.inf)  # steps that a wall ends
         taken = []
         open_, complete = np.arange(n), True
         scale = factor * self._scales(nodes)
@@ -338,6 +354,7 @@ class Flow:
             )  # fmt: skip
             left, whole = self.length[open_] - done[open_], np.abs(self.length[open_])
             size = left / np.ceil(np.abs(left) / np.maximum(h[open_], 1e-300) - 1e-9)
+            size = np.minimum(size, cut[open_])
             with np.errstate(all="ignore"):
                 end, stages, rates = self.step(scheme, points, size)
                 error = self._error(scheme, end, points, rates, size, scale[:, self.chain[open_]])
@@ -352,14 +369,55 @@ class Flow:
                 end, size, good = up_to_events(
                     self, scheme, stages, end, size, modes, open_, good
                 )
+            hit = np.full(len(open_), -1)
+            if self.motion.walls:
+                end, hit, cut[open_] = self._turned_back(
+                    points, end, size, left, whole, nodes[..., self.row[open_] + 1, points.chain]
+                    if has_aims else None,
+                )
+                good &= np.isinf(cut[open_])
             gone = open_[good]
-            taken.append((gone, done[gone], size[good]))
+            taken.append((gone, done[gone], size[good], hit[good]))
             state[..., gone] = end[..., good]
             done[gone] += size[good]
             lost = h[open_] < 1e-12 * whole
             complete &= not lost.any()
             open_ = open_[~lost & (np.abs(done[open_]) < whole * (1 - 1e-12))]
         return _packed(name, n, taken, complete and not len(open_)), state
+
+    def _turned_back(self, points, end, size, left, whole, aims):
+        """Ends of steps behind bounces, which these are, and lengths of steps that end too late.
+
+        Returns
+        -------
+        end : ndarray, shape (2, R, d, M)
+        hit : ndarray of int, shape (M,)
+        cut : ndarray, shape (M,), s
+            inf where a step ends as it should.
+        """
+        there = self.points(end, points.times + size, points.chain, points.modes)
+        pull = self.motion.acceleration(there)
+        hit, cut = self.motion.walls.hits(end, points.chain, pull, size, left, whole, aims)
+        end, _ = self._bounced(there, hit)
+        return end, hit, np.where(cut < size, cut, np.inf)
+
+    def _bounced(self, there, hit, total=None):
+        """States at ends of steps behind their bounces; derivatives `total` behind them."""
+        end = there.state.copy()
+        for number in np.unique(hit[hit >= 0]).tolist():
+            which = np.flatnonzero(hit == number)
+            state, by_state, by_constant = self.motion.walls.bounced(
+                there.pick(which), number, self.motion.acceleration, total is not None
+            )
+            end[..., which] = state
+            if total is not None:
+                moved = np.concatenate([by_state, by_constant], axis=2)
+                if self.is_sparse:
+                    before = np.moveaxis(total[..., which], -1, 0)
+                    total[..., which] = np.moveaxis(chained(before, moved, self.n_state), 0, -1)
+                else:
+                    total[which] = chained(total[which], moved, self.n_state)
+        return end, total
 
     def advance(self, state, chain, begin, end):
         """States of some chains at other times, earlier or later; nan where that fails.
@@ -384,7 +442,7 @@ class Flow:
         leg.start, leg.length = begin, end - begin
         nodes = np.zeros((*state.shape[:-1], row.max(initial=0) + 1, self.chains.n_chains))
         nodes[..., row, chain] = state
-        mesh, ends = leg._mesh(nodes, "dop853")
+        mesh, ends = leg._mesh(nodes, "dop853", has_aims=False)
         if not mesh.is_complete:
             gone = np.zeros(len(chain))
             for steps in mesh.steps:
@@ -459,7 +517,7 @@ class Flow:
         start, chain = self.start[index], self.chain[index]
         modes = self.points(state, start, chain).modes
         total = None
-        for begin, size in zip(mesh.starts, mesh.steps, strict=True):
+        for begin, size, hits in zip(mesh.starts, mesh.steps, mesh.hits, strict=True):
             n_open = min(len(size) - block.start, len(index))
             if n_open <= 0:
                 break
@@ -486,6 +544,9 @@ class Flow:
                 for m, moved in own.items():
                     at = (..., m) if self.is_sparse else m
                     total[at] = chained(before[at], moved, self.n_state)
+            if self.motion.walls:
+                there = self.points(end, points.times + h, points.chain, points.modes)
+                end, _ = self._bounced(there, hits[block][:n_open], total)
             state[..., open_] = end
         if slopes and total is None:
             total = np.full((len(index), self.n_state, self.n_state + self.n_constants), np.nan)
@@ -534,18 +595,19 @@ def _joined(stages):
 
 
 def _packed(name, n, taken, is_complete):
-    """Steps (intervals, times since their starts, lengths) in the order taken, as a mesh."""
+    """Steps (intervals, times since their starts, lengths, hits) in the order taken, as a mesh."""
     if not taken:
-        return Mesh(name, np.arange(n), (), (), is_complete)
-    interval, begin, size = (np.concatenate(part) for part in zip(*taken, strict=True))
+        return Mesh(name, np.arange(n), (), (), (), is_complete)
+    interval, begin, size, hit = (np.concatenate(part) for part in zip(*taken, strict=True))
     counts = np.bincount(interval, minlength=n)
     order = np.argsort(-counts, kind="stable")
     by_interval = np.argsort(interval, kind="stable")
-    begin, size = begin[by_interval], size[by_interval]
+    begin, size, hit = begin[by_interval], size[by_interval], hit[by_interval]
     first = np.cumsum(counts) - counts
-    starts, lengths = [], []
+    starts, lengths, hits = [], [], []
     for number in range(counts.max(initial=0)):
         rows = first[order[: int((counts > number).sum())]] + number
         starts.append(begin[rows])
         lengths.append(size[rows])
-    return Mesh(name, order, tuple(starts), tuple(lengths), is_complete)
+        hits.append(hit[rows])
+    return Mesh(name, order, tuple(starts), tuple(lengths), tuple(hits), is_complete)

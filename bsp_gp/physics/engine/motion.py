@@ -18,6 +18,7 @@ from bsp_gp.physics.engine.linked import Linkages, linkages_of
 from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.physics.engine.owners import Owners, fitted_properties
 from bsp_gp.physics.engine.seen import Frame
+from bsp_gp.physics.engine.walls import Walls, walls_of
 from bsp_gp.physics.series import late_inputs
 
 __all__ = ["CREEP", "Motion", "Points"]
@@ -216,6 +217,8 @@ class Motion:
         )
         is_linked = bool(linkages_of(self.law))
         self.linkages = Linkages(self.law, self.chains, self.parameters) if is_linked else None
+        has_walls = bool(walls_of(self.law))
+        self.walls = Walls(self.law, self.chains, self.parameters) if has_walls else None
 
     # --- what does not change along a track ------------------------------------------------------
 
@@ -286,7 +289,7 @@ class Motion:
                 ]
             )  # fmt: skip
         self.values = known
-        for part in filter(None, (self.constraints, self.linkages)):
+        for part in filter(None, (self.constraints, self.linkages, self.walls)):
             part.set_constants(known)
 
     # --- at points -------------------------------------------------------------------------------

@@ -1,0 +1,161 @@
+"""A wall, floor or cushion that bodies bounce off, as a part of a hypothesis."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bsp_gp.data.conversion import Conversion
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.units import DIMENSIONLESS, Unit
+
+__all__ = ["Wall", "is_wall", "read_wall", "wall_of"]
+
+_CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
+_SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,]+)\s*")
+LENGTH = Unit.of(m=1)
+TILTED = 0.05
+"""Radians by which a wall is likely to stand askew of an axis."""
+MOST_TILT = 0.5
+HIGHEST = 1.5
+"""Part of its speed that a body may keep: more than all where it is driven."""
+START = 0.8
+
+
+@dataclass(frozen=True)
+class Wall(Part):
+    """A plane that turns bodies back.
+
+    Attributes
+    ----------
+    axis : int
+        Across which it stands, but for a tilt.
+    side : int
+        1: bodies are where the coordinate is larger, -1: where it is smaller.
+    n_dims : int
+    numbers : tuple of Parameter
+        Its place along the way that bodies are turned back, the part of the speed across it that
+        they keep; in a plane or in space the part of that along it; in a plane its tilt.
+    """
+
+    axis: int
+    side: int
+    n_dims: int
+    numbers: tuple = ()
+    kind = "wall"
+
+    @property
+    def names(self):
+        """Of its constants."""
+        return tuple(p.name for p in self.numbers)
+
+    @property
+    def parameters(self):
+        return self.numbers
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        numbers = (replace(p, start=float(values[p.name])) for p in self.numbers)
+        return replace(self, numbers=tuple(numbers))
+
+    def normal_at(self, values):
+        """Unit vectors away from it, (d, M), for values (k, M) of its numbers."""
+        out = np.zeros((self.n_dims, values.shape[1]), dtype=values.dtype)
+        out[self.axis] = self.side
+        if self.n_dims == 2:
+            c, s = np.cos(values[3]), np.sin(values[3])
+            out = np.stack([c * out[0] - s * out[1], s * out[0] + c * out[1]])
+        return out
+
+    def kept_at(self, values):
+        """Part of the velocity along it that bodies keep."""
+        return values[2] if self.n_dims > 1 else 1.0
+
+    def describe(self):
+        """As it is typed; the place is the coordinate."""
+        way, sign = (">", "") if self.side > 0 else ("<", "-")
+        return f"bounce({'xyz'[self.axis]}_i {way} {sign}{', '.join(self.names)})"
+
+
+def wall_of(names, axis, side, n_dims, values, extent):
+    """A wall with numbers that begin at values, SI.
+
+    Parameters
+    ----------
+    names : sequence of str
+    axis, side, n_dims
+        As of `Wall`.
+    values : sequence of float
+        Place along the way that bodies are turned back, and so on; missing ones are usual.
+    extent : float, m
+        Of the tracks.
+    """
+    usual = (0.0, START, 1.0, 0.0)
+    values = [*values, *usual[len(values) :]]
+    count = {1: 2, 2: 4, 3: 3}[n_dims]
+    numbers = (
+        Parameter(names[0], "", LENGTH, start=values[0], prior=(values[0], extent)),
+        Parameter(names[1], "", DIMENSIONLESS, 0.0, HIGHEST, values[1], (START, 0.5)),
+        *(
+            Parameter(name, "", DIMENSIONLESS, low, high, start, prior)
+            for name, low, high, start, prior in zip(
+                names[2:count], (-1.0, -MOST_TILT), (HIGHEST, MOST_TILT), values[2:],
+                ((1.0, 0.5), (0.0, TILTED)), strict=False,
+            )
+        ),
+    )  # fmt: skip
+    return Wall(axis, side, n_dims, numbers)
+
+
+def is_wall(text):
+    """Whether a typed law is one."""
+    return re.match(r"\s*bounce\s*\(", text) is not None
+
+
+def read_wall(dataset, text):
+    """Read ``bounce(y_i > h, e)``: bodies stay where that holds, and bounce off where it ends.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    text : str
+        The place is a name, or a number in the unit of the data where the fit begins; then follow
+        names of what is fitted as well: the parts of the speed across and along the wall that are
+        kept, and its tilt in rad.
+
+    Returns
+    -------
+    Wall
+
+    Raises
+    ------
+    LawError
+    """
+    from bsp_gp.fitting.parts.constraints import extent_of
+
+    n_dims, declared = dataset.n_dims, dict(dataset.units.declared)
+    parts = match[1].split(",") if (match := _CALL.fullmatch(text)) else [""]
+    side, more = _SIDE.fullmatch(parts[0]), [part.strip() for part in parts[1:]]
+    count = {1: 2, 2: 4, 3: 3}[n_dims]
+    good = side and "xyz".index(side[1]) < n_dims and len(more) < count
+    if not good or not all(map(str.isidentifier, more)):
+        raise LawError(
+            f"{text!r} must say where bodies stay and name what they keep, as in "
+            f"bounce({'xyz'[n_dims - 1]}_i > h, e); at the most {count - 1} names follow the place"
+        )
+    axis, way = "xyz".index(side[1]), 1 if side[2] == ">" else -1
+    places = [scene.positions[:, scene.dynamic, axis].ravel() for scene in dataset.scenes]
+    start = way * float(np.nanmin(way * np.concatenate(places)))
+    name = side[3].lstrip("-")
+    if not name.isidentifier():
+        try:
+            start = float(side[3]) * Conversion(declared, declared).length(side[1])
+        except ValueError:
+            raise LawError(f"{text!r}: {side[3]!r} is neither a number nor a name") from None
+        name = f"{side[1]}_wall"
+    usual = (name, f"kept_{name}", f"along_{name}", f"tilt_{name}")
+    names = (name, *more, *usual[1 + len(more) :])
+    return wall_of(names, axis, way, n_dims, (way * start,), extent_of(dataset)[1])

@@ -1,0 +1,161 @@
+"""Walls that bodies bounce off: at one instant the velocity turns back, and motion goes on.
+
+A step ends as near to the instant of contact as a step can be chosen. What is left of the way, a
+little before or behind it, is gone back with the acceleration in front of the wall and forth again
+with that behind the contact. So a bounce is one smooth function of the end of its step and of the
+wall (both sheets go on a little beyond the instant), and its derivatives jump as they should
+(saltation).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["Walls", "walls_of"]
+
+AT_ONCE = 1e-3
+"""Part of an interval that a step may end before or behind a contact."""
+UNDECIDED = 0.3
+"""Part of an interval from its end within which the next node tells whether a contact was."""
+TINY = 1e-30
+"""Change of a number by which derivatives are taken: imaginary, it takes nothing away."""
+
+
+def walls_of(law):
+    """The parts of a law that bodies bounce off, tuple of Wall."""
+    return tuple(part for part in law.frame if part.kind == "wall")
+
+
+class Walls:
+    """The walls of a law on some chains.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    chains : Chains
+    parameters : sequence of (name, entity)
+    """
+
+    def __init__(self, law, chains, parameters):
+        self.parts, self.n_chains = walls_of(law), chains.n_chains
+        self.n_own, self.n_dims = chains.n_moving, chains.n_dims
+        self._number = {name: k for k, (name, _) in enumerate(parameters)}
+        self._n_constants = len(parameters)
+        self._values = ()
+
+    def set_constants(self, known):
+        """Put the values of the constants of the law in."""
+        self._values = tuple(
+            np.array([np.broadcast_to(known[name], self.n_chains) for name in part.names], float)
+            for part in self.parts
+        )
+
+    def hits(self, state, chain, pull, size, left, whole, aims):
+        """Which bodies bounce at the ends of steps, and which steps have to end earlier.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2, R, d, M)
+            At the ends of steps.
+        chain : ndarray of int, shape (M,)
+        pull : ndarray, shape (R, d, M)
+            Accelerations there.
+        size, left, whole : ndarray, shape (M,), s
+            Of steps, of what was left of their intervals before them, of intervals.
+        aims : ndarray, shape (2, R, d, M) or None
+            Next nodes: a contact that the end of an interval leaves undecided is where they say.
+
+        Returns
+        -------
+        hit : ndarray of int, shape (M,)
+            Number of the wall times R plus that of the body; -1 = none.
+        size : ndarray, shape (M,)
+            Smaller where a step has to end earlier.
+        """
+        hit, out, whole = np.full(len(size), -1), size.copy(), np.abs(whole)
+        for number, (part, known) in enumerate(zip(self.parts, self._values, strict=True)):
+            values = known[:, chain]
+            normal = part.normal_at(values)
+            far = (normal * state[0]).sum(axis=1) - values[0]
+            speed, push = ((normal * x).sum(axis=1) for x in (state[1], pull))
+            since = _since(far, speed, push)
+            is_in = (speed < 0) & (since > -AT_ONCE * whole) & (size > 0)
+            if aims is not None:
+                after = (normal * aims[1]).sum(axis=1)
+                is_behind = np.abs(after + values[1] * speed) < np.abs(after - speed)
+                rest = left - size + since
+                is_near = (speed < 0) & (np.abs(rest) < UNDECIDED * whole)
+                is_last = np.abs(left - size) <= 1e-9 * whole
+                is_in = np.where(is_near, is_behind & (is_last | is_in), is_in)
+            for body in range(self.n_own):
+                late = np.where(is_in[body], since[body], -np.inf)
+                is_late = late > AT_ONCE * whole
+                can_cut = is_late & (size > 2 * AT_ONCE * whole)
+                earlier = np.maximum(size - late, 2 * AT_ONCE * whole)
+                out = np.where(can_cut, np.minimum(out, earlier), out)
+                hit = np.where(is_in[body] & ~can_cut, number * self.n_own + body, hit)
+        return np.where(out < size, -1, hit), out
+
+    def bounced(self, points, hit, acceleration, slopes=False):
+        """Ends of steps behind their contacts.
+
+        Parameters
+        ----------
+        points : Points
+            At the ends of steps, all of which hit the same wall with the same body.
+        hit : int
+        acceleration : callable
+            Of points, (R, d, M).
+        slopes : bool
+
+        Returns
+        -------
+        state : ndarray, shape (2, R, d, M)
+        by_state, by_constant : ndarray, shapes (M, n, n) and (M, n, k); or None
+        """
+        number, body = divmod(int(hit), self.n_own)
+        part, values = self.parts[number], self._values[number][:, points.chain]
+        before = acceleration(points)[body]
+        state = points.state.copy()
+        for _ in range(2):  # forces behind the contact hang on the velocity there
+            after = acceleration(points.at(state))[body]
+            place, velocity = _reflected(part, *points.state[:, body], values, before, after)
+            state[0, body], state[1, body] = place, velocity
+        if not slopes:
+            return state, None, None
+        n, d = 2 * self.n_own * self.n_dims, self.n_dims
+        rows = np.concatenate([body * d + np.arange(d), n // 2 + body * d + np.arange(d)])
+        by_state = np.tile(np.eye(n), (len(points.times), 1, 1))
+        by_constant = np.zeros((len(points.times), n, self._n_constants))
+        p, v = points.state[:, body]
+        for k in range(2 * d + len(values)):
+            moved = [p.astype(complex), v.astype(complex), values.astype(complex)]
+            if k < 2 * d:
+                moved[k // d][k % d] += 1j * TINY
+            else:
+                moved[2][k - 2 * d] += 1j * TINY
+            changed = np.concatenate(_reflected(part, *moved, before, after)).imag.T / TINY
+            if k < 2 * d:
+                by_state[:, rows, rows[k]] = changed
+            elif (at := self._number.get(part.names[k - 2 * d], -1)) >= 0:
+                by_constant[:, rows, at] = changed
+        return state, by_state, by_constant
+
+
+def _since(far, speed, push):
+    """Time since a body was at a wall, negative if it will be; nan where it never was."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(speed * speed - 2 * push * far)  # nan: it turns back before
+        return 2 * far / (speed - root)  # of two the instant at which it went in
+
+
+def _reflected(part, place, velocity, values, before, after):
+    """Places and velocities (d, M) on the other side of a contact, at the same instant."""
+    normal = part.normal_at(values)
+    far, speed, push = ((normal * x).sum(axis=0) for x in (place, velocity, before))
+    since = _since(far - values[0], speed, push)
+    at = place - since * velocity + before * since**2 / 2
+    came = velocity - before * since
+    across = normal * (normal * came).sum(axis=0)
+    went = part.kept_at(values) * (came - across) - values[1] * across
+    return at + went * since + after * since**2 / 2, went + after * since
