@@ -13,6 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.growing import RANKS, grow, tried
+from bsp_gp.fitting.jumps import nodes_between
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.regression import regressed
@@ -22,6 +23,7 @@ from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
 from bsp_gp.fitting.unseen import carried
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
+from bsp_gp.physics.engine.walls import walls_of
 
 __all__ = ["Climb"]
 
@@ -386,6 +388,8 @@ class Climb:
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
         if self.paper_steps:
             nodes = tuple(map(stepped_nodes, run.groups, nodes))
+        elif walls_of(run.law):
+            nodes = tuple(map(nodes_between, run.groups, nodes))
         inner = candidates(
             run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts
         )

@@ -12,7 +12,7 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Wall", "is_wall", "read_wall", "wall_of"]
+__all__ = ["Wall", "count_of", "is_wall", "read_wall", "wall_of"]
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,]+)\s*")
@@ -38,7 +38,7 @@ class Wall(Part):
     n_dims : int
     numbers : tuple of Parameter
         Its place along the way that bodies are turned back, the part of the speed across it that
-        they keep; in a plane or in space the part of that along it; in a plane its tilt.
+        they keep; where they move along it as well the part of that; in a plane its tilt.
     """
 
     axis: int
@@ -65,19 +65,27 @@ class Wall(Part):
         """Unit vectors away from it, (d, M), for values (k, M) of its numbers."""
         out = np.zeros((self.n_dims, values.shape[1]), dtype=values.dtype)
         out[self.axis] = self.side
-        if self.n_dims == 2:
+        if len(self.numbers) > 3:
             c, s = np.cos(values[3]), np.sin(values[3])
             out = np.stack([c * out[0] - s * out[1], s * out[0] + c * out[1]])
         return out
 
     def kept_at(self, values):
         """Part of the velocity along it that bodies keep."""
-        return values[2] if self.n_dims > 1 else 1.0
+        return values[2] if len(self.numbers) > 2 else 1.0
 
     def describe(self):
         """As it is typed; the place is the coordinate."""
         way, sign = (">", "") if self.side > 0 else ("<", "-")
         return f"bounce({'xyz'[self.axis]}_i {way} {sign}{', '.join(self.names)})"
+
+
+def count_of(dataset):
+    """How many numbers a wall has: along axes on which nothing moves it tells nothing."""
+    places = np.concatenate([s.positions[:, s.dynamic].reshape(-1, s.n_dims)
+                             for s in dataset.scenes])  # fmt: skip
+    n_moving = int((np.nanmax(places, axis=0) > np.nanmin(places, axis=0)).sum())
+    return 2 if n_moving < 2 else 4 if dataset.n_dims == 2 else 3
 
 
 def wall_of(names, axis, side, n_dims, values, extent):
@@ -86,6 +94,7 @@ def wall_of(names, axis, side, n_dims, values, extent):
     Parameters
     ----------
     names : sequence of str
+        As many as `count_of` says.
     axis, side, n_dims
         As of `Wall`.
     values : sequence of float
@@ -95,14 +104,13 @@ def wall_of(names, axis, side, n_dims, values, extent):
     """
     usual = (0.0, START, 1.0, 0.0)
     values = [*values, *usual[len(values) :]]
-    count = {1: 2, 2: 4, 3: 3}[n_dims]
     numbers = (
         Parameter(names[0], "", LENGTH, start=values[0], prior=(values[0], extent)),
         Parameter(names[1], "", DIMENSIONLESS, 0.0, HIGHEST, values[1], (START, 0.5)),
         *(
             Parameter(name, "", DIMENSIONLESS, low, high, start, prior)
             for name, low, high, start, prior in zip(
-                names[2:count], (-1.0, -MOST_TILT), (HIGHEST, MOST_TILT), values[2:],
+                names[2:], (-1.0, -MOST_TILT), (HIGHEST, MOST_TILT), values[2:],
                 ((1.0, 0.5), (0.0, TILTED)), strict=False,
             )
         ),
@@ -139,7 +147,7 @@ def read_wall(dataset, text):
     n_dims, declared = dataset.n_dims, dict(dataset.units.declared)
     parts = match[1].split(",") if (match := _CALL.fullmatch(text)) else [""]
     side, more = _SIDE.fullmatch(parts[0]), [part.strip() for part in parts[1:]]
-    count = {1: 2, 2: 4, 3: 3}[n_dims]
+    count = count_of(dataset)
     good = side and "xyz".index(side[1]) < n_dims and len(more) < count
     if not good or not all(map(str.isidentifier, more)):
         raise LawError(
@@ -157,5 +165,5 @@ def read_wall(dataset, text):
             raise LawError(f"{text!r}: {side[3]!r} is neither a number nor a name") from None
         name = f"{side[1]}_wall"
     usual = (name, f"kept_{name}", f"along_{name}", f"tilt_{name}")
-    names = (name, *more, *usual[1 + len(more) :])
+    names = (name, *more, *usual[1 + len(more) :])[:count]
     return wall_of(names, axis, way, n_dims, (way * start,), extent_of(dataset)[1])

@@ -1,65 +1,42 @@
 """Floors, walls and cushions that tracks betray: velocities that turn back at one place.
 
-Wherever the velocity jumps between two rows, and the rows on both sides lie on parabolas of one
-acceleration, a body was hit. Jumps that turn it back across one axis at one place are a wall.
+Jumps of the velocity that turn bodies back across an axis, at the places farthest along it, are a
+wall. What acts between jumps is proposed with it, since no track is followed across many bounces
+under a law that is far off.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from itertools import count, product
 
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.jumps import WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
-from bsp_gp.fitting.parts.walls import wall_of
-from bsp_gp.fitting.probes import probe_terms
+from bsp_gp.fitting.parts.walls import count_of, wall_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["Jump", "Walls", "jumps"]
+__all__ = ["Walls"]
 
-SIDE_ROWS = 4
-"""Rows on each side of a jump that are looked at."""
-CLEAR = 50.0
-"""Chi-squared by which a jump must explain them better than a motion that is smooth."""
+STEMS = ("h", "e", "k", "tilt")
+SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
+"""What slows bodies between walls: linear and quadratic drag, friction."""
 LEAST_JUMPS = 2
 ALIKE = 0.02
 """Part of the extent of tracks within which jumps of one wall lie, beside their errors."""
 ERRORS = 5.0
+FAR = 20.0
+"""Chi-squared of forces between jumps, beyond that of the best, from which sums are not fitted; and
+the part of it that errors of the forces may make, as one over so much."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
-EXACT = 1e-6
-"""Part of the extent below which errors are none."""
-
-
-@dataclass(frozen=True)
-class Jump:
-    """A velocity that jumps.
-
-    Attributes
-    ----------
-    place : ndarray, shape (d,), m
-    before, after : ndarray, shape (d,), m/s
-    pull : ndarray, shape (d,), m/s^2
-        Acceleration on both sides.
-    error : float, m
-        Of a coordinate of a row.
-    gain : float
-        Chi-squared that it explains beside a smooth motion.
-    """
-
-    place: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    pull: np.ndarray
-    error: float
-    gain: float
 
 
 class Walls:
@@ -76,16 +53,16 @@ class Walls:
         """
         if view.is_astronomical or view.fit.paper_steps:
             return Family(self.name)
-        found = [
-            jump for scene in view.dataset.scenes for k in scene.dynamic
-            for jump in jumps(scene.times, scene.positions[:, k])
-        ]  # fmt: skip
-        extent = extent_of(view.dataset)[1]
+        found = {
+            (scene.name, k): jumps(scene.times, scene.positions[:, k])
+            for scene in view.dataset.scenes for k in scene.dynamic
+        }  # fmt: skip
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
-        groups = {key: own for key, own in _walls(found, extent).items() if key not in known}
+        groups = _walls([jump for own in found.values() for jump in own], view.dataset)
+        groups = {key: own for key, own in groups.items() if key not in known}
         if not groups:
             return Family(self.name)
-        proposals = _proposals(view, groups, extent)
+        proposals = _proposals(view, groups, found)
         best = proposals[0]
         return Family(
             self.name, proposals, best.gain, best.rank, np.zeros(1),
@@ -93,127 +70,108 @@ class Walls:
         )  # fmt: skip
 
 
-def jumps(times, places):
-    """Instants at which the velocity of a track jumps, the rows on both sides being smooth.
-
-    Parameters
-    ----------
-    times : ndarray, shape (T,)
-    places : ndarray, shape (T, d)
-        nan where not seen.
-
-    Returns
-    -------
-    list of Jump
-    """
-    seen = np.isfinite(places).all(axis=1)
-    times, places = times[seen], places[seen]
-    if len(times) < 2 * SIDE_ROWS:
-        return []
-    third = np.diff(places, 3, axis=0)
-    extent = float(np.ptp(places, axis=0).max())
-    spread = 1.4826 * np.median(np.abs(third), axis=0) / math.sqrt(20)
-    error = max(float(np.sqrt(np.mean(np.square(spread)))), EXACT * extent)
-    found = [_jump(times, places, k, error) for k in range(SIDE_ROWS, len(times) - SIDE_ROWS + 1)]
-    gains = np.array([0.0 if jump is None else jump.gain for jump in found])
-    out = []
-    for k in np.flatnonzero(gains > CLEAR):
-        near = gains[max(k - SIDE_ROWS, 0) : k + SIDE_ROWS + 1]
-        if gains[k] == near.max():
-            out.append(found[k])
-    return out
-
-
-def _jump(times, places, k, error):
-    """A jump between the rows before k and those from k on; None where it explains nothing."""
-    rows = slice(k - SIDE_ROWS, k + SIDE_ROWS)
-    middle = (times[k - 1] + times[k]) / 2
-    t, x = times[rows] - middle, places[rows]
-    late = (np.arange(2 * SIDE_ROWS) >= SIDE_ROWS).astype(float)
-    broken = np.column_stack([1 - late, late, (1 - late) * t, late * t, t * t / 2])
-    smooth = np.column_stack([np.ones_like(t), t, t * t, t**3])
-    (numbers, left), (_, rest) = (_solved(basis, x) for basis in (broken, smooth))
-    gain = (rest - left) / error**2
-    before, after = numbers[2], numbers[3]
-    turn = after - before
-    if gain <= CLEAR or not turn.any():
-        return None
-    way = turn / np.linalg.norm(turn)
-    closing = way @ turn
-    since = float(np.clip(way @ (numbers[0] - numbers[1]) / closing, -1, 1))  # where they meet
-    since = float(np.clip(since, times[k - 1] - middle, times[k] - middle))
-    place = numbers[0] + before * since + numbers[4] * since**2 / 2
-    return Jump(place, before + numbers[4] * since, after + numbers[4] * since, numbers[4],
-                error, float(gain))  # fmt: skip
-
-
-def _solved(basis, x):
-    numbers = np.linalg.lstsq(basis, x, rcond=None)[0]
-    return numbers, float(np.square(x - basis @ numbers).sum())
-
-
-def _walls(found, extent):
-    """Jumps of every wall, by axis and side."""
-    groups = {}
+def _walls(found, dataset):
+    """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
+    extent, groups = extent_of(dataset)[1], {}
+    places = np.concatenate([s.positions[:, s.dynamic].reshape(-1, s.n_dims)
+                             for s in dataset.scenes])  # fmt: skip
     for jump in found:
         turn = jump.after - jump.before
         axis = int(np.argmax(np.abs(turn)))
         side = 1 if turn[axis] > 0 else -1
         kept = -jump.after[axis] / jump.before[axis] if jump.before[axis] else math.inf
-        if KEPT[0] <= kept <= KEPT[1]:
+        farthest = side * float(np.nanmin(side * places[:, axis]))
+        is_there = abs(jump.place[axis] - farthest) <= ALIKE * extent + ERRORS * jump.error
+        if is_there and KEPT[0] <= kept <= KEPT[1]:
             groups.setdefault((axis, side), []).append(jump)
-    out = {}
-    for (axis, side), own in groups.items():
-        levels = np.array([jump.place[axis] for jump in own])
-        speed = np.array([abs(jump.before[axis]) for jump in own])
-        level = float(np.median(levels))
-        # The instant is told to a part of a row; half of all jumps lie near the middle one.
-        width = ALIKE * extent + ERRORS * np.array([jump.error for jump in own])
-        alike = np.abs(levels - level) <= width
-        if alike.sum() >= max(LEAST_JUMPS, len(own) / 2) and speed[alike].any():
-            out[axis, side] = [jump for jump, is_in in zip(own, alike, strict=True) if is_in]
-    return out
+    return groups if sum(map(len, groups.values())) >= LEAST_JUMPS else {}
 
 
-def _proposals(view, groups, extent):
-    """All walls together: beside the law as it is, and beside a push across them as well."""
-    law, n_dims, walls, names = view.fit.law, view.dataset.n_dims, [], []
+def _proposals(view, groups, jumps_of):
+    """All walls together: beside the law as it is, and with forces of textbooks as well."""
+    law, dataset, part = view.fit.law, view.dataset, view.hypothesis
+    names, walls = list(law.names), []
     for (axis, side), own in groups.items():
-        taken = law.with_constants(dict.fromkeys((*law.names, *names), math.nan))
-        mine = [fresh_name(taken, stem) for stem in ("h", "e", "k", "tilt")]
+        mine = [_fresh(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
-        walls.append(wall_of(mine, axis, side, n_dims, _values(own, axis, side), extent))
+        values = _values(own, axis, side)
+        walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
+        part = part + walls[-1]
     every = [jump for own in groups.values() for jump in own]
-    part = view.hypothesis
-    for wall in walls:
-        part = part + wall
     # All that is left: bodies that bounce are far from where the law would take them.
-    gain = max(float(view.left @ view.left) - view.n_left, 0.0)
-    gain = max(gain, sum(jump.gain for jump in every))
+    gain = max(float(view.left @ view.left) - view.n_left, sum(jump.gain for jump in every))
     text = ", ".join(wall.describe() for wall in walls)
-    price = -view.criteria.cause_nats * len(walls)
     rank = sum(len(wall.names) for wall in walls)
-    axis = next(iter(groups))[0]
-    push = float(np.median([jump.pull[axis] for jump in every]))
-    name = fresh_name(law, "c")
-    formula = parse_formula(f"{name} * e_{'xyz'[axis]}", dataset_types(view.dataset))
-    pushed = part + Forces(ForceLaw((Term(formula),), {name: push}))
-    is_moving = np.isfinite(np.array(view.fit.noise.levels))
+    pushes = [] if any(t.is_declared for t in law.terms) else [
+        f"e_{'xyz'[k]}" for k in dict.fromkeys(axis for axis, _ in groups)
+    ]  # fmt: skip
+    types, flights = dataset_types(dataset), _flights(dataset, jumps_of)
+    sums = [
+        tuple(form for form in both if form) for both in product(("", *pushes), ("", *SLOWING))
+    ]
+    told = {forms: _regressed(flights, forms) for forms in sums}
+    least = min(left for _, left in told.values())
+    out = []
+    for forms, (values, left) in told.items():
+        if left - least > max(FAR, least / FAR):
+            continue
+        strengths = []
+        for _ in forms:
+            strengths.append(_fresh("c", [*names, *strengths]))
+        formulas = tuple(
+            parse_formula(f"{name} * ({form})", types)
+            for form, name in zip(forms, strengths, strict=True)
+        )
+        starts = dict(zip(strengths, values, strict=True))
+        hypothesis = part + Forces(ForceLaw(tuple(map(Term, formulas)), starts)) if forms else part
+        out.append(Proposal(
+            "bounce", " + ".join([text, *map(to_text, formulas)]), hypothesis,
+            -(len(walls) + len(forms)) * view.criteria.cause_nats, gain - (left - least),
+            rank + len(forms), kind="wall", is_afresh=True,
+        ))  # fmt: skip
+    return tuple(sorted(out, key=lambda proposal: -proposal.promise))
 
-    def proposal(text, hypothesis, price, rank):
-        terms = tuple(probe_terms(view.fit.groups, is_moving))
-        strengths = {name: math.nan for term in terms for name in term.formula.constants}
-        judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
-        return Proposal(
-            "bounce", text, hypothesis, price, gain, rank, kind="wall", judged=judged,
-            is_sole=True, patience=PATIENT, is_afresh=True,
-        )  # fmt: skip
 
-    out = [proposal(text, part, price, rank)]
-    if not any(term.is_declared for term in law.terms):
-        more = f"{text} + {to_text(formula)}"
-        out.append(proposal(more, pushed, price - view.criteria.cause_nats, rank + 1))
-    return tuple(out[::-1])
+def _flights(dataset, jumps_of):
+    """Velocities, forces and errors of forces at rows between jumps, (n, d), (n, d) and (n, 1).
+
+    Forces of neighbouring rows are told by the same rows: errors are such that each counts for its
+    part.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    jumps_of : dict of (str, int) to list of Jump
+        By scene and number of the body.
+    """
+    out = []
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            _, v, a = between(scene.times, scene.positions[:, k], jumps_of[scene.name, k])
+            told, mass = np.isfinite(a).all(axis=1), scene.entities[k].mass
+            mass = mass if math.isfinite(mass) else 1.0
+            span = WINDOW * float(np.median(np.diff(scene.times)))
+            error = scatter(scene.positions[:, k]) * math.sqrt(720 / WINDOW) / span**2  # parabola
+            error *= math.sqrt(WINDOW)
+            out.append((v[told], mass * a[told], np.full((told.sum(), 1), mass * error)))
+    return tuple(map(np.concatenate, zip(*out, strict=True)))
+
+
+def _regressed(flights, forms):
+    """Strengths of forces (with names as in `SLOWING`, or axes) between jumps, and chi-squared."""
+    v, forces, errors = flights
+    speed = np.linalg.norm(v, axis=1, keepdims=True)
+    known = dict(zip(SLOWING, (v, speed * v, v / np.where(speed > 0, speed, 1.0)), strict=True))
+    known |= {f"e_{'xyz'[k]}": np.broadcast_to(axis, v.shape)
+              for k, axis in enumerate(np.eye(v.shape[1]))}  # fmt: skip
+    columns = np.stack([np.zeros_like(v), *(known[form] for form in forms)], axis=-1)
+    columns, target = (columns / errors[..., None]).reshape(v.size, -1), (forces / errors).ravel()
+    values = np.linalg.lstsq(columns, target, rcond=None)[0]
+    return values[1:].tolist(), float(np.square(target - columns @ values).sum())
+
+
+def _fresh(stem, taken):
+    return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
 
 
 def _values(own, axis, side):

@@ -17,6 +17,8 @@ AT_ONCE = 1e-3
 """Part of an interval that a step may end before or behind a contact."""
 UNDECIDED = 0.3
 """Part of an interval from its end within which the next node tells whether a contact was."""
+AT_REST = 0.2
+"""Part of an interval below which a body that would leave a wall for so long stays at it."""
 TINY = 1e-30
 """Change of a number by which derivatives are taken: imaginary, it takes nothing away."""
 
@@ -43,6 +45,11 @@ class Walls:
         self._n_constants = len(parameters)
         self._values = ()
 
+    @property
+    def n_codes(self):
+        """Pairs of a wall and a body."""
+        return len(self.parts) * self.n_own
+
     def set_constants(self, known):
         """Put the values of the constants of the law in."""
         self._values = tuple(
@@ -68,7 +75,8 @@ class Walls:
         Returns
         -------
         hit : ndarray of int, shape (M,)
-            Number of the wall times R plus that of the body; -1 = none.
+            Number of the wall times R plus that of the body, from the number of all such on if it
+            comes to rest there; -1 = none.
         size : ndarray, shape (M,)
             Smaller where a step has to end earlier.
         """
@@ -80,6 +88,8 @@ class Walls:
             speed, push = ((normal * x).sum(axis=1) for x in (state[1], pull))
             since = _since(far, speed, push)
             is_in = (speed < 0) & (since > -AT_ONCE * whole) & (size > 0)
+            came = speed - push * since
+            stays = (push < 0) & (-2 * values[1] * came < -push * AT_REST * whole)
             if aims is not None:
                 after = (normal * aims[1]).sum(axis=1)
                 is_behind = np.abs(after + values[1] * speed) < np.abs(after - speed)
@@ -90,10 +100,11 @@ class Walls:
             for body in range(self.n_own):
                 late = np.where(is_in[body], since[body], -np.inf)
                 is_late = late > AT_ONCE * whole
-                can_cut = is_late & (size > 2 * AT_ONCE * whole)
+                can_cut = is_late & (size > 2 * AT_ONCE * whole) & ~stays[body]
                 earlier = np.maximum(size - late, 2 * AT_ONCE * whole)
                 out = np.where(can_cut, np.minimum(out, earlier), out)
-                hit = np.where(is_in[body] & ~can_cut, number * self.n_own + body, hit)
+                code = number * self.n_own + body + self.n_codes * stays[body]
+                hit = np.where(is_in[body] & ~can_cut, code, hit)
         return np.where(out < size, -1, hit), out
 
     def bounced(self, points, hit, acceleration, slopes=False):
@@ -113,13 +124,14 @@ class Walls:
         state : ndarray, shape (2, R, d, M)
         by_state, by_constant : ndarray, shapes (M, n, n) and (M, n, k); or None
         """
-        number, body = divmod(int(hit), self.n_own)
+        stays, pair = divmod(int(hit), self.n_codes)
+        number, body = divmod(pair, self.n_own)
         part, values = self.parts[number], self._values[number][:, points.chain]
         before = acceleration(points)[body]
         state = points.state.copy()
         for _ in range(2):  # forces behind the contact hang on the velocity there
             after = acceleration(points.at(state))[body]
-            place, velocity = _reflected(part, *points.state[:, body], values, before, after)
+            place, velocity = _reflected(part, *points.state[:, body], values, before, after, stays)
             state[0, body], state[1, body] = place, velocity
         if not slopes:
             return state, None, None
@@ -134,7 +146,7 @@ class Walls:
                 moved[k // d][k % d] += 1j * TINY
             else:
                 moved[2][k - 2 * d] += 1j * TINY
-            changed = np.concatenate(_reflected(part, *moved, before, after)).imag.T / TINY
+            changed = np.concatenate(_reflected(part, *moved, before, after, stays)).imag.T / TINY
             if k < 2 * d:
                 by_state[:, rows, rows[k]] = changed
             elif (at := self._number.get(part.names[k - 2 * d], -1)) >= 0:
@@ -143,13 +155,14 @@ class Walls:
 
 
 def _since(far, speed, push):
-    """Time since a body was at a wall, negative if it will be; nan where it never was."""
+    """Time since a body was at a wall; negative if it will be."""
+    square = speed * speed - 2 * push * far
+    root = np.sqrt(np.where(square.real > 0, square, 0.0))  # 0: it turns back just before
     with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(speed * speed - 2 * push * far)  # nan: it turns back before
         return 2 * far / (speed - root)  # of two the instant at which it went in
 
 
-def _reflected(part, place, velocity, values, before, after):
+def _reflected(part, place, velocity, values, before, after, stays):
     """Places and velocities (d, M) on the other side of a contact, at the same instant."""
     normal = part.normal_at(values)
     far, speed, push = ((normal * x).sum(axis=0) for x in (place, velocity, before))
@@ -157,5 +170,8 @@ def _reflected(part, place, velocity, values, before, after):
     at = place - since * velocity + before * since**2 / 2
     came = velocity - before * since
     across = normal * (normal * came).sum(axis=0)
+    if stays:
+        on = place - normal * (far - values[0])
+        return on, velocity - normal * speed
     went = part.kept_at(values) * (came - across) - values[1] * across
     return at + went * since + after * since**2 / 2, went + after * since

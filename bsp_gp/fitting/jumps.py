@@ -1,0 +1,169 @@
+"""Velocities that jump: where bodies were hit, and what tracks tell between such instants.
+
+Wherever the velocity jumps between two rows, and the rows on both sides lie on parabolas of one
+acceleration, a body was hit. Curves through rows on both sides would tell velocities that no body
+had: states are read off the rows of one side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
+
+SIDE_ROWS = (4, 7, 12)
+"""Rows on each side of a jump that are looked at."""
+CLEAR = 50.0
+"""Chi-squared by which a jump must explain them better than a motion that is smooth."""
+EXACT = 1e-6
+"""Part of the extent below which errors are none."""
+WINDOW, LEAST_ROWS = 9, 5
+"""Rows of the parabolas that states between jumps are read off; fewer tell no acceleration."""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A velocity that jumps.
+
+    Attributes
+    ----------
+    time : float, s
+    place : ndarray, shape (d,), m
+    before, after : ndarray, shape (d,), m/s
+    pull : ndarray, shape (d,), m/s^2
+        Acceleration on both sides.
+    error : float, m
+        Of a coordinate of a row.
+    gain : float
+        Chi-squared that it explains beside a smooth motion.
+    """
+
+    time: float
+    place: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    pull: np.ndarray
+    error: float
+    gain: float
+
+
+def jumps(times, places):
+    """Instants at which the velocity of a track jumps, the rows on both sides being smooth.
+
+    Parameters
+    ----------
+    times : ndarray, shape (T,)
+    places : ndarray, shape (T, d)
+        nan where not seen.
+
+    Returns
+    -------
+    list of Jump
+        In the order of time.
+    """
+    seen = np.isfinite(places).all(axis=1)
+    times, places = times[seen], places[seen]
+    if len(times) < 2 * SIDE_ROWS[0] or not np.ptp(places, axis=0).any():
+        return []
+    error, every = scatter(places), []
+    for rows in SIDE_ROWS:
+        if len(times) >= 2 * rows:
+            every += _jumps(times, places, rows, error)
+    every.sort(key=lambda pair: -pair[1].gain)
+    out = {}
+    for at, jump in every:
+        if all(abs(at - other) >= SIDE_ROWS[0] for other in out):
+            out[at] = jump
+    return [out[at] for at in sorted(out)]
+
+
+def scatter(places):
+    """Error of a coordinate (T, d) as neighbouring rows tell it, few jumps aside, m."""
+    places = places[np.isfinite(places).all(axis=1)]
+    moving = np.ptp(places, axis=0) > 0
+    spread = 1.4826 * np.median(np.abs(np.diff(places[:, moving], 3, axis=0)), axis=0)
+    extent = float(np.ptp(places, axis=0).max())
+    return max(float(np.sqrt(np.mean(np.square(spread)) / 20)), EXACT * extent)
+
+
+def _jumps(times, places, rows, error):
+    """Jumps as (row behind it, Jump), told by so many rows on each side."""
+    window = np.lib.stride_tricks.sliding_window_view
+    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
+    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
+    t = t - middle[:, None]
+    late = np.broadcast_to((np.arange(2 * rows) >= rows).astype(float), t.shape)
+    one = np.ones_like(t)
+    broken = np.stack([1 - late, late, (1 - late) * t, late * t, t * t / 2], axis=-1)
+    (numbers, left), (_, rest) = _solved(broken, x), _solved(np.stack([one, t, t * t, t**3], -1), x)
+    gains = (rest - left) / error**2
+    out = []
+    for k in np.flatnonzero(gains > CLEAR).tolist():
+        if gains[k] < gains[max(k - SIDE_ROWS[0], 0) : k + SIDE_ROWS[0] + 1].max():
+            continue
+        first, second, before, after, pull = numbers[k]
+        turn = after - before
+        if turn.any():  # where the rows of both sides meet
+            since = float(turn @ (first - second) / (turn @ turn))
+            since = float(np.clip(since, t[k, rows - 1], t[k, rows]))
+            place = first + before * since + pull * since**2 / 2
+            own = before + pull * since, after + pull * since, pull
+            jump = Jump(float(middle[k]) + since, place, *own, error, float(gains[k]))
+            out.append((k + rows, jump))
+    return out
+
+
+def _solved(basis, x):
+    """Least squares in stacks: numbers (K, c, d), and what is left of the squares (K,)."""
+    q, r = np.linalg.qr(basis)
+    along = np.swapaxes(q, 1, 2) @ x
+    return np.linalg.solve(r, along), np.square(x - q @ along).sum(axis=(1, 2))
+
+
+def between(times, places, found):
+    """Places, velocities and accelerations of a track, from parabolas that pass over no jump.
+
+    Parameters
+    ----------
+    times : ndarray, shape (T,)
+    places : ndarray, shape (T, d)
+    found : list of Jump
+
+    Returns
+    -------
+    tuple of ndarray, shape (T, d)
+        nan where too few rows were seen between two jumps.
+    """
+    out = np.full((3, *places.shape), np.nan)
+    ends = [jump.time for jump in found]
+    seen = np.isfinite(places).all(axis=1)
+    for first, last in zip([-math.inf, *ends], [*ends, math.inf], strict=True):
+        rows = np.flatnonzero(seen & (times > first) & (times < last))
+        if len(rows) < 2:
+            continue
+        width = min(WINDOW, len(rows))
+        begin = np.clip(np.arange(len(rows)) - width // 2, 0, len(rows) - width)
+        near = rows[begin[:, None] + np.arange(width)]  # (n, width)
+        t = times[near] - times[rows][:, None]
+        basis = np.stack([np.ones_like(t), t, t * t / 2][: min(width, 3)], axis=-1)
+        numbers = np.swapaxes(_solved(basis, places[near])[0], 0, 1)
+        told = len(numbers) if width >= LEAST_ROWS else 2
+        out[:told, rows] = numbers[:told]
+    return tuple(out)
+
+
+def nodes_between(chains, nodes):
+    """Nodes (2, R, d, T, S) with states that pass over no jump, where rows tell them."""
+    nodes = nodes.copy()
+    for s in range(chains.n_chains):
+        n = int(chains.lengths[s])
+        for r in range(chains.n_moving):
+            track = chains.times[:n, s], chains.observed[:n, s, r]
+            told = np.stack(between(*track, jumps(*track))[:2])
+            own = nodes[:, r, :, :n, s]
+            told = told.swapaxes(1, 2)
+            nodes[:, r, :, :n, s] = np.where(np.isfinite(told), told, own)
+    return nodes
