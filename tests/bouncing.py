@@ -6,6 +6,8 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from tests.planted import SI
 
 GRAVITY = 9.81
+REST = 1e-5
+"""Seconds in the air below which a ball is at rest."""
 
 
 def flights(start, velocity, times, *, floor=0.0, kept=0.8, along=1.0, gravity=GRAVITY):
@@ -16,7 +18,7 @@ def flights(start, velocity, times, *, floor=0.0, kept=0.8, along=1.0, gravity=G
         while True:
             far, speed = p[-1] - floor, v[-1]
             hit = (speed + np.sqrt(speed**2 + 2 * gravity * max(far, 0.0))) / gravity
-            if t - t0 < hit:
+            if t - t0 < hit or hit < REST:
                 break
             p, t0 = p + v * hit, t0 + hit
             p[-1] = floor
@@ -24,7 +26,7 @@ def flights(start, velocity, times, *, floor=0.0, kept=0.8, along=1.0, gravity=G
             v[:-1] *= along
         s = t - t0
         out[k] = p + v * s
-        out[k, -1] -= gravity * s**2 / 2
+        out[k, -1] = max(out[k, -1] - gravity * s**2 / 2, floor)
     return out
 
 

@@ -327,11 +327,14 @@ class Climb:
         for _ in range(3):
             if self.run.is_over():
                 return self._stopped(minimum)
-            finer = self.at(None, minimum.point, is_checked=True)
+            point = minimum.point
+            if self.problem is not None and walls_of(self.run.law):
+                point = self.problem.righted(point)
+            finer = self.at(None, point, is_checked=True)
             if self.problem is not None and self.problem.is_as_fine_as(finer):
                 break
             self.problem = finer
-            new = self._minimise(finer, minimum.point, WHOLE)
+            new = self._minimise(finer, point, WHOLE)
             if minimum.linearised is None:  # pieces alone led here
                 new = self._joined(new, finer)
             if new.linearised is None:
@@ -412,7 +415,8 @@ class Climb:
     @property
     def is_coarse(self):
         """Whether bodies turn from row to row: no noise, but too few rows."""
-        return self.scales.rows <= COARSE and self.scales.turn > TURN
+        turns = self.scales.turn > TURN and not walls_of(self.run.law)
+        return self.scales.rows <= COARSE and turns
 
     def _sized(self, point, nodes, free):
         """Starts with linear constants at zero, or of the size that makes the acceleration seen."""

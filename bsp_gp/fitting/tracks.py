@@ -157,6 +157,15 @@ class TrackProblem:
             out.append(shooting.flow.held(own))
         return TrackPoint(values, tuple(out))
 
+    def righted(self, point):
+        """A point with its nodes in front of the walls of the law."""
+        constants, _ = self.coordinates.constants(point.values)
+        out = []
+        for shooting, own in zip(self.shootings, point.nodes, strict=True):
+            shooting.flow.motion.set_constants(constants)
+            out.append(shooting.flow.righted(own))
+        return TrackPoint(point.values, tuple(out))
+
     def settled(self, point, times=1):
         """The point after steps of the initial states alone."""
         for _ in range(times):

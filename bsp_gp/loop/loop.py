@@ -412,7 +412,10 @@ class _Turn:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
         new, best, evidence = found
-        if proposal.judged is not None and not new.is_failed:
+        if proposal.error:
+            level = float(np.nanmax(np.array(new.noise.levels)))
+            self.judged[len(self.rows)] = (level / proposal.error) ** 2 * new.chi2_red
+        elif proposal.judged is not None and not new.is_failed:
             self.judged[len(self.rows)] = best.chi2_red
         self.fits[len(self.rows)] = new
         return self._add(
@@ -481,7 +484,8 @@ def _chosen(every, clear, criteria):
                 simplest[name] = (name, proposal)
             # Beside a law that is far off promises are not exact: of what promises about as much,
             # the best of every size, and of every form that leads a sum.
-            if proposal.promise > top - max(FAR_BEHIND, top / 50):
+            # Those that may be all there is are fitted up to the first that is.
+            if proposal.is_sole or proposal.promise > top - max(FAR_BEHIND, top / 50):
                 others.setdefault((name, proposal.rank), (name, proposal))
                 others.setdefault((name, proposal.lead), (name, proposal))
     near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]

@@ -57,10 +57,12 @@ class Proposal:
     judged : Hypothesis or None
         By which it is judged, if not by itself alone: beside forces that know no physics, where
         more may be missing than one cause explains.
+    error : float, m
+        That of rows as their neighbours tell it, by which a misfit is judged; 0: as it is fitted.
     patience : int
         Times the usual effort for which its fit may go on, if that does not do.
     is_sole : bool
-        Whether nothing else is asked for where it leaves no misfit when it is judged so.
+        Whether nothing else is asked for where it leaves no misfit, as it is judged.
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
@@ -84,6 +86,7 @@ class Proposal:
     is_wide: bool = False
     judged: object = None
     is_sole: bool = False
+    error: float = 0.0
     patience: int = 1
     is_afresh: bool = False
     is_last: bool = False

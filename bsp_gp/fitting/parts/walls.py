@@ -37,8 +37,8 @@ class Wall(Part):
         1: bodies are where the coordinate is larger, -1: where it is smaller.
     n_dims : int
     numbers : tuple of Parameter
-        Its place along the way that bodies are turned back, the part of the speed across it that
-        they keep; where they move along it as well the part of that; in a plane its tilt.
+        Its coordinate, the part of the speed across it that bodies keep; where they move along it
+        as well the part of that; in a plane its tilt, about the origin.
     """
 
     axis: int
@@ -75,9 +75,10 @@ class Wall(Part):
         return values[2] if len(self.numbers) > 2 else 1.0
 
     def describe(self):
-        """As it is typed; the place is the coordinate."""
-        way, sign = (">", "") if self.side > 0 else ("<", "-")
-        return f"bounce({'xyz'[self.axis]}_i {way} {sign}{', '.join(self.names)})"
+        """As it is typed."""
+        return (
+            f"bounce({'xyz'[self.axis]}_i {'>' if self.side > 0 else '<'} {', '.join(self.names)})"
+        )
 
 
 def count_of(dataset):
@@ -98,7 +99,7 @@ def wall_of(names, axis, side, n_dims, values, extent):
     axis, side, n_dims
         As of `Wall`.
     values : sequence of float
-        Place along the way that bodies are turned back, and so on; missing ones are usual.
+        The coordinate, and so on; missing ones are usual.
     extent : float, m
         Of the tracks.
     """
@@ -156,8 +157,7 @@ def read_wall(dataset, text):
         )
     axis, way = "xyz".index(side[1]), 1 if side[2] == ">" else -1
     places = [scene.positions[:, scene.dynamic, axis].ravel() for scene in dataset.scenes]
-    start = way * float(np.nanmin(way * np.concatenate(places)))
-    name = side[3].lstrip("-")
+    start, name = way * float(np.nanmin(way * np.concatenate(places))), side[3]
     if not name.isidentifier():
         try:
             start = float(side[3]) * Conversion(declared, declared).length(side[1])
@@ -166,4 +166,4 @@ def read_wall(dataset, text):
         name = f"{side[1]}_wall"
     usual = (name, f"kept_{name}", f"along_{name}", f"tilt_{name}")
     names = (name, *more, *usual[1 + len(more) :])[:count]
-    return wall_of(names, axis, way, n_dims, (way * start,), extent_of(dataset)[1])
+    return wall_of(names, axis, way, n_dims, (start,), extent_of(dataset)[1])

@@ -94,7 +94,7 @@ def _proposals(view, groups, jumps_of):
     for (axis, side), own in groups.items():
         mine = [_fresh(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
-        values = _values(own, axis, side)
+        values = _values(own, axis)
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
         part = part + walls[-1]
     every = [jump for own in groups.values() for jump in own]
@@ -102,15 +102,10 @@ def _proposals(view, groups, jumps_of):
     gain = max(float(view.left @ view.left) - view.n_left, sum(jump.gain for jump in every))
     text = ", ".join(wall.describe() for wall in walls)
     rank = sum(len(wall.names) for wall in walls)
-    pushes = [] if any(t.is_declared for t in law.terms) else [
-        f"e_{'xyz'[k]}" for k in dict.fromkeys(axis for axis, _ in groups)
-    ]  # fmt: skip
-    types, flights = dataset_types(dataset), _flights(dataset, jumps_of)
-    sums = [
-        tuple(form for form in both if form) for both in product(("", *pushes), ("", *SLOWING))
-    ]
-    told = {forms: _regressed(flights, forms) for forms in sums}
+    told = _told(dataset, jumps_of, groups, is_bare=not any(t.is_declared for t in law.terms))
+    types = dataset_types(dataset)
     least = min(left for _, left in told.values())
+    error = max(jump.error for jump in every)
     out = []
     for forms, (values, left) in told.items():
         if left - least > max(FAR, least / FAR):
@@ -127,12 +122,25 @@ def _proposals(view, groups, jumps_of):
         out.append(Proposal(
             "bounce", " + ".join([text, *map(to_text, formulas)]), hypothesis,
             -(len(walls) + len(forms)) * view.criteria.cause_nats, gain - (left - least),
-            rank + len(forms), kind="wall", is_afresh=True,
+            rank + len(forms), kind="wall", is_sole=True, error=error, is_afresh=True,
         ))  # fmt: skip
     return tuple(sorted(out, key=lambda proposal: -proposal.promise))
 
 
-def _flights(dataset, jumps_of):
+def _told(dataset, jumps_of, groups, is_bare):
+    """Strengths of every sum of forces that may act between walls, and chi-squared that it leaves.
+
+    Where forces are declared, nothing is said of either: a push across a wall is none of these.
+    """
+    pushes = [f"e_{'xyz'[axis]}" for axis in dict.fromkeys(axis for axis, _ in groups) if is_bare]
+    sums = [tuple(form for form in both if form) for both in product(("", *pushes), ("", *SLOWING))]
+    if not is_bare:
+        return {forms: ([math.nan] * len(forms), 0.0) for forms in sums}
+    flights = _flights(dataset, jumps_of, groups)
+    return {forms: _regressed(flights, forms) for forms in sums}
+
+
+def _flights(dataset, jumps_of, groups):
     """Velocities, forces and errors of forces at rows between jumps, (n, d), (n, d) and (n, 1).
 
     Forces of neighbouring rows are told by the same rows: errors are such that each counts for its
@@ -143,16 +151,24 @@ def _flights(dataset, jumps_of):
     dataset : Dataset
     jumps_of : dict of (str, int) to list of Jump
         By scene and number of the body.
+    groups : dict of (int, int) to list of Jump
+        By axis and side of walls; a body that lies at one is held by it.
     """
+    levels = {key: np.median([jump.place[key[0]] for jump in own]) for key, own in groups.items()}
+
+    def at_walls(places, near):
+        held = [side * (places[:, axis] - at) < near for (axis, side), at in levels.items()]
+        return np.any(held, axis=0)
+
     out = []
     for scene in dataset.scenes:
         for k in scene.dynamic:
             _, v, a = between(scene.times, scene.positions[:, k], jumps_of[scene.name, k])
-            told, mass = np.isfinite(a).all(axis=1), scene.entities[k].mass
+            mass, error = scene.entities[k].mass, scatter(scene.positions[:, k])
+            told = np.isfinite(a).all(axis=1) & ~at_walls(scene.positions[:, k], ERRORS * error)
             mass = mass if math.isfinite(mass) else 1.0
             span = WINDOW * float(np.median(np.diff(scene.times)))
-            error = scatter(scene.positions[:, k]) * math.sqrt(720 / WINDOW) / span**2  # parabola
-            error *= math.sqrt(WINDOW)
+            error *= math.sqrt(720) / span**2  # of a parabola through so many rows
             out.append((v[told], mass * a[told], np.full((told.sum(), 1), mass * error)))
     return tuple(map(np.concatenate, zip(*out, strict=True)))
 
@@ -174,9 +190,9 @@ def _fresh(stem, taken):
     return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
 
 
-def _values(own, axis, side):
+def _values(own, axis):
     """Where the numbers of a wall begin: its place, and what bodies keep across and along it."""
-    level = side * float(np.median([jump.place[axis] for jump in own]))
+    level = float(np.median([jump.place[axis] for jump in own]))
     kept = float(np.median([-jump.after[axis] / jump.before[axis] for jump in own]))
     along = 1.0
     if len(own[0].place) > 1:

@@ -192,6 +192,16 @@ class Flow:
         nodes[..., row, chain] = self.motion.constraints.held(points)
         return nodes
 
+    def righted(self, nodes):
+        """Nodes behind walls as they are in front of them."""
+        if not self.motion.walls:
+            return nodes
+        row, chain = np.nonzero(np.isfinite(self.chains.times))
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain)
+        nodes = nodes.copy()
+        nodes[..., row, chain] = self.motion.walls.righted(points, self.motion.acceleration)
+        return nodes
+
     def tangent(self, nodes, row, chain):
         """Derivatives of nodes that are put on the constraints, (M, n, n + k); None if none are."""
         if not self.motion.constraints:

@@ -19,6 +19,8 @@ UNDECIDED = 0.3
 """Part of an interval from its end within which the next node tells whether a contact was."""
 AT_REST = 0.2
 """Part of an interval below which a body that would leave a wall for so long stays at it."""
+LEAST_KEPT = 0.05
+"""Part of its speed that a body keeps at the least where it is followed back through a contact."""
 TINY = 1e-30
 """Change of a number by which derivatives are taken: imaginary, it takes nothing away."""
 
@@ -84,7 +86,7 @@ class Walls:
         for number, (part, known) in enumerate(zip(self.parts, self._values, strict=True)):
             values = known[:, chain]
             normal = part.normal_at(values)
-            far = (normal * state[0]).sum(axis=1) - values[0]
+            far = (normal * state[0]).sum(axis=1) - part.side * values[0]
             speed, push = ((normal * x).sum(axis=1) for x in (state[1], pull))
             since = _since(far, speed, push)
             is_in = (speed < 0) & (since > -AT_ONCE * whole) & (size > 0)
@@ -106,6 +108,29 @@ class Walls:
                 code = number * self.n_own + body + self.n_codes * stays[body]
                 hit = np.where(is_in[body] & ~can_cut, code, hit)
         return np.where(out < size, -1, hit), out
+
+    def righted(self, points, acceleration):
+        """States of points behind a wall as they are in front of it, (2, R, d, M).
+
+        On the way in they are so behind the contact, on the way out before it.
+        """
+        state = points.state.copy()
+        for part, known in zip(self.parts, self._values, strict=True):
+            values = known[:, points.chain]
+            normal, pull = part.normal_at(values), acceleration(points.at(state))
+            far = (normal * state[0]).sum(axis=1) - part.side * values[0]
+            is_in = (normal * state[1]).sum(axis=1) < 0
+            for body in range(self.n_own):
+                before, (p, v) = pull[body], state[:, body]
+                back = np.stack(_reflected(part, p, v, values, before, before, False))
+                # Backwards in time what went out comes in, with more of its speed.
+                kept = values.copy()
+                kept[1 : 2 + (len(values) > 2)] = 1 / np.maximum(values[1:3], LEAST_KEPT)
+                ahead = np.stack(_reflected(part, p, -v, kept, before, before, False))
+                ahead[1] *= -1
+                new = np.where(is_in[body], back, ahead)
+                state[:, body] = np.where(far[body] < 0, new, state[:, body])
+        return state
 
     def bounced(self, points, hit, acceleration, slopes=False):
         """Ends of steps behind their contacts.
@@ -166,12 +191,12 @@ def _reflected(part, place, velocity, values, before, after, stays):
     """Places and velocities (d, M) on the other side of a contact, at the same instant."""
     normal = part.normal_at(values)
     far, speed, push = ((normal * x).sum(axis=0) for x in (place, velocity, before))
-    since = _since(far - values[0], speed, push)
+    since = _since(far - part.side * values[0], speed, push)
     at = place - since * velocity + before * since**2 / 2
     came = velocity - before * since
     across = normal * (normal * came).sum(axis=0)
     if stays:
-        on = place - normal * (far - values[0])
+        on = place - normal * (far - part.side * values[0])
         return on, velocity - normal * speed
     went = part.kept_at(values) * (came - across) - values[1] * across
     return at + went * since + after * since**2 / 2, went + after * since

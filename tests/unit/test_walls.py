@@ -1,0 +1,195 @@
+"""Floors and walls: bounces in the motion, in fits, and found in tracks."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.errors import LawError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.jumps import jumps, nodes_between
+from bsp_gp.fitting.rolling import flow_of, roll
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.proposers.walls import Walls
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.flow import Flow
+from bsp_gp.physics.engine.motion import Motion
+from tests.bouncing import bounces, flights
+from tests.loop_views import throws, view_of
+
+WEIGHT = "-9.81 [m/s^2] * m_i * e_y"
+WALL = {"floor": 0.03, "kept": 0.8, "along": 0.95}
+
+
+def law_with(dataset, **values):
+    law = read_law(dataset, [WEIGHT, "bounce(y_i > h, e, k, tilt)"])
+    return law.with_constants({"h": 0.03, "e": 0.8, "k": 0.95, "tilt": 0.0, **values})
+
+
+def rolled(dataset, law, first):
+    (chains,) = build_chains(law, dataset.scenes, dataset.up, dataset.velocity)
+    return roll(law, chains, first, np.full(chains.n_chains, 1e-7))
+
+
+def start(velocity=0.0, height=1.2):
+    state = np.zeros((2, 1, 2, 1))
+    state[0, 0, :, 0], state[1, 0, 0, 0] = (0.1, height), velocity
+    return state
+
+
+def test_a_ball_bounces_as_its_parabolas_say():
+    data = bounces(np.random.default_rng(0), n_rows=110, **WALL)
+    track = rolled(data, law_with(data), start(0.4))[0, 0, :, :, 0].T
+    exact = flights([0.1, 1.2], [0.4, 0.0], data.scenes[0].times, **WALL)
+    assert track == pytest.approx(exact, abs=1e-6)
+
+
+def test_a_ball_comes_to_rest_on_the_floor():
+    data = bounces(np.random.default_rng(0), n_rows=300, **WALL)
+    track = rolled(data, law_with(data, e=0.5), start())[0, 0, 1, :, 0]
+    assert np.isfinite(track).all()
+    assert track[-100:] == pytest.approx(np.full(100, 0.03), abs=1e-4)
+    assert track.min() > 0.03 - 2e-4
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_derivatives_through_a_bounce_are_those_of_differences(tilt):
+    data = bounces(np.random.default_rng(1), n_rows=60, sigma=0.0, **WALL)
+    law = law_with(data, tilt=tilt).plus(read_law(data, ["c * norm(v_i) * m_i * v_i"]).terms[0],
+                                         {"c": -0.2})  # fmt: skip
+    names = [(name, "") for name in law.names]
+    (chains,) = build_chains(law, data.scenes, data.up, data.velocity)
+    flow = Flow(Motion(law, chains, names), np.full(1, 1e-10))
+    values = np.array([law.constants[name] for name, _ in names])
+    nodes = roll(law, chains, start(0.4, 0.9), np.full(1, 1e-9))
+    flow.motion.set_constants(values)
+    mesh = flow.quick_mesh(nodes)
+    assert mesh.n_hits.sum() >= 1
+
+    def ends(nodes, values):
+        flow.motion.set_constants(values)
+        return flow.run(nodes, mesh, slopes=False)[0].reshape(4, -1).T
+
+    flow.motion.set_constants(values)
+    found = flow.run(nodes, mesh)[1]
+    step = 1e-6
+    for k in range(4):
+        moved = [nodes.copy(), nodes.copy()]
+        for sign, own in zip((1, -1), moved, strict=True):
+            own.reshape(4, -1)[k] += sign * step
+        slope = (ends(moved[0], values) - ends(moved[1], values)) / (2 * step)
+        assert found[:, :, k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+    for k in range(len(values)):
+        change = step * np.eye(len(values))[k]
+        slope = (ends(nodes, values + change) - ends(nodes, values - change)) / (2 * step)
+        assert found[:, :, 4 + k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_declared_floor_is_fitted_with_its_errors(seed):
+    data = bounces(np.random.default_rng(seed), **WALL)
+    found = fit(Hypothesis.from_laws(data, [WEIGHT, "bounce(y_i > h, e, k)"]), data)
+    assert found.status == "converged"
+    assert found.chi2_red == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.n_rows))
+    off = (found.values - [0.03, 0.8, 0.95, 0.0]) / found.errors
+    assert np.abs(off).max() < 4
+
+
+def test_rows_beside_a_contact_are_on_the_right_side_of_it():
+    """A node just behind the floor that a ball had left in its own past fitted as well."""
+    for seed in range(4):
+        data = bounces(np.random.default_rng(10 + seed), dt=1 / 30, n_rows=75, **WALL)
+        found = fit(Hypothesis.from_laws(data, [WEIGHT, "bounce(y_i > h, e, k)"]), data)
+        places = found.nodes[0][0, 0, 1] - found.values[0]
+        assert places.min() > -1e-3 * 0.002 - 3 * found.errors[0]
+
+
+def test_jumps_are_found_where_bodies_are_hit_and_nowhere_else():
+    data = bounces(np.random.default_rng(2), **WALL)
+    scene = data.scenes[0]
+    found = jumps(scene.times, scene.positions[:, 0])
+    assert len(found) >= 3
+    for jump in found:
+        assert jump.place[1] == pytest.approx(0.03, abs=0.01)
+        assert -jump.after[1] / jump.before[1] == pytest.approx(0.8, abs=0.05)
+    t = np.linspace(0, 8, 400)
+    orbit = np.stack([np.cos(t * 2), 0.5 * np.sin(t * 2)], axis=1)
+    orbit += 0.002 * np.random.default_rng(0).standard_normal(orbit.shape)
+    assert jumps(t, orbit) == []
+
+
+def test_states_are_read_off_one_side_of_a_jump():
+    data = bounces(np.random.default_rng(3), sigma=1e-5, **WALL)
+    law = law_with(data)
+    (chains,) = build_chains(law, data.scenes, data.up, data.velocity)
+    exact = roll(law, chains, start(0.4, data.scenes[0].positions[0, 0, 1]), np.full(1, 1e-8))
+    nodes = nodes_between(chains, np.zeros_like(exact))
+    early = chains.times[:, 0] < 1.0
+    assert nodes[1, 0, 1, early, 0] == pytest.approx(exact[1, 0, 1, early, 0], abs=0.05)
+
+
+def test_nothing_is_proposed_where_nothing_bounces():
+    family = Walls().propose(view_of(throws(np.random.default_rng(0))))
+    assert family.proposals == ()
+
+
+def test_a_bouncing_ball_is_told_with_its_weight():
+    data = bounces(np.random.default_rng(5), noise=False, **WALL)
+    report = close_loop(data, "nothing", rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert report.rounds[0].effect.code == "bounce"
+    true = {"h1": 0.03, "e1": 0.8, "k1": 0.95, "c1": -9.81}
+    for constant in report.constants:
+        if constant.name in true:
+            width = constant.high - constant.low
+            assert constant.low - width < true[constant.name] < constant.high + width
+
+
+def cart(seed):
+    """A cart with linear drag between two bumpers, by the exact solution between bounces."""
+    rng, c, times = np.random.default_rng(seed), 0.08, np.arange(300) / 30
+    x, v, t0, track = 0.3, 0.6, 0.0, []
+    for t in times:
+        while True:
+            room = (1.2 - x) if v > 0 else -x
+            hit = -np.log1p(-room * c / v) / c if abs(v) / c > abs(room) else np.inf
+            if t - t0 < hit:
+                break
+            x, v, t0 = x + room, -0.9 * v * np.exp(-c * hit), t0 + hit
+        track.append(x + v * (1 - np.exp(-c * (t - t0))) / c)
+    seen = np.array(track) + 0.001 * rng.standard_normal(len(times))
+    places = np.stack([seen, np.zeros_like(seen)], axis=1)
+    return places, times
+
+
+def test_a_cart_between_two_bumpers_is_told_with_its_drag():
+    from bsp_gp.data.scene import Dataset, Entity, Scene
+    from tests.planted import SI
+
+    places, times = cart(1)
+    scene = Scene("run", times, places[:, None], (Entity("cart", properties={"mass": 1.0}),))
+    report = close_loop(Dataset("cart", (scene,), units=SI), "nothing", rng=0, n_bootstrap=0)
+    values = {c.name: c.value for c in report.constants}
+    assert sorted(values) == ["c1", "e1", "e2", "h1", "h2"]
+    assert sorted([values["h1"], values["h2"]]) == pytest.approx([0.0, 1.2], abs=0.003)
+    assert values["e1"] == pytest.approx(0.9, abs=0.01)
+    assert values["c1"] == pytest.approx(-0.08, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    "text", ["bounce(y_i)", "bounce(z_i > h, e)", "bounce(y_i > h, 0.8)", "bounce(y_i = h)",
+             "bounce(y_i > 3x, e)", "bounce(y_i > h, a, b, c, d)"],
+)  # fmt: skip
+def test_a_wall_that_says_no_place_is_refused_with_what_is_right(text):
+    data = bounces(np.random.default_rng(0))
+    with pytest.raises(LawError, match="bounce"):
+        read_law(data, [text])
+
+
+def test_a_wall_is_written_as_it_is_typed():
+    data = bounces(np.random.default_rng(0))
+    law = read_law(data, ["bounce(y_i > h, e, k, tilt)", WEIGHT])
+    assert law.text(digits=False).endswith("bounce(y_i > h, e, k, tilt)")
+    again = read_law(data, [law.frame[0].describe()])
+    assert again.frame[0].names == law.frame[0].names
+    assert flow_of(law_with(data), build_chains(law, data.scenes, None, None)[0],
+                   np.full(1, 1e-6)).motion.walls is not None  # fmt: skip
