@@ -27,7 +27,7 @@ from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.language.formula import evaluate
-from bsp_gp.physics.bodies import law_inputs, stack, subset
+from bsp_gp.physics.bodies import law_inputs, stack, subset, under
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
@@ -204,6 +204,7 @@ def respond(fit, dataset, scenes=None):
         for chains, nodes, batch in zip(
             fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
+            batch = replace(batch, bodies=under(fit.law, batch.bodies))
             count = int(np.prod(chains.observed.shape[1:]))
             noise = _noise(fit, chains, slice(first, first + count))
             first += count

@@ -30,8 +30,8 @@ STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", 
 CAUSES = (
     "law", "exponent", "number", "constant_per_body", "constant_per_scene", "period",
     "pulsing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
-    "perspective", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "rod",
-    "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
+    "perspective", "late_log", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact",
+    "rod", "wire", "frame", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KINDS = ("force", "constraint", "measurement", "hidden_body", "kicks", "noise")

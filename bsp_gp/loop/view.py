@@ -105,7 +105,10 @@ class View:
         if found.is_failed:
             return None
         response = respond(found, self.dataset)
-        needed = self._fit.log_likelihood - found.log_likelihood + self.criteria.noise_nats
+        # As moments do, with all initial states integrated out: noise with a memory tells less of
+        # them, some nats for each track, which a maximum over them hides.
+        heights = [f.log_likelihood + f.state_volume for f in (self._fit, found)]
+        needed = heights[0] - heights[1] + self.criteria.noise_nats
         return (found, response) if response.free_height > needed else None
 
     @property

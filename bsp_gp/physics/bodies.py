@@ -21,7 +21,7 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = [
     "Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "input_types_of", "law_inputs",
-    "stack", "subset",
+    "stack", "subset", "under",
 ]  # fmt: skip
 
 
@@ -86,6 +86,12 @@ class Bodies:
         sign = (-1.0 if self.up.startswith("-") else 1.0) * (-1.0 if name == "down" else 1.0)
         vector["xyz".index(self.up[-1])] = sign
         return vector
+
+
+def under(law, bodies):
+    """The bodies with their measured inputs as late as a law with values has them."""
+    series = bodies.series.under(law)
+    return bodies if series is bodies.series else replace(bodies, series=series)
 
 
 def subset(bodies, scenes):

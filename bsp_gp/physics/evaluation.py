@@ -11,7 +11,7 @@ import numpy as np
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
-from bsp_gp.physics.bodies import law_inputs
+from bsp_gp.physics.bodies import law_inputs, under
 
 __all__ = ["PreparedLaw", "Settling", "unknown_receivers"]
 
@@ -38,7 +38,7 @@ class PreparedLaw:
     """
 
     def __init__(self, law, bodies, values=None, skips=False):
-        self.bodies = bodies
+        self.bodies = bodies = under(law, bodies)
         values = law.values(bodies) if values is None else values
         self._programs = []
         for kind in dict.fromkeys(term.kind for term in law.terms):

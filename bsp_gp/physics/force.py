@@ -22,7 +22,7 @@ from bsp_gp.language.formula import (
     walk,
 )
 from bsp_gp.language.render import to_latex, to_text
-from bsp_gp.physics.bodies import law_inputs
+from bsp_gp.physics.bodies import law_inputs, under
 from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
@@ -365,7 +365,7 @@ def term_gradient(law, term, bodies, positions, velocities, times):
     value : ndarray, shape (..., S, R, d)
     gradient : dict of str to ndarray of that shape
     """
-    lookup = law_inputs(term.kind, bodies, positions, velocities, times)
+    lookup = law_inputs(term.kind, under(law, bodies), positions, velocities, times)
     shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
     names = term.formula.constants
     value, gradient = evaluate_with_gradient(

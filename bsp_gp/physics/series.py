@@ -1,16 +1,17 @@
 """Measured inputs of laws: numbers that were logged beside the tracks, at any instant.
 
 Between rows they are interpolated along straight lines; before the first and after the last row
-they keep their values.
+they keep their values. A log may be late: what it says of an instant acts that much later.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-__all__ = ["Series", "interpolated"]
+__all__ = ["Series", "interpolated", "late_inputs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +22,12 @@ class Series:
     ----------
     curves : dict of (str, str, str) to (ndarray, ndarray)
         Name of an input, scene and body -> times (n,) and values (n,) or (n, d).
+    delays : mapping of str to float, s
+        By how much inputs act later than they were logged, by name; the others act at once.
     """
 
     curves: dict
+    delays: Mapping = field(default_factory=dict)
 
     @classmethod
     def of(cls, scenes):
@@ -70,12 +74,36 @@ class Series:
         curve = self.curves.get((name, scene, body))
         if curve is None or not len(curve[0]):
             return np.full((*(size,) * (size > 0), *np.shape(times)), np.nan)
-        return interpolated(times, *curve)
+        return interpolated(times - self.delays.get(name, 0.0), *curve)
+
+    def rate(self, name, scene, body, times):
+        """Slopes of an input of one body by the time, (...) or (d, ...)."""
+        curve = self.curves.get((name, scene, body))
+        if curve is None or not len(curve[0]):
+            return np.full_like(self.along(name, scene, body, times), np.nan)
+        known, values = curve
+        at = np.searchsorted(known, times - self.delays.get(name, 0.0))
+        flat = np.zeros((1, *values.shape[1:]))  # before the first and after the last row
+        steps = np.diff(known).reshape(-1, *(1,) * (values.ndim - 1))
+        slopes = np.concatenate([flat, np.diff(values, axis=0) / steps, flat])[at]
+        return np.moveaxis(slopes, -1, 0) if values.ndim > 1 else slopes
+
+    def under(self, law):
+        """The inputs as late as a law with values has them."""
+        late = late_inputs(law)
+        if not late:
+            return self
+        return replace(self, delays={name: law.constants[late[name]] for name in late})
 
     def _size(self, name):
         """Components of a vector; 0 of a number."""
         values = next(v for (own, _, _), (_, v) in self.curves.items() if own == name)
         return 0 if values.ndim == 1 else values.shape[1]
+
+
+def late_inputs(law):
+    """Names of the constants by which inputs of a law are late, by input."""
+    return {name: part.names[0] for part in law.frame if part.kind == "log" for name in part.inputs}
 
 
 def interpolated(times, known, values):

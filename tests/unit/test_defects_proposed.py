@@ -1,6 +1,7 @@
 """Defects of recordings as parts of a hypothesis: found, undone, and paid for."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,14 +144,22 @@ def test_repeated_frames_are_cut_and_missing_ones_open_a_gap():
     assert np.array_equal(shorter.positions[20:], data.scenes[0].positions[21:])
 
 
+def test_rows_that_lose_repeated_frames_keep_what_was_logged_at_them():
+    data = throws(np.random.default_rng(0))
+    thrust = np.arange(40.0)[:, None]
+    logged = replace(data.scenes[0], inputs={"thrust": thrust})
+    data = replace(data, scenes=(logged, *data.scenes[1:]))
+    shorter = Shifted("1", 20, -0.05).seen(data).scenes[0]
+    kept = np.delete(thrust, (20, 21), axis=0)
+    assert np.array_equal(shorter.inputs["thrust"], kept)
+
+
 def test_evidence_of_a_defect_does_not_change_with_the_unit_of_length():
     """What is left out has a density in metres, as what is kept has."""
     gains = []
     for unit in (1.0, 1000.0):
         data = throws(np.random.default_rng(4), n_bodies=1)
         data = edited(data, spoil)
-        from dataclasses import replace
-
         scenes = tuple(replace(s, positions=s.positions * unit) for s in data.scenes)
         data = replace(data, scenes=scenes, noise=(data.noise[0] * unit,))
         view = view_of(data, f"{-9.81 * unit} [m/s^2] * m_i * e_y")

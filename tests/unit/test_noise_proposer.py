@@ -18,6 +18,15 @@ def louder(rng):
     return lambda s, shape: SIGMA * (2.0 if s == 2 else 1.0) * rng.standard_normal(shape)
 
 
+def with_memory(rng, shape, memory):
+    """Errors of size one of which each is correlated with the last one."""
+    steps, out = rng.standard_normal(shape), np.empty(shape)
+    out[0] = steps[0]
+    for k in range(1, len(out)):
+        out[k] = memory * out[k - 1] + np.sqrt(1 - memory**2) * steps[k]
+    return out
+
+
 def proposed(view):
     view.noise_findings = noise_findings(view)
     return Noise().propose(view).proposals
@@ -70,16 +79,27 @@ def test_what_a_quick_force_leaves_is_no_noise():
 def test_a_slow_weak_memory_is_proposed_whatever_forces_explain():
     """Slow errors were taken for kicks and unseen bodies, which explain as much of them."""
 
-    def slow(s, shape):
-        steps, out = rng.standard_normal(shape), np.empty(shape)
-        out[0] = steps[0]
-        for k in range(1, len(out)):
-            out[k] = 0.95 * out[k - 1] + np.sqrt(1 - 0.95**2) * steps[k]
-        return SIGMA * (np.sqrt(0.4) * out + np.sqrt(0.6) * rng.standard_normal(shape))
-
     rng = np.random.default_rng(5)
+
+    def slow(s, shape):
+        correlated = np.sqrt(0.4) * with_memory(rng, shape, 0.95)
+        return SIGMA * (correlated + np.sqrt(0.6) * rng.standard_normal(shape))
+
     data = replace(throws(rng, n_scenes=5, noise=slow), noise=None)
     (proposal,) = proposed(view_of(data))
     assert proposal.text == "a memory of the noise"
     report = close_loop(data, GRAVITY, rng=0, n_bootstrap=0)
     assert report.verdict in ("the noise is not as assumed", "nothing missing")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_memory_of_the_noise_is_not_taken_for_forces_however_many_tracks_there_are(seed):
+    """A memory was given up by some nats for each track, whose first state it tells less of."""
+    rng = np.random.default_rng(seed)
+
+    def slow(s, shape):
+        return SIGMA * with_memory(rng, shape, 0.8)
+
+    view = view_of(replace(throws(rng, n_scenes=5, n_rows=20, n_bodies=4, noise=slow), noise=None))
+    assert view.fit.noise.correlated > 0.5
+    assert not view.is_memory_doubted

@@ -117,7 +117,8 @@ class Shifted(_Edit):
         # Of frames that were repeated only the first is kept.
         kept = ~after | (times > scene.times[self.row - 1 : self.row + 1].mean())
         shorter = {n: v if v is None else v[kept] for n, v in _tracks(scene).items()}
-        return replace(scene, times=times[kept], **shorter)
+        logged = {name: values[kept] for name, values in scene.inputs.items()}
+        return replace(scene, times=times[kept], inputs=logged, **shorter)
 
     def describe(self):
         return f"t {self.seconds:+.4g} s[{self.scene}, {self.row}:]"

@@ -10,6 +10,7 @@ from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.kicks import Kicks
+from bsp_gp.loop.proposers.late import LateLogs
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
@@ -35,5 +36,6 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Pulsing(), Frames(),
-        Hidden(), Companions(), Kicks(), Contacts(), Rods(), Measurement(), Defects(), Noise(),
+        Hidden(), Companions(), Kicks(), Contacts(), Rods(), Measurement(), LateLogs(),
+        Defects(), Noise(),
     ]  # fmt: skip

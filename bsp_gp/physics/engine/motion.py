@@ -18,12 +18,15 @@ from bsp_gp.physics.engine.linked import Linkages, linkages_of
 from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.physics.engine.owners import Owners, fitted_properties
 from bsp_gp.physics.engine.seen import Frame
+from bsp_gp.physics.series import late_inputs
 
 __all__ = ["CREEP", "Motion", "Points"]
 
 CREEP = 1e-12
 """Speed at which it is asked which way friction acts on a body at rest, m/s."""
 STATE = ("p_i", "p_j", "v_i", "v_j")
+RATE = " rate"
+"""Behind the name of a measured input: its slope by the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,8 @@ class _Program:
         parts, unknown = _instruments(law), fitted_properties(law)
         frame = Frame(g, parts, chains.n_dims, kind) if parts else None
         self.series = chains.series.names
-        self.moving = (*MOVING, *self.series)
+        self.late = late_inputs(law)
+        self.moving = (*MOVING, *self.series, *(name + RATE for name in self.late))
         lowering = Lowering(
             frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving
         )
@@ -115,7 +119,23 @@ class _Program:
                 if slope != g.zero:
                     self.constant_of.append((row, name))
                     nodes.append(slope)
+            for name, delay in self.late.items():
+                slope = self._by_delay(node, name, n_dims)
+                if slope != g.zero:
+                    self.constant_of.append((row, delay))
+                    nodes.append(slope)
+        late = {delay for _, delay in self.constant_of} - set(self.constants)
+        self.constants += tuple(sorted(late))
         self.slopes = Tape(g, nodes, self.moving)
+
+    def _by_delay(self, node, name, n_dims):
+        """Derivative of a node by the delay of an input."""
+        g = self.graph
+        parts = [
+            g.mul(g.slope(node, g.input(name, axis)), g.input(name + RATE, axis))
+            for axis in (None, *range(n_dims))
+        ]
+        return g.neg(g.sum(parts))
 
     def _add_margins(self, n_dims):
         g = self.graph
@@ -287,24 +307,27 @@ class Motion:
                 if program.kind == "field":
                     held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
-            if name in program.series:
-                return self._series(name, axis, points, program.kind)
+            if name.removesuffix(RATE) in program.series:
+                return self._series(name, axis, points, program)
             part = 0 if name[0] == "p" else 1
             return (own if name[-1] == "i" else other)[part][..., axis, :]
 
         return value
 
-    def _series(self, name, axis, points, kind):
+    def _series(self, name, axis, points, program):
         """A measured input of every receiver, (R, M), or (R, 1, M) where there are sources."""
-        chains = self.chains
+        chains, own = self.chains, name.removesuffix(RATE)
+        look = chains.series.along if own == name else chains.series.rate
+        delay = self.values[program.late[own]] if own in program.late else 0.0
+        times = points.times - np.broadcast_to(delay, chains.n_chains)[points.chain]
         chain = np.arange(chains.n_chains)[points.chain]
         out = np.full((chains.n_moving, len(points.times)), np.nan)
         for c in np.unique(chain):
             at = chain == c
             for r, body in enumerate(chains.bodies[c]):
-                values = chains.series.along(name, chains.scenes[c], body, points.times[at])
+                values = look(own, chains.scenes[c], body, times[at])
                 out[r, at] = values if axis is None else values[axis]
-        return out if kind == "field" else out[:, None]
+        return out if program.kind == "field" else out[:, None]
 
     def _sources(self, state, driven):
         """Places and velocities of the sources of every receiver, (R, J, d, M) each."""
