@@ -91,7 +91,8 @@ def test_a_column_of_years_is_the_time_where_there_is_no_other(tmp_path, word):
     scene = load_dataset(path).scenes[0]
     assert scene.names == ("A", "B")
     assert np.diff(scene.times) == pytest.approx(365.25 * 86400)
-    path.write_text(f"t (s),{word},x (m)\n0,2000,1\n1,2001,3\n2,2002,3\n", encoding="utf-8")
+    path.write_text(f"t (s),x (m),y (m),{word}\n0,1,2,2000\n1,3,4,2001\n2,3,5,2002\n",
+                    encoding="utf-8")  # fmt: skip
     assert load_dataset(path).scenes[0].times.tolist() == [0, 1, 2]
 
 
