@@ -404,6 +404,14 @@ def test_summary_has_the_facts():
         assert fact in text
 
 
+def test_constants_of_a_few_bodies_are_told_one_by_one():
+    report = sample.adopted()
+    some = [c for c in report.constants if c.entity][:2]
+    text = summary_text(replace(report, constants=some))
+    assert "entities" not in text.partition("Constants")[2].partition("Round")[0]
+    assert all(f"{c.name} of {c.entity} = " in text for c in some)
+
+
 def test_summary_shows_every_doubt_about_the_data():
     notes = ("a first note", "check: the clock of scene 'a' seems to jump by 10", "check: far off")
     report = sample.adopted()
