@@ -223,7 +223,8 @@ class _Builder:
         if name in ("up", "down"):
             self.fail(
                 f'{name!r} needs a declared vertical: [axes] up = "y" in dataset.toml, or --up y; '
-                "--up x where the height is called x (motion along one axis)"
+                "--up x where the height is called x (motion along one axis), "
+                "--up=-x where it counts down"
             )
         if name == "e_z":
             self.fail("e_z does not exist in two dimensions")
