@@ -194,6 +194,35 @@ def test_arguments_win_over_the_file(folder):
     assert load_dataset(path, train="1", test="2").test == ("2",)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("log_uniform:1:10", {"prior": "log_uniform", "low": 1e-3, "high": 1e-2}),
+        ("normal:5:2", {"prior": "truncated_normal", "mean": 5e-3, "sd": 2e-3}),
+        ("normal:5:2:1:9", {"prior": "truncated_normal", "mean": 5e-3, "sd": 2e-3, "low": 1e-3,
+                            "high": 9e-3}),
+        ("values:1,2", {"prior": "discrete", "values": (1e-3, 2e-3)}),
+    ],
+)  # fmt: skip
+def test_a_prior_may_be_one_text_as_on_the_command_line(folder, text, told):
+    toml = f'[units]\nlength = "m"\ntime = "s"\nmass = "g"\n[latent.mass]\nprior = "{text}"\n'
+    (latent,) = load_dataset(folder(toml=toml)).latents
+    for name, value in told.items():
+        is_text = isinstance(value, str)
+        assert getattr(latent, name) == (value if is_text else pytest.approx(value))
+
+
+@pytest.mark.parametrize(
+    ("lines", "match"),
+    [('"normal:1"', "cannot be read"), ('"uniform:1"', "cannot be read"),
+     ('"normal:1:2:3"', "cannot be read"), ('"uniform:a:b"', "cannot be read"),
+     ('"uniform:1:2"\nlow = 1', "has low beside a prior"), ('"uniform:2:1"', "low must be below")],
+)  # fmt: skip
+def test_a_prior_that_cannot_be_read_is_told(folder, lines, match):
+    with pytest.raises(DataError, match=match):
+        load_dataset(folder(toml=f"[latent.mass]\nprior = {lines}\n"))
+
+
 def test_latents_evaluation_and_provenance(folder):
     toml = (
         'name = "drops"\nsource = "here"\nauthors = ["A", "B"]\n[units]\nlength = "m"\ntime = "s"\n'
