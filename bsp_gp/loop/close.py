@@ -274,8 +274,8 @@ class _Ready:
     def refitted(self, found, hypothesis, bounds, clock):
         """A fit as it would be without the rows that are held out.
 
-        Only where the scenes were cut in time has it seen any of them. It begins at the fit, and ends
-        where the rows that are left lead. One that cannot be fitted to these foresees nothing.
+        Only where the scenes were cut in time has it seen any of them. It begins at the fit, and
+        ends where the rows that are left lead; one that cannot be fitted to these foresees nothing.
         """
         if self.before_cut is None or found.is_failed:
             return found
