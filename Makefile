@@ -60,7 +60,7 @@ oldest:  ## test the oldest versions of the libraries that setup.cfg allows (in 
 	@.venv-oldest/bin/python -m pytest -q -n $(WORKERS) $(AT_BORDERS) $(ARGS)
 
 EXPERIMENTS := compare_searches data_efficiency ablation em_nbody phys101 null_data power \
-    undeclared_effects open_world ball_drops
+    undeclared_effects open_world ball_drops mechanics
 
 quick: $(VENV)/.ok  ## run the experiments in their quick versions, into runs/quick
 	@mkdir -p runs/quick

@@ -6,6 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
+from bsp_gp.data.declaration import PRIOR_FORMS, split_prior
 from bsp_gp.errors import SettingsError
 
 __all__ = [
@@ -24,8 +25,8 @@ LEARN_FILES = ("learn.json", "learn.txt", "posterior.csv", "draws.csv", "trace.c
 MOST_TOGETHER = 30
 """Unknowns up to this number are sampled together with the constants of a law."""
 PRIOR_HELP = (
-    "mass=uniform:LOW:HIGH, mass=log-uniform:LOW:HIGH, mass=normal:MEAN:SD[:LOW:HIGH], "
-    "mass=values:A,B,C; numbers in the data's unit of the property"
+    ", ".join(f"mass={form}" for form in PRIOR_FORMS)
+    + "; numbers in the data's unit of the property"
 )
 
 
@@ -44,19 +45,11 @@ def read_priors(pairs, dataset):
     declared = dict(dataset.units.declared)
     for name, text in pairs or ():
         scale = Conversion(declared, {*declared, name}).property(name)[0]
-        kind, *rest = text.split(":")
         try:
-            if kind == "values":
-                out[name] = Prior("discrete", values=[float(v) * scale for v in rest[0].split(",")])
-                continue
-            numbers = [float(v) * scale for v in rest]
-            if kind in ("normal", "truncated-normal"):
-                mean, sd, *ends = numbers
-                low, high = ends or (float("nan"), float("nan"))
-                out[name] = Prior("truncated_normal", low, high, mean, sd)
-            else:
-                low, high = numbers
-                out[name] = Prior(kind, low, high)
+            said = split_prior(text)
+            kind, values = said.pop("prior"), said.pop("values", ())
+            numbers = {key: value * scale for key, value in said.items()}
+            out[name] = Prior(kind, **numbers, values=[value * scale for value in values])
         except (ValueError, IndexError):
             raise SettingsError(
                 f"--prior {name}={text}: cannot be read; write {PRIOR_HELP}"

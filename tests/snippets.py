@@ -2,8 +2,9 @@
 
 ``sh`` and ``python`` blocks are run, a ``text`` block right below one is what it prints (``...``
 stands for anything), and ``<!-- file: NAME -->`` above a block of any kind makes it a file. With
-``<!-- not run: WHY -->`` above it a block is left alone. ``<!-- slow -->`` marks a page, and
-``<!-- needs: NAME -->`` one that runs where the module, or the folder of reference data, is there.
+``<!-- not run: WHY -->`` above it a block is left alone; WHY names the file that does it instead.
+``<!-- slow -->`` marks a page, and ``<!-- needs: NAME -->`` one that runs where the module, or the
+folder of reference data, is there.
 """
 
 import contextlib
@@ -52,6 +53,20 @@ def blocks(text):
 def pages():
     """Pages whose snippets are run: the README, CONTRIBUTING and whatever lies under docs."""
     return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def idle(path):
+    """Blocks that nothing runs, makes or compares, and that no named file of the source does."""
+    is_run, out = False, []
+    for block in blocks(path.read_text("utf-8")):
+        named = re.findall(r"[\w./-]+/[\w.-]+", block.note)
+        is_meant = block.mark == "not run" and any((ROOT / name).is_file() for name in named)
+        is_shown = block.kind == "text" and is_run
+        is_run = block.kind in ("sh", "python") and (block.mark == "" or is_meant)
+        is_page = block.kind.startswith("{")  # of the site alone, built by a test
+        if not (block.mark == "file" or is_run or is_meant or is_shown or is_page):
+            out.append(f"{path.name}:{block.line}")
+    return out
 
 
 def is_slow(path):

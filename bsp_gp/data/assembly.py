@@ -17,12 +17,12 @@ from bsp_gp.data.headings import (
     is_error,
     is_rate,
 )
-from bsp_gp.data.roster import ABSURD, require_columns, vector_stems
+from bsp_gp.data.roster import ABSURD, WITHIN, require_columns, vector_stems
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = ["Rows", "axes_of", "build_rows", "build_scenes"]
+__all__ = ["Rows", "axes_of", "build_rows", "build_scenes", "inputs_of"]
 
 MAX_CELLS = 100_000_000
 _GAP = "leave the whole row out to mark a gap in the track"
@@ -211,7 +211,7 @@ def axes_of(table, declaration):
         column
         for column in columns
         if not is_angle(angle)
-        and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *inputs_of(table, declaration))
+        and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration))
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
         and not is_error(column)
     ]

@@ -15,7 +15,7 @@ from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
 
-__all__ = ["Declaration", "read_declaration", "select_scenes", "toml_text"]
+__all__ = ["Declaration", "read_declaration", "select_scenes", "split_prior", "toml_text"]
 
 PROVENANCE_KEYS = (
     "description", "source", "license", "licence", "authors", "url", "doi", "citation", "date",
@@ -27,6 +27,8 @@ TOP_KEYS = (
 )  # fmt: skip
 FIRST_PLACES = ("exact", "measured")
 FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
+PRIOR_FORMS = ("uniform:LOW:HIGH", "log-uniform:LOW:HIGH", "normal:MEAN:SD[:LOW:HIGH]",
+               "values:A,B,C")  # fmt: skip
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 ANGLE_FROM = ("x", "y")
 ANGLE_TURNS = ("counter-clockwise", "clockwise")
@@ -267,6 +269,8 @@ class _Reader:
             if not isinstance(table, Mapping):
                 self.fail(f"latent {name!r} must be a table", remedy=f"write [latent.{name}]")
             self.known(table, allowed, f"in [latent.{name}]")
+            if ":" in str(table.get("prior", "")):
+                table = {**table, **self.prior(table, name)}
             numbers = {
                 k: self.number(table[k], k) for k in ("low", "high", "mean", "sd") if k in table
             }
@@ -288,12 +292,44 @@ class _Reader:
             )
         return tuple(found)
 
+    def prior(self, table, name):
+        """The keys that a prior in one text stands for."""
+        if doubled := sorted({"low", "high", "mean", "sd", "values"} & set(table)):
+            self.fail(f"[latent.{name}] has {', '.join(doubled)} beside a prior with its numbers",
+                      remedy="leave them out")  # fmt: skip
+        try:
+            return split_prior(str(table["prior"]))
+        except (ValueError, IndexError):
+            self.fail(f"prior in [latent.{name}] cannot be read: {table['prior']!r:.60}",
+                      remedy=f"write {', '.join(PRIOR_FORMS)}")  # fmt: skip
+
     def evaluation(self):
         table = self.table("evaluation", ("initial_rows", "endpoint_row"))
         for key, value in table.items():
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 self.fail(f"{key} in [evaluation] must be a whole number from 1, got {value!r:.60}")
         return Evaluation(**table)
+
+
+def split_prior(text):
+    """What a prior such as ``log-uniform:0.01:100`` says, as keys of ``[latent.NAME]``.
+
+    Raises
+    ------
+    ValueError, IndexError
+        If it is none of `PRIOR_FORMS`.
+    """
+    kind, *rest = text.split(":")
+    if kind == "values":
+        return {"prior": "discrete", "values": [float(value) for value in rest[0].split(",")]}
+    numbers = [float(value) for value in rest]
+    if kind in ("normal", "truncated-normal"):
+        keys, kind = ("mean", "sd", "low", "high")[: max(2, len(numbers))], "truncated_normal"
+        if len(numbers) == 3:
+            raise ValueError("an end is missing")
+    else:
+        keys = ("low", "high")
+    return {"prior": kind, **dict(zip(keys, numbers, strict=True))}
 
 
 def _flat(value):

@@ -323,11 +323,16 @@ def _with_polar_errors(found):
 
 
 def _with_dates(found):
-    """Beside places on the sky: a column of years or Julian dates, where none is a time."""
+    """A column of years, and beside places on the sky any of dates, where none is a time."""
     names = {h.name for h in found}
     is_dated = any(h.name == "t" or (h.sure == UNKNOWN and _guess(h.name) == "t") for h in found)
-    if is_dated or not (is_polar(names) or is_sky(names)):
+    if is_dated:
         return found
+    if not (is_polar(names) or is_sky(names)):  # "day" may count recordings
+        return [
+            replace(h, name="t", unit=h.unit or "yr", sure=GUESS)
+            if h.sure == UNKNOWN and date_unit(h.name) == "yr" else h for h in found
+        ]  # fmt: skip
     k = next((k for k, h in enumerate(found) if date_unit(h.name) is not None), None)
     return [replace(h, name="t", sure=GUESS) if j == k else h for j, h in enumerate(found)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -12,9 +12,11 @@ import pandas as pd
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
 
-__all__ = ["Roster", "read_roster", "require_columns"]
+__all__ = ["WITHIN", "Roster", "notes_beside", "read_roster", "require_columns", "roster_within"]
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
+WITHIN = ("mass", "charge")
+"""Properties that a table of tracks may say itself, where it says their unit."""
 ABSURD = 1e150
 STATE_NAMES = {"p": "position", "v": "velocity", "s": "shape"}
 """What laws call so; a property of that name could not be told from it."""
@@ -62,6 +64,62 @@ def require_columns(table, needed, where="the header"):
             column=missing[0],
             remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
         )
+
+
+def roster_within(table, units):
+    """The bodies of a table of tracks that says itself what their masses are.
+
+    Parameters
+    ----------
+    table : Table
+    units : mapping of str to str
+        That are declared.
+
+    Returns
+    -------
+    roster : Table or None
+        None where no column is a property of bodies.
+    table : Table
+        Without those columns.
+
+    Raises
+    ------
+    DataError
+        If a column whose unit is declared changes along a track.
+    """
+    frame, found = table.frame, []
+    keys = [name for name in ("scene", "entity") if name in frame.columns]
+    for column in (name for name in WITHIN if name in frame.columns):
+        if not {column} & {*units, *table.units}:
+            continue  # of trackpy a mass is a brightness
+        groups = frame.groupby(keys, sort=False)[column] if keys else [("", frame[column])]
+        moved = [part for _, part in groups if part.nunique(dropna=False) > 1]
+        if not moved:
+            found.append(column)
+        elif column in units:
+            line = moved[0].index[(moved[0] != moved[0].iloc[0]).to_numpy()][0]
+            raise DataError(
+                f"{column} changes along a track", file=table.file, row=int(line), column=column,
+                remedy="it is a property of a body; what changes is an input of laws and needs "
+                f"another name, such as {column}_now",
+            )  # fmt: skip
+    if not found:
+        return None, table
+    bodies = frame[[*keys, *found]].drop_duplicates(keys) if keys else frame[found].iloc[:1]
+    if "entity" not in keys:
+        bodies = bodies.assign(entity=table.title or "object")
+    notes = notes_beside(table, found)
+    roster = replace(
+        table, frame=bodies, units={c: u for c, u in table.units.items() if c in found}, notes=()
+    )
+    return roster, replace(table, frame=frame.drop(columns=found), notes=notes)
+
+
+def notes_beside(table, columns):
+    """Notes of a table without those that say of some columns that they are not used."""
+    names = "|".join(map(re.escape, columns))
+    told = re.compile(rf"column '(?:{names})(?!\w)[^']*' is not used")
+    return tuple(note for note in table.notes if not (columns and told.search(note)))
 
 
 def read_roster(table, conversion, *, coded=()):

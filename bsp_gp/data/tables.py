@@ -11,13 +11,14 @@ import dataclasses
 import hashlib
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, unwrapped
+from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, inputs_of, unwrapped
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
@@ -25,7 +26,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import headings, is_angle, is_angle_name
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
-from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster
+from bsp_gp.data.roster import OWN_COLUMNS, Roster, notes_beside, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
@@ -225,6 +226,8 @@ def _roster_of(entities):
 
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
+    if roster is None:
+        roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_angles(table, declaration)
@@ -258,7 +261,7 @@ def _assemble(table, roster, declaration, default_name):
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
     notes = [
-        *table.notes,
+        *notes_beside(table, inputs_of(table, declaration)),
         *units_notes,
         *rows.notes,
         *(roster.notes if roster else ()),
@@ -307,7 +310,7 @@ def _with_angles(table, declaration):
     """The declaration with the unit that angles are declared in under their own names."""
     own = {
         name: unit for name, unit in declaration.units.items()
-        if name in table.present and name not in table.frame and is_angle(unit)
+        if name not in table.frame and is_angle(unit) and _names_angles(table, name)
     }  # fmt: skip
     theirs = table.theirs.get("x", "")
     known = {*declaration.units, *table.units}
@@ -325,6 +328,14 @@ def _with_angles(table, declaration):
         )  # fmt: skip
     rest = {name: unit for name, unit in declaration.units.items() if name not in own}
     return dataclasses.replace(declaration, units={**rest, "length": next(iter(own.values()))})
+
+
+def _names_angles(table, name):
+    """Whether a name is that of a column, or stands for several: theta for theta1 and theta2."""
+    several = re.compile(rf"{re.escape(name)}[\s_-]?\w+")
+    return name in table.present or (
+        is_angle_name(name) and any(map(several.fullmatch, table.present))
+    )
 
 
 def _units_of(tables, declared):

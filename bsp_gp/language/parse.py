@@ -180,7 +180,9 @@ class _Builder:
             return self.binary(_BINARY[type(node.op)], node)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
             return self.function(node.func.id, [self.build(arg) for arg in node.args])
-        self.fail("only names, numbers, calls and arithmetic are allowed")
+        if isinstance(node, ast.Tuple) and self.depth > 1:
+            return self.place([self.build(part) for part in node.elts])
+        self.fail("only names, numbers, calls, places such as (a, b) and arithmetic are allowed")
 
     def binary(self, operator, node):
         left, right = self.build(node.left), self.build(node.right)
@@ -221,7 +223,8 @@ class _Builder:
         if name in ("up", "down"):
             self.fail(
                 f'{name!r} needs a declared vertical: [axes] up = "y" in dataset.toml, or --up y; '
-                "--up x where the height is called x (motion along one axis)"
+                "--up x where the height is called x (motion along one axis), "
+                "--up=-x where it counts down"
             )
         if name == "e_z":
             self.fail("e_z does not exist in two dimensions")
@@ -234,6 +237,16 @@ class _Builder:
         self._reject_near_property(name)
         self._reject_misspelling(name)
         return Constant(name)
+
+    def place(self, parts):
+        """``(a, b)``, the point with these coordinates, as in a constraint."""
+        axes = [f"e_{axis}" for axis in "xyz" if f"e_{axis}" in self.types]
+        if len(parts) != len(axes):
+            self.fail(f"a place has {len(axes)} coordinates here, got {len(parts)}")
+        place = self.name("origin")
+        for part, axis in zip(parts, axes, strict=True):
+            place = self.call("add", place, self.call("mul", part, self.name(axis)))
+        return place
 
     def component(self, speed, axis, role):
         """``x_i``, a coordinate of a place, or ``vx_i``, a component of a velocity."""

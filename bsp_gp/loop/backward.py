@@ -13,8 +13,12 @@ from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import FAULTS, continued
+from bsp_gp.physics.force import split_linear
 
 __all__ = ["Pruned", "prune"]
+
+NEEDED = 50.0
+"""Standard errors from zero of a strength that cannot be spared: a thousand nats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +110,8 @@ class _Pruning:
         """Remove declared terms in whose place adopted ones stand."""
         kept = [done for done in self.adopted if done.number not in self.removed]
         for formula in [t.formula for t in self.first.law.terms] if kept else ():
-            smaller = self._asked_for(formula) and _without_term(self.hypothesis, formula)
+            is_asked = self._asked_for(formula) and not self._is_needed(formula)
+            smaller = is_asked and _without_term(self.hypothesis, formula)
             fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
             if fitted and fitted[2] <= 0.0:
                 self.found, self.hypothesis, _ = fitted
@@ -123,6 +128,16 @@ class _Pruning:
             for (name, _), value, error in numbers
             if name in formula.constants and name not in others
         )
+
+    def _is_needed(self, formula):
+        """Whether the last fit has the strength of a term so surely that nothing stands for it.
+
+        What could take its place would leave it open; a fit without it would only lose its way.
+        """
+        name, _ = split_linear(formula)
+        numbers = zip(self.found.parameters, self.found.values, self.found.errors, strict=True)
+        own = [abs(value) > NEEDED * error for (n, _), value, error in numbers if n == name]
+        return bool(own) and all(own)
 
     def fitted(self, smaller, text):
         """A smaller hypothesis fitted: (fit, hypothesis, evidence that is lost), or None."""

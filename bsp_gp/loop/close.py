@@ -274,8 +274,8 @@ class _Ready:
     def refitted(self, found, hypothesis, bounds, clock):
         """A fit as it would be without the rows that are held out.
 
-        It has seen none of them but where the scenes were cut in time. One that cannot be fitted
-        to what is left foresees nothing.
+        Only where the scenes were cut in time has it seen any of them. It begins at the fit, and
+        ends where the rows that are left lead; one that cannot be fitted to these foresees nothing.
         """
         if self.before_cut is None or found.is_failed:
             return found
@@ -290,7 +290,8 @@ class _Ready:
             return nothing
         try:
             return fit(
-                hypothesis, self.before_cut, bounds=hypothesis.own(bounds), deadline=clock.left
+                hypothesis, self.before_cut, bounds=hypothesis.own(bounds), deadline=clock.left,
+                near=_cut(found, hypothesis.seen(self.before_cut).scenes),
             )
         except FAULTS:
             return nothing
@@ -302,6 +303,21 @@ class _Ready:
             *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
+
+
+def _cut(found, scenes):
+    """A fit at the rows of scenes that end before its own, as where another begins; or None."""
+    times, nodes = {scene.name: scene.times for scene in scenes}, []
+    for chains, states in zip(found.groups, found.nodes, strict=True):
+        own = [times.get(name, np.zeros(0)) for name in chains.scenes]
+        kept = np.zeros((*states.shape[:3], max(map(len, own)), states.shape[4]))
+        for s, rows in enumerate(own):
+            n = len(rows)
+            if not n or not np.array_equal(chains.times[:n, s], rows):
+                return None
+            kept[..., :n, s] = states[..., :n, s]
+        nodes.append(kept)
+    return replace(found, nodes=tuple(nodes))
 
 
 def _shows_motion(scenes):

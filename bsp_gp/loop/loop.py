@@ -293,7 +293,7 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above, highest, asked = len(queue), {}, {}, {}
+        n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -306,6 +306,8 @@ class _Turn:
             is_again = k >= n_first
             if self._is_behind(proposal, measures, is_again):
                 continue
+            if is_again and not self._is_ahead(left[k]):
+                continue  # of another fit since less is left
             if len(controls) <= k < n_first:
                 if not n_left:
                     continue
@@ -316,6 +318,7 @@ class _Turn:
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
+                left[len(queue)] = row
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break

@@ -109,9 +109,12 @@ class HypothesisTable:
 
     @property
     def candidates(self):
-        """Rows that add something and can be compared, the likeliest first."""
+        """Rows that add something and can be compared, the likeliest first, of equals the simplest.
+
+        Two ways to say one motion differ by rounding alone, which must not choose between them.
+        """
         able = [r for r in self.rows[1:] if r.is_fit and np.isfinite(r.log_posterior)]
-        return sorted(able, key=lambda r: -r.log_posterior)
+        return sorted(able, key=lambda r: (-round(r.log_posterior, 6), r.n_free, len(r.text)))
 
     def without_repeats(self):
         """The same without rows that are another descent of one hypothesis."""

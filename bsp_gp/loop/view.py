@@ -56,6 +56,8 @@ class View:
         For searches that draw.
     drawn : tuple of Candidate
         Laws with constants inside that these have found, once they are known.
+    leading : tuple of Formula
+        The likeliest laws without inner constants, once they are known.
     noise_findings : tuple of Finding
         Of the noise of the fit, once it was asked.
     """
@@ -65,7 +67,7 @@ class View:
         self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
         self.dataset = hypothesis.seen(dataset)
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
-        self.noise_findings, self.drawn = (), ()
+        self.noise_findings, self.drawn, self.leading = (), (), ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
 

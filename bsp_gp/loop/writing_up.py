@@ -25,6 +25,10 @@ __all__ = [
     "residual_table", "told", "versions",
 ]  # fmt: skip
 
+CHANGES = (
+    "exponent", "number", "pulsing", "growing", "constant_per_body", "constant_per_scene"
+)  # fmt: skip
+"""Codes of causes that change a term of the law."""
 HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
@@ -267,7 +271,7 @@ def told(constants, details):
 
 def _kind(best, law):
     """What kind of thing a cause is."""
-    if best.code in ("exponent", "number", "pulsing", "constant_per_body", "constant_per_scene"):
+    if best.code in CHANGES:
         return "declared_term_change"
     return law.terms[-1].kind if best.kind == "force" else best.kind
 

@@ -437,6 +437,16 @@ def added_units(formula):
     for node in walk(formula):
         if isinstance(node, Call) and node.operator in ("add", "sub"):
             for one, other in (node.args, node.args[::-1]):
+                one = _coordinate(one)
                 if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
                     units[one.name] = other.type.unit
     return units
+
+
+def _coordinate(formula):
+    """X of ``X * e_x``, which has the unit of the place that it is added to."""
+    if isinstance(formula, Call) and formula.operator == "mul":
+        one, other = formula.args
+        if isinstance(one, Constant) and other.type.unit == Unit.of():
+            return one
+    return formula

@@ -8,6 +8,7 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
+from bsp_gp.inference.priors import prior_of
 from bsp_gp.report.drawing import new_figure, tidy
 from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
@@ -41,7 +42,7 @@ def data_text(dataset):
     lines += [f"Columns: {columns}"] if columns else []
     lines += [_units(dataset), *_scenes(dataset), f"Bodies: {_listed(names)}"]
     lines += _properties(dataset)
-    lines += [_up(dataset), *_motion(dataset)]
+    lines += [*_first(dataset), _up(dataset), *_motion(dataset)]
     lines += [f"Note: {note}" for note in dataset.notes]
     return "\n".join(lines)
 
@@ -88,9 +89,32 @@ def _scenes(dataset):
 
 def _properties(dataset):
     names = dataset.property_names
-    if not names:
-        return ["Properties: none (no masses): constants are those per unit of mass"]
-    return [f"Properties: {', '.join(names)}"]
+    unknown = [f"Unknown: {latent.name}{_of(latent.entities)}, prior {prior_of(latent).text()}"
+               f"{'' if latent.share == 'entity' else f', shared: {latent.share}'}"
+               for latent in dataset.latents]  # fmt: skip
+    if names:
+        return [f"Properties: {', '.join(names)}", *unknown]
+    if any(latent.name == "mass" for latent in dataset.latents):
+        return ["Properties: none is known", *unknown]
+    none = "Properties: none (no masses): constants are those per unit of mass"
+    return [none, *unknown]
+
+
+def _of(names):
+    return f" of {_listed(names)}" if names else ""
+
+
+def _first(dataset):
+    """What is known of first rows."""
+    firsts = [scene.first for scene in dataset.scenes if scene.first is not None]
+    known = ["places are exact"] if any(first.is_placed for first in firsts) else []
+    errors = [first.velocity_error[np.isfinite(first.velocity)] for first in firsts]
+    speeds = [first.velocity[np.isfinite(first.velocity)] for first in firsts]
+    if any(len(each) for each in speeds):
+        errors, speeds = np.concatenate(errors), np.concatenate(speeds)
+        kind = "measured" if errors.any() else "exact" if speeds.any() else "zero"
+        known.append(f"velocities are {kind}")
+    return [f"First rows: {', '.join(known)}"] if known else []
 
 
 def _up(dataset):

@@ -83,7 +83,11 @@ def wrapped(text, width=WIDTH, indent=""):
 def _constants(report):
     shared, own = constant_groups(report.constants)
     rows = [f"{c.name} = {format_constant(c)}" for c in shared]
-    rows += [group_range(*group) for group in own]
+    each = [c for _, _, group in own for c in group]
+    if len(rows) + len(each) <= _MAX_CONSTANTS:
+        rows += [f"{c.name} of {c.entity} = {format_constant(c)}" for c in each]
+    else:
+        rows += [group_range(*group) for group in own]
     if not rows:
         return []
     if len(rows) > _MAX_CONSTANTS:

@@ -104,10 +104,24 @@ def wants_errors(overlays):
         observed, *_ = _arrays(overlay)
         if observed.shape[-1] == 3:
             return True
-        errors = _errors(overlay)[0]
+        errors = _errors(overlay)[0] if len(drawn_axes(overlay)) == 1 else _off_path(overlay)
         largest = np.max(errors, initial=0.0, where=np.isfinite(errors))
         alike.append(largest < _ALIKE * max(_extents(overlay)))
     return 2 * sum(alike) > len(alike)
+
+
+def _off_path(overlay):
+    """How far the declared rollout lies beside the path that was observed, whenever it is there."""
+    axes = list(drawn_axes(overlay))
+    observed = np.asarray(overlay.observed, float)[_observed(overlay)][:, axes]
+    declared = np.asarray(overlay.declared, float)[:, axes]
+    path = observed[:: -(-len(observed) // (10 * _MAX_DOTS))]
+    path = path if len(path) > 1 else np.repeat(path, 2, axis=0)
+    points = declared[:: -(-len(declared) // _MAX_DOTS), None]
+    start, step = path[:-1], np.diff(path, axis=0)
+    length = np.maximum(np.square(step).sum(axis=-1), np.finfo(float).tiny)
+    along = np.clip(((points - start) * step).sum(axis=-1) / length, 0, 1)
+    return np.linalg.norm(points - start - along[..., None] * step, axis=-1).min(axis=1)
 
 
 def _grid(figure, n_panels):

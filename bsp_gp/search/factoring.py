@@ -118,7 +118,9 @@ def _split_coefficient(grammar, nonterminal, budget):
             yield (left, budget - 1), rule.body[0], (right, budget - 1), (rule.index,)
         else:
             raise GrammarError(
-                f"exhaustive search cannot factor rule {rule.nonterminal} -> {rule.text}"
+                f"exhaustive search cannot factor rule {rule.nonterminal} -> {rule.text}: give "
+                'what is multiplied a symbol of its own, as in Pace = "Speed | square(Speed)" and '
+                'Coeff = "Pace | mul(Size, Pace)"'
             )
 
 

@@ -25,14 +25,16 @@ NAMED = {  # BGR
 
 
 def parse_colour(text):
-    """BGR of a name of `NAMED` or of ``#rrggbb``; SettingsError for anything else."""
-    if text in NAMED:
-        return np.array(NAMED[text], dtype=np.float32)
-    if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
-        red, green, blue = (int(text[k : k + 2], 16) for k in (1, 3, 5))
+    """BGR of a name of `NAMED`, of CSS or of ``#rrggbb``; SettingsError for anything else."""
+    from matplotlib.colors import CSS4_COLORS  # those of `NAMED` are the same there
+
+    code = CSS4_COLORS.get(text.lower(), text)
+    if re.fullmatch(r"#[0-9a-fA-F]{6}", code):
+        red, green, blue = (int(code[k : k + 2], 16) for k in (1, 3, 5))
         return np.array([blue, green, red], dtype=np.float32)
     raise SettingsError(
-        f"a colour must be #rrggbb or one of {', '.join(sorted(NAMED))}, got {text!r}"
+        f"a colour must be #rrggbb or one of {', '.join(sorted(NAMED))} or another name of CSS, "
+        f"got {text!r}"
     )
 
 

@@ -80,6 +80,17 @@ def test_several_angles_are_those_of_several_arms():
         bsp_gp.Dataset.from_frames(frame, units={"phi1": "rad", "phi2": "deg", "t": "s"})
 
 
+def test_one_unit_stands_for_several_angles_of_a_name(tmp_path):
+    table = tmp_path / "arms.csv"
+    table.write_text(
+        "t,theta1,theta2\n" + "".join(f"{k / 10},{k},{-2 * k}\n" for k in range(9)),
+        encoding="utf-8",
+    )
+    data = bsp_gp.load_dataset(table, units={"theta": "deg", "t": "s"})
+    assert data.units.is_angle and set(data.scenes[0].names) == {"theta1", "theta2"}
+    assert np.radians(-2.0) == pytest.approx(data.scenes[0].positions[1].min())
+
+
 def test_an_angle_needs_a_unit():
     frame = pd.DataFrame({"t": np.arange(9) * 0.1, "theta": np.arange(9.0)})
     with pytest.raises(DataError, match="unknown unit"):

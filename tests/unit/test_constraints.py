@@ -208,3 +208,36 @@ def test_simulated_tracks_stay_on_the_rod():
     made = bsp_gp.simulate_law(data, [WEIGHT, ROD])
     away = made.scenes[0].positions[:, 0] - np.array(PIVOT)
     assert np.abs(np.linalg.norm(away, axis=1) - LENGTH).max() < 1e-8
+
+
+@pytest.mark.slow
+def test_a_string_that_goes_slack_is_a_law():
+    """An elastic cord: free flight while it is slack, as the error about strings says."""
+    stiffness, length, mass, sigma = 60.0, 0.5, 0.2, 1e-3
+
+    def rate(_, z):
+        far = np.hypot(*z[:2])
+        pull = stiffness / mass * max(far - length, 0.0) / far
+        return [z[2], z[3], -pull * z[0], -G - pull * z[1]]
+
+    t = np.arange(80) * 0.02
+    track = solve_ivp(
+        rate, (0, t[-1]), [0.3, 0.1, 1.0, 2.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.002
+    ).y[:2]  # fmt: skip
+    assert 0.2 < (np.hypot(*track) > length).mean() < 0.8
+    track = track + sigma * np.random.default_rng(0).standard_normal(track.shape)
+    rows = [
+        pd.DataFrame({"t": t, "entity": "bob", "x": track[0], "y": track[1]}),
+        pd.DataFrame({"t": t, "entity": "hook", "x": 0.0, "y": 0.0}),
+    ]
+    bodies = pd.DataFrame({"entity": ["bob", "hook"], "mass": [mass, np.nan], "dynamic": [1, 0]})
+    data = bsp_gp.Dataset.from_frames(
+        pd.concat(rows), bodies, units={"length": "m", "time": "s", "mass": "kg"}, up="y"
+    )
+    cord = (
+        "-K * (1 + sign(norm(p_i - p_j) - L)) * (norm(p_i - p_j) - L) * normalize(p_i - p_j)"
+    )
+    found = {c.name: c for c in bsp_gp.fit_law(data, [WEIGHT, cord]).constants}
+    for name, true in (("K", stiffness / 2), ("L", length)):
+        assert abs(found[name].value - true) < 2 * (found[name].high - found[name].low)
+        assert found[name].high - found[name].low < 0.02 * true

@@ -120,6 +120,17 @@ def test_one_hypothesis_has_one_row():
     assert [r.id for r in table.rows] == [0, 1]
 
 
+@pytest.mark.parametrize("ahead", [1e-11, -1e-11])
+def test_of_two_that_say_the_same_the_simpler_is_named_whatever_rounding_says(ahead):
+    push = row(1, text="a push of constant size, forward")
+    weight = row(2, gain=100.0 - ahead, text="c1 * e_y")
+    for rows in ((push, weight), (weight, push)):
+        assert decided(*rows).best is not None
+        assert decided(*rows).best.text == "c1 * e_y"
+    fewer = replace(push, n_free=4)
+    assert decided(fewer, weight).best.text == push.text
+
+
 def test_criteria_are_few_and_each_has_its_reason():
     names = [field.name for field in fields(Criteria)]
     assert len(names) <= 15

@@ -83,6 +83,19 @@ def test_declared_units_win_over_the_header(tmp_path):
     assert dataset.scenes[0].positions[1, 0, 0] == pytest.approx(1.5e-3)
 
 
+@pytest.mark.parametrize("word", ["year", "Jahr", "année", "decimal year"])
+def test_a_column_of_years_is_the_time_where_there_is_no_other(tmp_path, word):
+    path = tmp_path / "pair.csv"
+    path.write_text(f"{word},A_x (au),A_y (au),B_x (au),B_y (au)\n2000,0,1,2,3\n2001,1,1,2,4\n"
+                    "2002,3,1,2,5\n", encoding="utf-8")  # fmt: skip
+    scene = load_dataset(path).scenes[0]
+    assert scene.names == ("A", "B")
+    assert np.diff(scene.times) == pytest.approx(365.25 * 86400)
+    path.write_text(f"t (s),x (m),y (m),{word}\n0,1,2,2000\n1,3,4,2001\n2,3,5,2002\n",
+                    encoding="utf-8")  # fmt: skip
+    assert load_dataset(path).scenes[0].times.tolist() == [0, 1, 2]
+
+
 @pytest.mark.parametrize(("length", "scale"), [("m", 1.0), ("0.17 um", 0.17e-6), ("cm", 0.01)])
 @pytest.mark.parametrize("header", ["t (s),x (cm),y (cm)", "t,x (px),y (px)"])
 def test_a_declared_kind_wins_over_the_header_and_is_told(tmp_path, header, length, scale):

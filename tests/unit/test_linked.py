@@ -94,3 +94,17 @@ def test_a_double_pendulum_is_fitted_in_angles():
 def test_what_is_no_pair_of_arms_is_refused():
     with pytest.raises(LawError, match="must name two arms"):
         read_law(arms(), ["linked(phi1, phi3)"])
+
+
+def test_two_arms_are_solved_as_many_are():
+    from bsp_gp.physics.engine.linked import Linkages
+
+    rng, arms_ = np.random.default_rng(0), Linkages.__new__(Linkages)
+    matrix = np.eye(2) + rng.normal(0, 0.6, (50, 2, 2))
+    matrix[0, 0, 0] = np.nan
+    right, arms_.n = rng.normal(size=(2, 3, 50)), 2
+    found = arms_.solved(matrix, right)
+    good = np.r_[False, np.linalg.det(matrix[1:]) > 0]
+    assert 1 < (~good).sum() < 25 and np.isnan(found[..., ~good]).all()
+    expected = np.linalg.solve(matrix[good], np.moveaxis(right[..., good], -1, 0))
+    np.testing.assert_allclose(found[..., good], np.moveaxis(expected, 0, -1), rtol=1e-9)

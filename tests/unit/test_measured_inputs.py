@@ -101,3 +101,10 @@ def test_a_name_that_laws_cannot_use_is_refused():
     frame = flight(0.0).rename(columns={"thrust": "thrust_i"})
     with pytest.raises(DataError, match="thrust_i.*name that laws can use"):
         bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s", "thrust_i": "N"})
+
+
+def test_what_is_an_input_is_not_said_to_be_unused(tmp_path):
+    flight(0.0).assign(junk=1.0).to_csv(tmp_path / "log.csv", index=False)
+    data = bsp_gp.load_dataset(tmp_path / "log.csv", units=UNITS)
+    unused = [note for note in data.notes if "is not used" in note]
+    assert len(unused) == 1 and "junk" in unused[0]

@@ -1,5 +1,10 @@
 """Operators of a user's own: tested before any law may name them, then used like all others."""
 
+import os
+import subprocess
+import sys
+import tomllib
+
 import numpy as np
 import pytest
 
@@ -16,6 +21,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.units import Unit
 from tests.loop_views import throws
+from tests.snippets import ROOT, blocks
 
 
 def saturated(a):
@@ -106,6 +112,28 @@ def test_one_that_contradicts_itself_is_refused(changes, said):
     with pytest.raises(SettingsError, match=said):
         register_operator(**given)
     assert "saturated" not in OPERATORS
+
+
+def test_the_package_of_the_page_brings_its_operator_to_the_command_line(tmp_path):
+    page = (ROOT / "docs" / "grammars.md").read_text("utf-8")
+    files = {block.note: block.text for block in blocks(page) if block.mark == "file"}
+    info = tmp_path / "flow_operators-0.1.dist-info"  # what pip makes of the two files
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: flow-operators\nVersion: 0.1\n")
+    offered = tomllib.loads(files["flow/pyproject.toml"])["project"]["entry-points"]
+    (info / "entry_points.txt").write_text("".join(
+        f"[{group}]\n" + "".join(f"{name} = {where}\n" for name, where in points.items())
+        for group, points in offered.items()
+    ))  # fmt: skip
+    (tmp_path / "flow_operators.py").write_text(files["flow/flow_operators.py"], "utf-8")
+    grammar = files["air.toml"].replace('square(Speed))"', 'square(Speed)) | between(Speed)"')
+    (tmp_path / "flow.toml").write_text(grammar, "utf-8")
+    command = [sys.executable, "-m", "bsp_gp", "grammar", "check", "flow.toml"]
+    for path, status in ((f"{ROOT}{os.pathsep}{tmp_path}", 0), (str(ROOT), 2)):
+        done = subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path,
+                              "PYTHONSAFEPATH": "1"}, capture_output=True, text=True)  # fmt: skip
+        assert done.returncode == status, done.stderr
+    assert "unknown operator" in done.stderr
 
 
 def test_those_of_installed_packages_are_found_by_name(monkeypatch):

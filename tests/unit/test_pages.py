@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.snippets import ROOT, Block, blocks, is_slow, missing, pages, prepare, run_page
+from tests.snippets import ROOT, Block, blocks, idle, is_slow, missing, pages, prepare, run_page
 
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"!?\[[^\]]*\]\(<?([^)\s>]+)>?[^)]*\)")
@@ -24,6 +24,27 @@ def test_snippets_run_and_print_what_is_shown(path, tmp_path, monkeypatch):
     prepare(tmp_path, path)
     monkeypatch.chdir(tmp_path)
     run_page(path)
+
+
+def test_no_block_is_left_alone():
+    assert [where for path in pages() for where in idle(path)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("```toml\na = 1\n```\n", ["page.md:1"]),
+        ("```sh\nls\n```\n\n```text\na\n```\n\n```text\nb\n```\n", ["page.md:9"]),
+        ("<!-- not run: no time -->\n```sh\nls\n```\n", ["page.md:2"]),
+        ("<!-- not run: tests/none.py does -->\n```sh\nls\n```\n", ["page.md:2"]),
+        ("<!-- not run: it installs; tests/wheel.sh does -->\n```sh\nls\n```\n", []),
+        ("<!-- file: a.toml -->\n```toml\na = 1\n```\n", []),
+    ],
+)  # fmt: skip
+def test_a_block_that_is_left_alone_is_named(tmp_path, text, lines):
+    page = tmp_path / "page.md"
+    page.write_text(text, "utf-8")
+    assert idle(page) == lines
 
 
 def anchors(path):

@@ -366,6 +366,16 @@ def test_components_by_name(short, long):
     assert parse_formula(short, TYPES) == parse_formula(long, TYPES)
 
 
+def test_a_place_is_written_as_in_a_constraint_and_its_coordinates_have_its_unit():
+    from bsp_gp.physics.force import added_units
+
+    law = parse_formula("K * ((X, Y) - p_i)", TYPES)
+    assert law == parse_formula("K * (origin + X * e_x + Y * e_y - p_i)", TYPES)
+    assert added_units(law) == {"X": Unit.of(m=1), "Y": Unit.of(m=1)}
+    assert "2 coordinates here, got 3" in rejected("K * ((X, Y, Z) - p_i)")
+    assert "adds" in rejected("K * ((0.3, 0.1) - p_i)")
+
+
 def test_components_are_written_as_they_are_typed():
     from bsp_gp.language.render import to_latex, to_text
 

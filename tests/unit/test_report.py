@@ -336,6 +336,17 @@ def test_tracks_are_picked_scene_after_scene_and_shown_apart():
     assert wants_errors(sample.orbit().overlays)
 
 
+@pytest.mark.parametrize(("radius", "is_alike"), [(1.0, True), (1.3, False)])
+def test_a_rollout_that_is_late_on_the_same_path_is_shown_by_its_error(radius, is_alike):
+    t = np.linspace(0, 9, 400)
+    swing, late = np.cos(t), np.cos(t - 0.7)
+    some = replace(
+        sample.overlays_2d(1)[0], times=t, observed=np.c_[np.sin(swing), -np.cos(swing)],
+        declared=radius * np.c_[np.sin(late), -np.cos(late)],
+    )  # fmt: skip
+    assert wants_errors([some]) == is_alike
+
+
 def test_a_rollout_that_runs_away_and_odd_names_can_be_drawn():
     first = sample.overlays_2d(1)[0]
     wild = replace(first, declared=first.declared * 1e9, entity="鉄球 $x_$ \x07")
@@ -402,6 +413,14 @@ def test_summary_has_the_facts():
                  "noise floor 0.297 m", "g = 9.807 [9.791, 9.822] m/s²", "c1: 14 entities",
                  "2 other laws", "p = 0.002", "up to 0.012 N"):  # fmt: skip
         assert fact in text
+
+
+def test_constants_of_a_few_bodies_are_told_one_by_one():
+    report = sample.adopted()
+    some = [c for c in report.constants if c.entity][:2]
+    text = summary_text(replace(report, constants=some))
+    assert "entities" not in text.partition("Constants")[2].partition("Round")[0]
+    assert all(f"{c.name} of {c.entity} = " in text for c in some)
 
 
 def test_summary_shows_every_doubt_about_the_data():

@@ -20,6 +20,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
 ]
 LONG = 300_000  # ms
+sync_api.expect.set_options(timeout=60_000)  # a busy machine answers late
+
 A_STAGE = re.compile(r"^\d+ s: (?!starting$).+")
 """What a run says it is doing; which of its stages is seen is a matter of the machine's pace."""
 

@@ -194,6 +194,35 @@ def test_arguments_win_over_the_file(folder):
     assert load_dataset(path, train="1", test="2").test == ("2",)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("log_uniform:1:10", {"prior": "log_uniform", "low": 1e-3, "high": 1e-2}),
+        ("normal:5:2", {"prior": "truncated_normal", "mean": 5e-3, "sd": 2e-3}),
+        ("normal:5:2:1:9", {"prior": "truncated_normal", "mean": 5e-3, "sd": 2e-3, "low": 1e-3,
+                            "high": 9e-3}),
+        ("values:1,2", {"prior": "discrete", "values": (1e-3, 2e-3)}),
+    ],
+)  # fmt: skip
+def test_a_prior_may_be_one_text_as_on_the_command_line(folder, text, told):
+    toml = f'[units]\nlength = "m"\ntime = "s"\nmass = "g"\n[latent.mass]\nprior = "{text}"\n'
+    (latent,) = load_dataset(folder(toml=toml)).latents
+    for name, value in told.items():
+        is_text = isinstance(value, str)
+        assert getattr(latent, name) == (value if is_text else pytest.approx(value))
+
+
+@pytest.mark.parametrize(
+    ("lines", "match"),
+    [('"normal:1"', "cannot be read"), ('"uniform:1"', "cannot be read"),
+     ('"normal:1:2:3"', "cannot be read"), ('"uniform:a:b"', "cannot be read"),
+     ('"uniform:1:2"\nlow = 1', "has low beside a prior"), ('"uniform:2:1"', "low must be below")],
+)  # fmt: skip
+def test_a_prior_that_cannot_be_read_is_told(folder, lines, match):
+    with pytest.raises(DataError, match=match):
+        load_dataset(folder(toml=f"[latent.mass]\nprior = {lines}\n"))
+
+
 def test_latents_evaluation_and_provenance(folder):
     toml = (
         'name = "drops"\nsource = "here"\nauthors = ["A", "B"]\n[units]\nlength = "m"\ntime = "s"\n'
@@ -352,3 +381,30 @@ def test_a_folder_may_hold_its_positions_as_parquet(tmp_path, monkeypatch):
     (tmp_path / "trajectories.parquet").write_bytes(b"")
     monkeypatch.setattr(pd, "read_parquet", lambda path: table)
     assert load_dataset(tmp_path).scenes[0].positions[2, 0, 0] == 4.0
+
+
+@pytest.mark.parametrize("header", ["t (s),x (m),mass (g)", "t,x,mass"])
+def test_a_table_may_say_itself_what_its_body_weighs(tmp_path, header):
+    path = tmp_path / "cart.csv"
+    path.write_text(header + "\n" + "".join(f"{k},{k * k},250\n" for k in range(9)), "utf-8")
+    units = None if "(" in header else {"length": "m", "time": "s", "mass": "g"}
+    data = load_dataset(path, units=units)
+    assert data.scenes[0].entities[0].mass == pytest.approx(0.25)
+    assert not any("is not used" in note for note in data.notes)
+
+
+def test_masses_of_a_table_are_those_of_each_body_and_scene(tmp_path):
+    path = tmp_path / "carts.csv"
+    rows = [f"{s},{b},{k},{k * k + b},{s + b}" for s in (1, 2) for b in (3, 4) for k in range(5)]
+    path.write_text("\n".join(["scene,entity,t,x,mass", *rows]), encoding="utf-8")
+    data = load_dataset(path, units={"length": "m", "time": "s", "mass": "kg"})
+    assert [[e.mass for e in s.entities] for s in data.scenes] == [[4, 5], [5, 6]]
+
+
+def test_a_mass_that_changes_is_no_property_of_a_body(tmp_path):
+    path = tmp_path / "rocket.csv"
+    path.write_text("t,x,mass\n" + "".join(f"{k},{k},{9 - k}\n" for k in range(6)), "utf-8")
+    with pytest.raises(DataError, match="mass changes along a track.*mass_now") as info:
+        load_dataset(path, units={"length": "m", "time": "s", "mass": "kg"})
+    assert info.value.row == 3
+    assert load_dataset(path, units={"length": "m", "time": "s"}).scenes[0].entities[0].mass != 9

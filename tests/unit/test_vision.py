@@ -7,7 +7,7 @@ from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, OutputError, SettingsError
 from bsp_gp.vision.blobs import BlobSettings, track_blob
 from bsp_gp.vision.calibration import Calibration
-from bsp_gp.vision.colour import coverage, parse_colour
+from bsp_gp.vision.colour import NAMED, coverage, parse_colour
 from bsp_gp.vision.recording import parse_object, track_video, write_recording
 from bsp_gp.vision.regions import arena, mats
 from bsp_gp.vision.smoothing import measurement_factor, smooth_track
@@ -45,6 +45,12 @@ def test_coverage_is_the_share_of_the_mixture():
 def test_unknown_colour_says_what_is_allowed(text):
     with pytest.raises(SettingsError, match="#rrggbb"):
         parse_colour(text)
+
+
+@pytest.mark.parametrize("name", ["teal", "Magenta", "grey", *NAMED])
+def test_names_of_css_are_colours_and_ours_are_among_them(name):
+    assert parse_colour(name).shape == (3,)
+    assert name not in NAMED or tuple(parse_colour(name)) == NAMED[name]
 
 
 def test_video_round_trip_is_lossless_and_counts_frames(tmp_path):

@@ -98,7 +98,8 @@ def read_constraint(dataset, text, pairs=None):
     if len(sides) != 2 or "<" in text or ">" in text:
         raise LawError(
             f"a constraint must be one equation such as 'norm(p_i - (0, 1.2)) = 0.8', got {text!r}"
-            "; a string is one while it is taut"
+            "; a string is one while it is taut, and one that stretches and goes slack is a law: "
+            "-K * (1 + sign(norm(p_i - p_j) - L)) * (norm(p_i - p_j) - L) * normalize(p_i - p_j)"
         )
     moving, fixed = _names(dataset)
     sides, roles = _with_roles(text, sides, moving, fixed)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from bsp_gp.loop.proposers.by_scene import ByScene
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.frames import Frames
+from bsp_gp.loop.proposers.growing import Growing
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.kicks import Kicks
@@ -36,7 +38,7 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), Declared(), Varying(), Periods(), Pulsing(), Frames(),
-        Hidden(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(),
-        Defects(), Noise(),
+        laws, Inside(laws, dataset), ByScene(laws), Declared(), Varying(), Growing(), Periods(),
+        Pulsing(), Frames(), Hidden(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
+        Measurement(), LateLogs(), Defects(), Noise(),
     ]  # fmt: skip

@@ -31,6 +31,8 @@ MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
 MOST_ANEW, CLEAR = 20, 1000.0
 """Draws of noise that are searched anew, and times below the level of chance where none is."""
+MOST_LEADING = 12
+"""Laws of which others ask whether their constants are another in every scene."""
 MOST_SEEDS = 20
 """Laws from which a guided search sets out."""
 PARALLEL = 1e-6
@@ -116,6 +118,7 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
+        view.leading = tuple(one.formula for one in found[:MOST_LEADING])
         if found:
             view.explained = found[0].gain
             view.promised = 0.5 * found[0].gain - found[0].complexity

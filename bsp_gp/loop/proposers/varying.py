@@ -14,7 +14,7 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 
-__all__ = ["Varying", "beside_unknown"]
+__all__ = ["MOST", "Varying", "beside_unknown", "columns_by"]
 
 MOST = 40
 """Bodies or scenes that may have strengths of their own."""
@@ -41,7 +41,8 @@ class Varying:
             if is_own or (name and sum(name in t.formula.constants for t in law.terms) > 1):
                 continue
             for by, ties in owners.items():
-                keys, columns = _columns(view, term, by)
+                known = {n: law.constants[n] for n in term.formula.constants}
+                keys, columns = columns_by(view, term, known, by)
                 score = view.score_forces(columns)
                 if not score.rank:
                     continue
@@ -63,8 +64,18 @@ def _owners(view):
     return dict.fromkeys(able, ())
 
 
-def _columns(view, term, by):
-    """Names of bodies or scenes, and moments of the term as far as it acts there, (n, c)."""
+def columns_by(view, term, constants, by):
+    """Names of bodies or scenes, and moments of the term as far as it acts there, (n, c).
+
+    Parameters
+    ----------
+    view : View
+    term : Term
+    constants : mapping of str to float
+        Of the term.
+    by : str
+        "body" or "scene".
+    """
     scenes = view.dataset.scenes
     bodies = [s.names[k] for s in scenes for k in s.dynamic]
     keys = list(dict.fromkeys(bodies if by == "body" else (s.name for s in scenes)))
@@ -73,8 +84,7 @@ def _columns(view, term, by):
     def owner(scene, body):
         return number[body if by == "body" else scene]
 
-    law = ForceLaw((term,), {n: view.fit.law.constants[n] for n in term.formula.constants})
-    return keys, _columns_of_owners(view, law, owner, len(keys))
+    return keys, _columns_of_owners(view, ForceLaw((term,), constants), owner, len(keys))
 
 
 def _columns_of_owners(view, law, owner, count):

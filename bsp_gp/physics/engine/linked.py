@@ -82,6 +82,8 @@ class Linkages:
 
     def solved(self, matrix, right):
         """``A^-1 right`` with right (R, ..., M); nan where arms would have no inertia."""
+        if self.n == 2:
+            return _solved_pair(matrix, right)
         shape = right.shape
         flat = np.moveaxis(right.reshape(self.n, -1, shape[-1]), -1, 0)
         good = np.isfinite(matrix).all(axis=(1, 2))
@@ -129,3 +131,12 @@ class Linkages:
         by_state[:, 0] = self.solved(matrix, by_state[:, 0])
         by_constant[:, 0] = self.solved(matrix, by_constant[:, 0])
         return by_state, by_constant
+
+
+def _solved_pair(matrix, right):
+    """The same of two arms, by Cramer's rule: most of the time of a double pendulum is here."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    whole = a * d - b * c
+    whole = np.where(whole > 0, whole, np.nan)  # nan stays nan
+    first, second = right
+    return np.stack([(d * first - b * second) / whole, (a * second - c * first) / whole])

@@ -1,0 +1,76 @@
+"""Strengths that grow or fade steadily: a mass that is lost, a battery that runs down."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal, with_term_at
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.units import Unit
+
+__all__ = ["Growing"]
+
+MOST = 5.0
+"""Times its strength by which a term may have grown at the end."""
+LEFT = 0.02
+"""Of what it is divided by, or of its strength, that is left at the end at the least."""
+
+
+class Growing:
+    """A term times ``1 + r t``, as where a field grows, or by it, as where mass is lost."""
+
+    name = "growing"
+
+    def propose(self, view):
+        """The family of all terms of the law.
+
+        Parameters
+        ----------
+        view : View
+        """
+        law, proposals, null = view.fit.law, [], np.zeros(view.moment_draws.shape[1])
+        begin = min(float(scene.times[0]) for scene in view.dataset.scenes)
+        span = max(float(scene.times[-1]) for scene in view.dataset.scenes) - begin
+        since = _since(view, begin, span)
+        best = 0.0
+        for index, term in enumerate(law.terms):
+            if "t" in term.formula.inputs:
+                continue
+            known = {name: law.constants[name] for name in term.formula.constants}
+            changed = Term(Call("mul", since, term.formula), term.kind)
+            column = view.response.moments_of(ForceLaw((changed,), known))[:, None]
+            score = view.score_forces(column)
+            if not score.rank:
+                continue
+            null = np.maximum(null, view.null_forces(column))
+            best = max(best, score.statistic)
+            proposals += _proposals(view, index, since, span, score)
+        proposals.sort(key=lambda p: -p.promise)
+        rank = 1 if proposals else 0
+        return Family(self.name, tuple(proposals), best, rank, null, n_tried=len(proposals))
+
+
+def _since(view, begin, span):
+    """The time since the first row; the time itself where that begins nearby."""
+    time = Input("t", dataset_types(view.dataset)["t"])
+    if abs(begin) < 0.01 * span:
+        return time
+    return Call("sub", time, Number(begin, Unit.of(s=1)))
+
+
+def _proposals(view, index, since, span, score):
+    """The term grows evenly, or is divided by what does: to first order that is the same."""
+    law, rate = view.fit.law, float(score.amplitudes[0])
+    name = fresh_name(law, "r")
+    growth = Call("add", Number(1.0), Call("mul", Constant(name), since))
+    term = law.terms[index].formula
+    low, high = (LEFT - 1) / span, MOST / span
+    for formula, start in ((Call("mul", growth, term), rate), (Call("div", term, growth), -rate)):
+        yield Proposal(
+            "growing", to_text(formula), with_term_at(view.hypothesis, index, formula, {name: 0.0}),
+            -view.criteria.cause_nats, score.statistic,
+            starts={name: float(np.clip(start, low / 2, high / 2))}, bounds={name: (low, high)},
+        )  # fmt: skip
