@@ -153,7 +153,8 @@ def flow_mesh_of_rows(mesh, counts, h):
         open_ = sum(count > number for count in counts)
         starts.append(np.full(open_, number * h))
         steps.append(np.full(open_, h))
-    return type(mesh)("rk45", np.arange(len(counts)), tuple(starts), tuple(steps))
+    none = tuple(np.full(len(own), -1) for own in steps)
+    return type(mesh)("rk45", np.arange(len(counts)), tuple(starts), tuple(steps), none)
 
 
 
