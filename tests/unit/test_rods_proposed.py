@@ -1,6 +1,7 @@
 """Constraints that tracks betray are proposed, adopted, and told in plain words."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.proposers import rods
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.view import View
 from bsp_gp.physics.bodies import dataset_types
@@ -83,3 +85,19 @@ def test_moments_of_a_held_body_tell_all_that_a_fit_with_the_drag_gains():
     formula = parse_formula("m_i * v_i", dataset_types(data))
     assert gained > 25
     assert view.score_forces(view.force_columns([formula])).statistic > 0.8 * gained
+
+
+def test_errors_with_a_memory_are_larger_than_their_changes_tell():
+    """A body at rest was put on a wire, since changes from row to row told a third of its noise."""
+    rng, memory = np.random.default_rng(0), 0.8
+    errors = rng.standard_normal(20000)
+    for k in range(1, len(errors)):
+        errors[k] = memory * errors[k - 1] + 0.6 * errors[k]
+    told = np.sqrt(np.mean(np.square(np.diff(errors, 3))) / 20)
+    data = track(0.1 * np.arange(30), np.arange(30.0), np.arange(30.0))
+    noise = replace(
+        fit(Hypothesis.from_laws(data, ["nothing"]), data).noise,
+        correlated=1.0, correlation_time=-0.1 / np.log(memory),
+    )  # fmt: skip
+    assert told * rods._unseen(noise, data) == pytest.approx(errors.std(), rel=0.05)
+    assert rods._unseen(replace(noise, correlated=0.0), data) == 1.0
