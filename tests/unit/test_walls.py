@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
@@ -15,6 +16,7 @@ from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 from tests.bouncing import bounces, flights
 from tests.loop_views import throws, view_of
+from tests.planted import SI
 
 WEIGHT = "-9.81 [m/s^2] * m_i * e_y"
 WALL = {"floor": 0.03, "kept": 0.8, "along": 0.95}
@@ -162,9 +164,6 @@ def cart(seed):
 
 
 def test_a_cart_between_two_bumpers_is_told_with_its_drag():
-    from bsp_gp.data.scene import Dataset, Entity, Scene
-    from tests.planted import SI
-
     places, times = cart(1)
     scene = Scene("run", times, places[:, None], (Entity("cart", properties={"mass": 1.0}),))
     report = close_loop(Dataset("cart", (scene,), units=SI), "nothing", rng=0, n_bootstrap=0)
@@ -193,3 +192,18 @@ def test_a_wall_is_written_as_it_is_typed():
     assert again.frame[0].names == law.frame[0].names
     assert flow_of(law_with(data), build_chains(law, data.scenes, None, None)[0],
                    np.full(1, 1e-6)).motion.walls is not None  # fmt: skip
+
+
+def test_what_is_kept_along_a_floor_is_not_read_off_noise():
+    """A ball that fell straight began with none of it kept, and its fit came to no end."""
+    times = np.arange(219) / 120
+    wall = {"floor": 0.09, "kept": 0.67, "along": 0.8}
+    rng = np.random.default_rng(6)
+    seen = flights([0.0, 1.3], [0.0, 0.0], times, **wall)
+    seen = seen + 0.0027 * rng.standard_normal(seen.shape)
+    scene = Scene("0", times, seen[:, None], (Entity("ball", properties={"mass": 1.0}),))
+    family = Walls().propose(view_of(Dataset("ball", (scene,), units=SI), "nothing"))
+    found = family.proposals[0].hypothesis.parameters
+    starts = {p.name: p.start for p in found}
+    assert starts["k1"] == 1.0
+    assert starts["e1"] == pytest.approx(0.67, abs=0.03)

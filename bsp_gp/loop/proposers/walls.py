@@ -35,6 +35,8 @@ ERRORS = 5.0
 FAR = 20.0
 """Chi-squared of forces between jumps, beyond that of the best, from which sums are not fitted; and
 the part of it that errors of the forces may make, as one over so much."""
+SLANTING = 0.05
+"""Speed along a wall, in that across it, below which what is kept of it is not asked of jumps."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
 
@@ -198,5 +200,7 @@ def _values(own, axis):
     if len(own[0].place) > 1:
         rest = [np.delete(np.stack([j.before, j.after]), axis, axis=1) for j in own]
         size = sum(float(np.square(before).sum()) for before, _ in rest)
-        along = sum(float(before @ after) for before, after in rest) / size if size else 1.0
+        across = sum(float(j.before[axis] ** 2) for j in own)
+        if size > SLANTING**2 * across:
+            along = sum(float(before @ after) for before, after in rest) / size
     return level, kept, float(np.clip(along, 0.0, 1.2))
