@@ -115,9 +115,10 @@ def _off_path(overlay):
     axes = list(drawn_axes(overlay))
     observed = np.asarray(overlay.observed, float)[_observed(overlay)][:, axes]
     declared = np.asarray(overlay.declared, float)[:, axes]
+    declared = declared[np.isfinite(declared).all(axis=1)]  # one that ran away lies nowhere
     path = observed[:: -(-len(observed) // (10 * _MAX_DOTS))]
     path = path if len(path) > 1 else np.repeat(path, 2, axis=0)
-    points = declared[:: -(-len(declared) // _MAX_DOTS), None]
+    points = declared[:: max(-(-len(declared) // _MAX_DOTS), 1), None]
     start, step = path[:-1], np.diff(path, axis=0)
     length = np.maximum(np.square(step).sum(axis=-1), np.finfo(float).tiny)
     along = np.clip(((points - start) * step).sum(axis=-1) / length, 0, 1)
