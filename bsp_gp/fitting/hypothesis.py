@@ -14,18 +14,16 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, constant_units, tabled
+from bsp_gp.physics.force import HOLDING, ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "NOTHING", "Forces", "Hypothesis", "Parameter", "Part", "Positions", "TrackNoise", "read_law",
+    "NOTHING", "Forces", "Hypothesis", "Numbered", "Parameter", "Part", "Positions", "TrackNoise",
+    "read_law",
 ]  # fmt: skip
 
 NOTHING = "nothing"
 """What is declared where bodies move on as they are."""
-
-HOLDING = ("constraint", "linkage", "wall")
-"""Kinds of parts of what bodies do beside forces."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +94,25 @@ class Part:
     def describe(self):
         """One sentence for people."""
         raise NotImplementedError
+
+
+class Numbered(Part):
+    """A part with a field `numbers`, the tuple of Parameter that is fitted of it."""
+
+    @property
+    def names(self):
+        """Of its constants."""
+        return tuple(p.name for p in self.numbers)
+
+    @property
+    def parameters(self):
+        """The numbers."""
+        return self.numbers
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        numbers = (replace(p, start=float(values[p.name])) for p in self.numbers)
+        return replace(self, numbers=tuple(numbers))
 
 
 @dataclass(frozen=True)

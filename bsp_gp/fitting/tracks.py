@@ -8,6 +8,7 @@ import numpy as np
 
 from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import Whitener
+from bsp_gp.physics.engine.flow import Flow
 
 __all__ = ["ChainNoise", "TrackLinearised", "TrackPoint", "TrackProblem"]
 
@@ -150,21 +151,20 @@ class TrackProblem:
 
     def upon(self, values, nodes):
         """A point with its nodes put on the constraints of the law."""
+        return self._put(values, nodes, Flow.held)
+
+    def righted(self, point):
+        """A point with its nodes in front of the walls of the law."""
+        return self._put(point.values, point.nodes, Flow.righted)
+
+    def _put(self, values, nodes, where):
+        """A point with nodes as ``where(flow, nodes)`` gives them under these values."""
         constants, _ = self.coordinates.constants(values)
         out = []
         for shooting, own in zip(self.shootings, nodes, strict=True):
             shooting.flow.motion.set_constants(constants)
-            out.append(shooting.flow.held(own))
+            out.append(where(shooting.flow, own))
         return TrackPoint(values, tuple(out))
-
-    def righted(self, point):
-        """A point with its nodes in front of the walls of the law."""
-        constants, _ = self.coordinates.constants(point.values)
-        out = []
-        for shooting, own in zip(self.shootings, point.nodes, strict=True):
-            shooting.flow.motion.set_constants(constants)
-            out.append(shooting.flow.righted(own))
-        return TrackPoint(point.values, tuple(out))
 
     def settled(self, point, times=1):
         """The point after steps of the initial states alone."""

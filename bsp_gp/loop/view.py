@@ -134,6 +134,11 @@ class View:
         return self._found[1]
 
     @cached_property
+    def step(self):
+        """Median time from row to row, s."""
+        return float(np.median(np.concatenate([np.diff(s.times) for s in self.dataset.scenes])))
+
+    @cached_property
     def is_astronomical(self):
         """Whether tracks are so large, in metres, that only gravity acts as far."""
         sizes = [

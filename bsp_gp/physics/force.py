@@ -28,10 +28,12 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
-    "COPY", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name", "fresh_names",
-    "key_of", "kind_of", "split_linear", "tabled", "term_gradient",
+    "COPY", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name",
+    "fresh_names", "key_of", "kind_of", "split_linear", "tabled", "term_gradient",
 ]  # fmt: skip
 
+HOLDING = ("constraint", "linkage", "wall")
+"""Kinds of parts of what bodies do beside forces."""
 _MASS = ("m_i", "mass_i")
 COPY = " copy "
 """Between the name of a scene and the number of a simulated copy."""
@@ -306,7 +308,7 @@ class ForceLaw:
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
         total = _as_torques(total)
-        held = (p for p in self.frame if p.kind in ("constraint", "linkage", "wall"))
+        held = (p for p in self.frame if p.kind in HOLDING)
         return ", ".join([total, *(p.describe() for p in held)])
 
     def latex(self, digits=True, units=None):

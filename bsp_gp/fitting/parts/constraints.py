@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError, UnitError
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.language.formula import Call, Constant, Number, evaluate, substitute
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.parse import parse_formula
@@ -29,7 +29,7 @@ _KEPT = ("p_i", "p_j", "t", "e_x", "e_y", "e_z", "up", "down", "origin")
 
 
 @dataclass(frozen=True)
-class Constraint(Part):
+class Constraint(Numbered):
     """A quantity that bodies keep at zero.
 
     Attributes
@@ -52,21 +52,6 @@ class Constraint(Part):
     numbers: tuple = ()
     is_coupling: bool = False
     kind = "constraint"
-
-    @property
-    def names(self):
-        """Of its constants."""
-        return tuple(p.name for p in self.numbers)
-
-    @property
-    def parameters(self):
-        return self.numbers
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(
-            self, numbers=tuple(replace(p, start=float(values[p.name])) for p in self.numbers)
-        )
 
     def describe(self):
         return self.text

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import savgol_filter
 
 from bsp_gp.errors import LawError
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = ["Linkage", "is_linkage", "read_linkage"]
@@ -22,7 +22,7 @@ MOST = 0.9
 
 
 @dataclass(frozen=True)
-class Linkage(Part):
+class Linkage(Numbered):
     """Two arms, one of which hangs on the other.
 
     Attributes
@@ -42,20 +42,6 @@ class Linkage(Part):
     numbers: tuple = ()
     kind = "linkage"
     is_coupling = True
-
-    @property
-    def names(self):
-        """Of its constants."""
-        return tuple(p.name for p in self.numbers)
-
-    @property
-    def parameters(self):
-        return self.numbers
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        numbers = (replace(p, start=float(values[p.name])) for p in self.numbers)
-        return replace(self, numbers=tuple(numbers))
 
     def describe(self):
         return self.text

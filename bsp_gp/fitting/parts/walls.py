@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Wall", "count_of", "is_wall", "read_wall", "wall_of"]
+__all__ = ["Wall", "count_of", "is_wall", "places_of", "read_wall", "wall_of"]
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,]+)\s*")
@@ -26,7 +26,7 @@ START = 0.8
 
 
 @dataclass(frozen=True)
-class Wall(Part):
+class Wall(Numbered):
     """A plane that turns bodies back.
 
     Attributes
@@ -46,20 +46,6 @@ class Wall(Part):
     n_dims: int
     numbers: tuple = ()
     kind = "wall"
-
-    @property
-    def names(self):
-        """Of its constants."""
-        return tuple(p.name for p in self.numbers)
-
-    @property
-    def parameters(self):
-        return self.numbers
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        numbers = (replace(p, start=float(values[p.name])) for p in self.numbers)
-        return replace(self, numbers=tuple(numbers))
 
     def normal_at(self, values):
         """Unit vectors away from it, (d, M), for values (k, M) of its numbers."""
@@ -81,10 +67,15 @@ class Wall(Part):
         )
 
 
+def places_of(dataset):
+    """Where bodies that move were seen, (n, d), nan where they were not."""
+    scenes = dataset.scenes
+    return np.concatenate([s.positions[:, s.dynamic].reshape(-1, s.n_dims) for s in scenes])
+
+
 def count_of(dataset):
     """How many numbers a wall has: along axes on which nothing moves it tells nothing."""
-    places = np.concatenate([s.positions[:, s.dynamic].reshape(-1, s.n_dims)
-                             for s in dataset.scenes])  # fmt: skip
+    places = places_of(dataset)
     n_moving = int((np.nanmax(places, axis=0) > np.nanmin(places, axis=0)).sum())
     return 2 if n_moving < 2 else 4 if dataset.n_dims == 2 else 3
 
@@ -156,8 +147,7 @@ def read_wall(dataset, text):
             f"bounce({'xyz'[n_dims - 1]}_i > h, e); at the most {count - 1} names follow the place"
         )
     axis, way = "xyz".index(side[1]), 1 if side[2] == ">" else -1
-    places = [scene.positions[:, scene.dynamic, axis].ravel() for scene in dataset.scenes]
-    start, name = way * float(np.nanmin(way * np.concatenate(places))), side[3]
+    start, name = way * float(np.nanmin(way * places_of(dataset)[:, axis])), side[3]
     if not name.isidentifier():
         try:
             start = float(side[3]) * Conversion(declared, declared).length(side[1])

@@ -140,8 +140,7 @@ def _series(view):
 
 def _delays(view, limit):
     """Delays on both sides of none, as close as half a row where that is enough."""
-    row = float(np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes])))
-    count = int(np.clip(limit / (row / 2), 2, MOST_DELAYS))
+    count = int(np.clip(limit / (view.step / 2), 2, MOST_DELAYS))
     return np.linspace(-limit, limit, 2 * count + 1)
 
 

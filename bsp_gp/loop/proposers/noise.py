@@ -41,10 +41,9 @@ class Noise:
             return self.doubted(view)
         if not model.is_free.any() or model.correlated or model.is_correlation_known:
             return Family(self.name)
-        step = np.median(np.concatenate([np.diff(s.times) for s in view.dataset.scenes]))
         plain = model.plain()
         models = [
-            replace(plain, correlated=share, correlation_time=float(time * step))
+            replace(plain, correlated=share, correlation_time=float(time * view.step))
             for time in TIMES for share in SHARES
         ]  # fmt: skip
         gains = [_gain(view, remembered) for remembered in models]

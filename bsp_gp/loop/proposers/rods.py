@@ -187,7 +187,7 @@ def _proposal(view, kept, n_tried):
     levels = np.array(fit.noise.levels)
     if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
         return None
-    level = max(kept.level * _unseen(fit.noise, view.dataset), float(np.max(fit.noise.lowest)))
+    level = max(kept.level * _unseen(fit.noise, view.step), float(np.max(fit.noise.lowest)))
     gain, n_rows = _misfit(fit, kept, levels, level)
     if gain < (MISFIT - 1) * n_rows:
         return None
@@ -210,11 +210,10 @@ def _proposal(view, kept, n_tried):
     )  # fmt: skip
 
 
-def _unseen(noise, dataset):
+def _unseen(noise, step):
     """How much larger errors are than their changes from row to row tell, if they have a memory."""
     if not noise.correlated:
         return 1.0
-    step = float(np.median(np.concatenate([np.diff(scene.times) for scene in dataset.scenes])))
     lags = noise.correlated * np.exp(-np.arange(1, 4) * step / noise.correlation_time)
     return math.sqrt(20 / (20 + lags @ [-30, 12, -2]))  # third differences
 

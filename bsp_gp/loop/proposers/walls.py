@@ -15,7 +15,7 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.jumps import WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
-from bsp_gp.fitting.parts.walls import count_of, wall_of
+from bsp_gp.fitting.parts.walls import count_of, places_of, wall_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
@@ -74,9 +74,7 @@ class Walls:
 
 def _walls(found, dataset):
     """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
-    extent, groups = extent_of(dataset)[1], {}
-    places = np.concatenate([s.positions[:, s.dynamic].reshape(-1, s.n_dims)
-                             for s in dataset.scenes])  # fmt: skip
+    extent, places, groups = extent_of(dataset)[1], places_of(dataset), {}
     for jump in found:
         turn = jump.after - jump.before
         axis = int(np.argmax(np.abs(turn)))

@@ -408,11 +408,10 @@ class Flow:
         there = self.points(end, points.times + size, points.chain, points.modes)
         pull = self.motion.acceleration(there)
         hit, cut = self.motion.walls.hits(end, points.chain, pull, size, left, whole, aims)
-        end, _ = self._bounced(there, hit)
-        return end, hit, np.where(cut < size, cut, np.inf)
+        return self._bounced(there, hit), hit, np.where(cut < size, cut, np.inf)
 
     def _bounced(self, there, hit, total=None):
-        """States at ends of steps behind their bounces; derivatives `total` behind them."""
+        """States at ends of steps behind their bounces; derivatives `total` change in place."""
         end = there.state.copy()
         for number in np.unique(hit[hit >= 0]).tolist():
             which = np.flatnonzero(hit == number)
@@ -427,7 +426,7 @@ class Flow:
                     total[..., which] = np.moveaxis(chained(before, moved, self.n_state), 0, -1)
                 else:
                     total[which] = chained(total[which], moved, self.n_state)
-        return end, total
+        return end
 
     def advance(self, state, chain, begin, end):
         """States of some chains at other times, earlier or later; nan where that fails.
@@ -556,7 +555,7 @@ class Flow:
                     total[at] = chained(before[at], moved, self.n_state)
             if self.motion.walls:
                 there = self.points(end, points.times + h, points.chain, points.modes)
-                end, _ = self._bounced(there, hits[block][:n_open], total)
+                end = self._bounced(there, hits[block][:n_open], total)
             state[..., open_] = end
         if slopes and total is None:
             total = np.full((len(index), self.n_state, self.n_state + self.n_constants), np.nan)
