@@ -280,7 +280,8 @@ def test_the_exchange_of_the_page_is_the_one_there_is(means):
     told = experiment.to_dict()
     assert shape({**told, "entities": told["entities"][:1]}) == shape(asked)
     ((name, _, *place),) = answer["rows"]
-    seen = recording_of({**answer, "rows": [[name, t, *place] for t in experiment.times]}, experiment)
+    rows = [[name, t, *place] for t in experiment.times]
+    seen = recording_of({**answer, "rows": rows}, experiment)
     assert seen.positions[0, 0] == pytest.approx(place) and (seen.sigma == 0.02).all()
     assert failure == {"id": 1, "error": "the laser is off"}  # told above as such
 
