@@ -19,6 +19,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 html_theme = "furo"
 html_title = "bsp_gp"
 html_show_sourcelink = False
+html_show_copyright = False
 myst_heading_anchors = 3
 autodoc_typehints = "none"
 autodoc_default_options = {"members": True}

@@ -59,14 +59,27 @@ def idle(path):
     """Blocks that nothing runs, makes or compares, and that no named file of the source does."""
     is_run, out = False, []
     for block in blocks(path.read_text("utf-8")):
-        named = re.findall(r"[\w./-]+/[\w.-]+", block.note)
-        is_meant = block.mark == "not run" and any((ROOT / name).is_file() for name in named)
+        named = re.findall(r"[\w./-]+/[\w.-]+", block.note) if block.mark == "not run" else []
+        is_meant = any(does(name, block, path.name) for name in named)
         is_shown = block.kind == "text" and is_run
         is_run = block.kind in ("sh", "python") and (block.mark == "" or is_meant)
         is_page = block.kind.startswith("{")  # of the site alone, built by a test
         if not (block.mark == "file" or is_run or is_meant or is_shown or is_page):
             out.append(f"{path.name}:{block.line}")
     return out
+
+
+def does(name, block, page):
+    """Whether a file does what a block of a page says: it reads the page, or has all commands."""
+    if not (ROOT / name).is_file():
+        return False
+    text = (ROOT / name).read_text("utf-8")
+    mine, its = (
+        {re.sub(r"\s+#.*", "", line).strip() for line in _commands(lines)}
+        for lines in (block.text, text)
+    )
+    mine = {line for line in mine if name not in line}  # but the one that runs the file itself
+    return page in text or (bool(mine) and mine <= its)
 
 
 def is_slow(path):
@@ -110,7 +123,7 @@ def run_page(path, tell=False):
                 exec(code, names)
             printed = out.getvalue()
         elif block.kind == "text" and printed is not None:
-            _compare(block.text, printed, where)
+            compare(block.text, printed, where)
             printed = None
         if tell and printed is not None:
             print(f"--- {where}\n{printed}", flush=True)
@@ -157,7 +170,7 @@ def command_folder():
         yield folder
 
 
-def _compare(expected, printed, where):
+def compare(expected, printed, where):
     """Whether what is shown is what was printed, up to blanks at line ends; ``...`` is anything."""
     shown = " ".join(expected.split())
     pattern = r".*?".join(map(re.escape, shown.split("...")))

@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# Build wheel and sdist, check them, install the wheel into an empty venv and run its demo.
+# Build wheel and sdist, check them, install the wheel into an empty venv and run its demo; install
+# from the repository as docs/start.md says.
 # Usage: tests/wheel.sh PYTHON
 set -euo pipefail
 python=$(realpath -s "$1")
 cd "$(dirname "$0")/.."
+source=$PWD
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
@@ -19,4 +21,21 @@ timeout 1200 "$work/venv/bin/bsp-gp" demo --quiet --out demo | tail -n 1
 test -s demo/report.html
 "$work/venv/bin/bsp-gp" grammar list >grammars.txt
 grep -q '^physics:' grammars.txt
+
+if git -C "$source" rev-parse --git-dir >/dev/null 2>&1; then  # an sdist has no repository
+    mkdir newcomer && cd newcomer
+    sed -n '/tests\/wheel.sh does -->$/,/^```$/p' "$source/docs/start.md" | sed '/^```\|^<!--/d' |
+        sed "s#/path/to/this/repository#$source#; s#pip install#& --quiet --disable-pip-version-check#" \
+            >start.sh
+    (
+        PATH="$(dirname "$("$python" -c 'import sys; print(sys._base_executable)')"):$PATH"
+        . ./start.sh
+        test "$(command -v bsp-gp)" = "$PWD/.venv/bin/bsp-gp"
+        bsp-gp check "$source/examples/falls.csv" >seen.txt
+        (cd "$source" && "$python" -m tests.snippets docs/grammars.md "$work/newcomer/page") >/dev/null
+        cd page
+        sed -n '/tests\/wheel.sh does -->$/,/^```$/p' "$source/docs/grammars.md" | sed '/^```\|^<!--/d' >flow.sh
+        . ./flow.sh
+    )
+fi
 echo "Wheel and sdist are sound."

@@ -282,7 +282,7 @@ def _round(r, report):
         "table": [] if table == _total_table(report) else table,
         "hypotheses": r.hypotheses,
         "n_hypotheses": r.n_hypotheses,
-        "held_out": _table_of_dicts(r.held_out),
+        "held_out": _by_scene(r),
         "overturned_by": overturned_by(r),
         "certificate": r.certificate,
         "seconds": format_number(r.seconds, 2),
@@ -312,6 +312,16 @@ def _cell(value):
     if isinstance(value, list | tuple):
         return ", ".join(_cell(v) for v in value)
     return str(value)
+
+
+def _by_scene(round_):
+    """The position errors of held-out scenes, told with what they are."""
+    if not round_.held_out:
+        return None
+    unit = f" ({round_.before.unit})" if round_.before.unit else ""
+    names = {"before": f"position error before{unit}", "after": f"after{unit}"}
+    rows = [{names.get(k, k): v for k, v in row.items()} for row in round_.held_out]
+    return _table_of_dicts(rows)
 
 
 def _table_of_dicts(rows):

@@ -14,7 +14,7 @@ from bsp_gp.report.unseen_body import name_of, rivals_of
 
 __all__ = ["page_of"]
 
-_TOLD = 20
+_TOLD = 12
 """Hypotheses of a round that a page lists."""
 _MOST_FINDINGS = 3
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
@@ -125,7 +125,7 @@ def _round(done, report):
         reason=_sentence(REASONS[done.reason]), verdict=done.verdict, undecided=tied,
         before=done.before, after=done.after, floor=done.floor, ratio=_ratio(done.ratio),
         held_out=done.held_out, certificate=done.certificate, seconds=done.seconds,
-        trace=done.trace,
+        trace=done.trace, time_unit="s",
     )  # fmt: skip
 
 

@@ -182,13 +182,17 @@ def force_text(bound):
 
 def powers_sentence(round_):
     """Which powers of speed and distance the data allow in what a round found; "" if none."""
-    effect = round_.effect
-    told = [
-        f"{_SIZES.get(e['of'], e['of'])} to the {format_value(e['value'], e['low'], e['high'])}"
-        + (f", written as {e['stated']:g}".replace("-", "−") if is_number(e["stated"]) else "")
-        for e in (effect.exponents if effect is not None else ())
-        if e["stated"] or not e["low"] <= 0 <= e["high"]  # what a law rightly lacks is not told
-    ]
+    effect, told = round_.effect, {}
+    for e in effect.exponents if effect is not None else ():
+        if not e["stated"] and e["low"] <= 0 <= e["high"]:
+            continue  # what a law rightly lacks is not told
+        size = _SIZES.get(e["of"], e["of"])
+        text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
+        if is_number(e["stated"]):
+            text += f", written as {e['stated']:g}".replace("-", "−")
+        told.setdefault(e["term"].split(" * ")[0], []).append(text)
+    several = len(told) > 1  # then whose it is: "distance" alone would be any force's
+    told = [f"in {c}, {t}" if several else t for c, texts in told.items() for t in texts]
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
               for v in (effect.varies_with if effect is not None else ())]  # fmt: skip
     parts = [f"Powers that the data allow (90 %): {'; '.join(told)}."] if told else []

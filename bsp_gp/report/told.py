@@ -110,6 +110,25 @@ class Told:
         }  # fmt: skip
         return table.assign(**changed)
 
+    def trace(self, trace):
+        """Where a residual force is, in them; None stays None."""
+        if trace is None or not trace.channels:
+            return trace
+        place, time = self.factor("m"), self.factor("s")
+        variable, push = trace.channels[0].variable, place / time**2
+        at = {"time": time, "speed": place / time}.get(variable, place)
+        return replace(
+            trace, values=tuple(push * v for v in trace.values),
+            errors=tuple(push * e for e in trace.errors),
+            at=trace.at if variable in ("body", "scene") else tuple(at * x for x in trace.at),
+        )  # fmt: skip
+
+    def scenes(self, rows):
+        """Position errors of scenes in them."""
+        place = self.factor("m")
+        return [{k: place * v if k in ("before", "after") and v is not None else v
+                 for k, v in row.items()} for row in rows]  # fmt: skip
+
     def noise(self, noise):
         """What is said of the noise in them."""
         factor, unit = self.unit(noise.get("unit") or "")
@@ -195,6 +214,8 @@ def retold(report):
         return report
     for r in report.rounds:
         r.before, r.after, r.floor = map(told.errors, (r.before, r.after, r.floor))
+        r.held_out, r.trace = told.scenes(r.held_out), told.trace(r.trace)
+        r.time_unit = told.unit("s")[1]
         factor, unit = told.unit(r.missing.unit)
         r.missing = replace(r.missing, detectable=r.missing.detectable * factor, unit=unit)
         if r.bound is not None and r.bound.force is not None:

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.report.codes import DIRECTIONS, VARIABLES
-from bsp_gp.report.drawing import AFTER, BEFORE, FLOOR, axis_label, new_figure, plain, scaled, tidy
+from bsp_gp.report.drawing import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    axis_label,
+    new_figure,
+    plain,
+    scaled,
+    tidy,
+    time_scaled,
+)
 from bsp_gp.report.numbers import format_number, format_p, is_number
 
 __all__ = ["trace_figure", "trace_section", "trace_sentence"]
@@ -119,9 +129,11 @@ def _draw_profile(panel, trace, round_):
         panel.set_xticks(x, [plain(name, 12) for name in trace.at])
         panel.set_xlabel(best.variable)
     else:
-        own = {"time": "s", "speed": f"{before.unit}/s" if before.unit else ""}
+        time = round_.time_unit
+        own = {"time": time, "speed": f"{before.unit}/{time}" if before.unit else ""}
         x = np.array(trace.at, dtype=float)
-        x_factor, x_unit = scaled(own.get(best.variable, before.unit), x)
+        scale = time_scaled if best.variable == "time" else scaled
+        x_factor, x_unit = scale(own.get(best.variable, before.unit), x)
         x = x_factor * x
         panel.set_xlabel(axis_label(_variable(best), x_unit))
     panel.errorbar(x, factor * y, factor * error, fmt="o", ms=3.6, lw=1.0, color=BEFORE)

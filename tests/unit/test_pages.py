@@ -27,7 +27,7 @@ def test_snippets_run_and_print_what_is_shown(path, tmp_path, monkeypatch):
 
 
 def test_no_block_is_left_alone():
-    assert [where for path in pages() for where in idle(path)] == []
+    assert not [where for path in pages() for where in idle(path)]
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,9 @@ def test_no_block_is_left_alone():
         ("```sh\nls\n```\n\n```text\na\n```\n\n```text\nb\n```\n", ["page.md:9"]),
         ("<!-- not run: no time -->\n```sh\nls\n```\n", ["page.md:2"]),
         ("<!-- not run: tests/none.py does -->\n```sh\nls\n```\n", ["page.md:2"]),
-        ("<!-- not run: it installs; tests/wheel.sh does -->\n```sh\nls\n```\n", []),
+        ("<!-- not run: it installs; tests/wheel.sh does -->\n```sh\nls\n```\n", ["page.md:2"]),
+        ("<!-- not run: .ci/run does -->\n```sh\nmake lint  # twice\nbash .ci/run\n```\n", []),
+        ("<!-- not run: .ci/run does -->\n```sh\nmake lint\nmake hay\n```\n", ["page.md:2"]),
         ("<!-- file: a.toml -->\n```toml\na = 1\n```\n", []),
     ],
 )  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import bsp_gp
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
@@ -14,6 +15,7 @@ from bsp_gp.planning.discover import calm, discover
 from bsp_gp.planning.means import Experiment, Range, load_means, means_from
 from bsp_gp.planning.plan import information, normals, plan, weights_of
 from bsp_gp.planning.rivals import Rival
+from tests.snippets import ROOT, blocks
 
 MEANS = {
     "bodies": {
@@ -257,6 +259,42 @@ def test_a_law_is_discovered_and_kept(tmp_path):
     assert kept["round"] == found.rounds and len(kept["experiments"]) == world.count
     again = discover(world, means_from(SEARCH), found.rounds, rng=0, out=tmp_path)
     assert again.law.text() == found.law.text() and again.rounds == found.rounds
+
+
+PAGE = {block.note or block.kind: block.text
+        for block in blocks((ROOT / "docs" / "planning.md").read_text("utf-8"))}  # fmt: skip
+"""Blocks of the page, those that it does not run among them."""
+
+
+def test_the_exchange_of_the_page_is_the_one_there_is(means):
+    lines = PAGE["an exchange of lines; tests/unit/test_planning.py has it"]
+    asked, answer, failure = map(
+        json.loads, lines.replace(",\n ", ", ").replace(", ...]", "]").splitlines()
+    )
+
+    def shape(of):
+        bodies = of["entities"]
+        return sorted(set(of) - {"id"}), [sorted(b) for b in bodies], type(bodies[0]["properties"])
+
+    experiment = replace(means.draw(np.random.default_rng(0)), times=(0.0, 0.1, 0.2))
+    told = experiment.to_dict()
+    assert shape({**told, "entities": told["entities"][:1]}) == shape(asked)
+    ((name, _, *place),) = answer["rows"]
+    rows = [[name, t, *place] for t in experiment.times]
+    seen = recording_of({**answer, "rows": rows}, experiment)
+    assert seen.positions[0, 0] == pytest.approx(place) and (seen.sigma == 0.02).all()
+    assert failure == {"id": 1, "error": "the laser is off"}  # told above as such
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_finds_a_law(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "means.toml").write_text(PAGE["means.toml"], "utf-8")
+    text = PAGE["run is your apparatus; tests/unit/test_planning.py has one that is made up"]
+    pull = World(lambda p, v, source: -3 * source.properties["charge"] * p / (p @ p))
+    names = {"bsp_gp": bsp_gp, "run": pull}
+    exec(text.replace("rounds=16", "rounds=2"), names)  # sixteen take minutes
+    assert names["found"].law.terms and (tmp_path / "discovery" / "discovery.json").is_file()
 
 
 @pytest.mark.slow

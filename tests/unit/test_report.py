@@ -42,11 +42,13 @@ from bsp_gp.report.sentences import (
     caveats,
     headline,
     missing_sentence,
+    powers_sentence,
     ratio_caution,
     verdict_sentence,
     worse_bodies,
 )
 from bsp_gp.report.summary import summary_text
+from bsp_gp.report.told import Told
 from bsp_gp.report.tracks import pick_overlays, wants_errors
 from bsp_gp.report.typeset import law_document, split_terms, to_svg
 
@@ -241,6 +243,26 @@ def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_p
     assert "do not tell it from 2 other forms" in first and "Probability" not in first
 
 
+def test_powers_of_several_forces_are_told_with_the_constant_of_each():
+    report = sample.adopted()
+    one = {"of": "norm(p_i - p_j)", "stated": -3.0, "value": -2.99, "low": -3.01, "high": -2.97}
+    powers = ({**one, "term": "c1 * (m_i)"}, {**one, "term": "c2 * (m_j)", "of": "norm(v_i)"})
+    told = [
+        powers_sentence(replace(report.rounds[0], effect=replace(
+            report.rounds[0].effect, exponents=given, varies_with=())))
+        for given in (powers, powers[:1])
+    ]  # fmt: skip
+    assert "in c1, distance to the −2.99" in told[0] and "in c2, speed to the −2.99" in told[0]
+    assert "(90 %): distance to the" in told[1]
+
+
+def test_errors_of_scenes_have_their_unit():
+    report = sample.adopted()
+    rounds = (replace(report.rounds[0], held_out=({"scene": "a", "before": 2.0, "after": 1.0},)),)
+    page = render_html(replace(report, rounds=rounds), RUN)
+    assert "position error before (m)</th>" in page and "after (m)</th>" in page
+
+
 def test_lengths_are_told_in_the_unit_of_the_data():
     report = sample.adopted()
     page = page_of(replace(report, dataset={**report.dataset, "units": {"length": "cm"}}))
@@ -249,6 +271,13 @@ def test_lengths_are_told_in_the_unit_of_the_data():
     assert drag.unit == next(c for c in report.constants if c.name == "c1").unit.replace("m", "cm")
     assert page.overlays[0].observed[0] == pytest.approx(100 * report.overlays[0].observed[0])
     assert "980.665 [cm/s^2]" in page.law_text
+    first, si = page.rounds[0], report.rounds[0]
+    assert first.held_out[0]["before"] == pytest.approx(100 * si.held_out[0]["before"])
+    assert first.trace.values == pytest.approx(100 * np.array(si.trace.values))
+    assert first.trace.at == pytest.approx(100 * np.array(si.trace.at))  # speeds
+    by_time = replace(si.trace, channels=(replace(si.trace.channels[0], variable="time"),))
+    told = Told({"length": "au", "time": "yr"}, {}).trace(by_time)
+    assert told.at == pytest.approx(np.array(si.trace.at) / 31557600.0)
 
 
 def test_the_body_that_acts_has_its_name():

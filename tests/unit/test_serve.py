@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from tests.snippets import ROOT
+from tests.snippets import ROOT, blocks, compare
 
 for library in ("starlette", "uvicorn"):
     pytest.importorskip(library, reason="the extra [web] is not installed")
@@ -78,6 +78,15 @@ def server():
     server = Server()
     yield server
     server.close()
+
+
+def test_the_command_says_what_the_page_shows():
+    command, shown = blocks((ROOT / "docs" / "serve.md").read_text("utf-8"))[:2]
+    server = Server(*command.text.split()[2:])
+    said = f"Page: {server.address}\n{server.process.stdout.readline()}"
+    assert server.ask("", method="GET")[0] == 200
+    assert server.close() == 0
+    compare(shown.text, said, "serve.md")
 
 
 def test_without_the_token_nothing_is_to_be_had(server):
