@@ -44,6 +44,8 @@ def formula(text):
          "force across the velocity, speed (magnetic or Magnus)"),
         ("c1 * norm(v_i) * cross(e_x, normalize(v_i))", 1.0,
          "force across the velocity, speed (magnetic or Magnus)"),
+        ("c1 * tanh(norm(v_i) / 2 [m/s]) * perp(normalize(v_i))", 1.0,
+         "force across the velocity, as tanh(norm(v_i) / 2 [m/s])"),
         ("c1 * e_x", 1.0, "uniform push along x"),
         ("c1 * m_i * e_y", 1.0, "uniform push along y"),
         ("c1 * norm(v_i) * e_y", 1.0, "uniform push along y, as speed"),
