@@ -190,6 +190,11 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             return f"spring towards the other body{where}"
         return verb + _scaling(powers) + where
     inner = text.removeprefix("normalize(").removesuffix(")")
+    if (stream := re.fullmatch(r"v_i - ([A-Za-z]\w*)", inner)) and stream[1] != "v_j":
+        total = powers.get(f"norm({inner})", 0) + (text == inner)
+        if set(powers) <= {f"norm({inner})"} and not is_loose and (value is None or value <= 0):
+            power = _POWERS.get(total, f"power {total:g}")
+            return f"drag against the {stream[1]}, {power} in speed{where}"
     along = _DIRECTIONS.get(inner, text or "a fixed direction")
     return f"force along the {along}" + _scaling(powers) + where
 
