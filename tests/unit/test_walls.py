@@ -157,6 +157,16 @@ def test_a_bouncing_ball_is_told_with_its_weight():
             assert constant.low - width < true[constant.name] < constant.high + width
 
 
+def test_a_ball_that_comes_to_rest_is_told_by_its_flights():
+    data = bounces(np.random.default_rng(6), noise=False, n_rows=200, floor=0.03, kept=0.6)
+    report = close_loop(data, "nothing", rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert "ball lies still[0, " in report.rounds[0].effect.name
+    values = {c.name: c.value for c in report.constants}
+    assert values["e1"] == pytest.approx(0.6, abs=0.01)
+    assert values["c1"] == pytest.approx(-9.81, abs=0.1)
+
+
 def cart(seed):
     """A cart with linear drag between two bumpers, by the exact solution between bounces."""
     rng, c, times = np.random.default_rng(seed), 0.08, np.arange(300) / 30

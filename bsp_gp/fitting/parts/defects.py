@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Part
 
-__all__ = ["LeftOut", "Shifted", "Swapped"]
+__all__ = ["LeftOut", "Resting", "Shifted", "Swapped"]
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,28 @@ class LeftOut(_Edit):
 
     def describe(self):
         return f"{self.entity or 'all'} left out[{self.scene}, {self.row}:{self.stop}]"
+
+
+@dataclass(frozen=True)
+class Resting(LeftOut):
+    """Rows of a body that has come to rest on a wall: of these the place is told, and no more.
+
+    Bounces that cannot be seen have led there, and no law of flight acts.
+
+    Attributes
+    ----------
+    error : float, m
+        Of a coordinate there.
+    """
+
+    error: float = field(default=1.0, kw_only=True)
+
+    @property
+    def log_density(self):
+        return -self.n_left_out * math.log(self.error * math.sqrt(2 * math.pi * math.e))
+
+    def describe(self):
+        return f"{self.entity} lies still[{self.scene}, {self.row}:]"
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from bsp_gp.fitting.fit import FitTolerances
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.jumps import WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
+from bsp_gp.fitting.parts.defects import Resting
 from bsp_gp.fitting.parts.walls import count_of, places_of, wall_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw, Term
@@ -40,6 +41,8 @@ SLANTING = 0.05
 """Speed along a wall, in that across it, below which what is kept of it is not asked of jumps."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
+LYING, LEAST_LYING = 4.0, 12
+"""Errors above a wall within which a body lies on it, and rows at which it is seen there."""
 
 
 class Walls:
@@ -98,12 +101,14 @@ def _proposals(view, groups, jumps_of):
         values = _values(own, axis)
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
         part = part + walls[-1]
+    resting = _resting(dataset, groups)
+    part = sum(resting, part)
     every = [jump for own in groups.values() for jump in own]
     # All that is left: bodies that bounce are far from where the law would take them. Turns that it
     # explains, of a mass on a spring, are none of these.
     gain = max(float(view.left @ view.left) - view.n_left, sum(jump.gain for jump in every))
     gain = min(gain, _unexplained(view))
-    text = ", ".join(wall.describe() for wall in walls)
+    text = ", ".join(one.describe() for one in (*walls, *resting))
     rank = sum(len(wall.names) for wall in walls)
     told = _told(dataset, jumps_of, groups, is_bare=not any(t.is_declared for t in law.terms))
     types = dataset_types(dataset)
@@ -124,10 +129,40 @@ def _proposals(view, groups, jumps_of):
         hypothesis = part + Forces(ForceLaw(tuple(map(Term, formulas)), starts)) if forms else part
         out.append(Proposal(
             "bounce", " + ".join([text, *map(to_text, formulas)]), hypothesis,
-            -(len(walls) + len(forms)) * view.criteria.cause_nats, gain - (left - least),
+            -(len(walls) + len(resting) + len(forms)) * view.criteria.cause_nats,
+            gain - (left - least),
             rank + len(forms), kind="wall", is_sole=True, error=error, is_afresh=True,
+            patience=PATIENT,  # contacts make many steps of a track
         ))  # fmt: skip
     return tuple(sorted(out, key=lambda proposal: -proposal.promise))
+
+
+def _resting(dataset, groups):
+    """Rows at which bodies lie on walls up to their ends, as parts of a hypothesis."""
+    levels, out = _levels(groups), []
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            places = scene.positions[:, k]
+            error, seen = scatter(places), np.isfinite(places).all(axis=1)
+            lies = ~seen | _at_walls(places, levels, LYING * error)
+            first = len(lies) - int(np.argmin(lies[::-1])) if not lies.all() else 0
+            if first and np.count_nonzero(seen[first:]) >= LEAST_LYING:
+                out.append(Resting(
+                    scene.name, first, len(lies), scene.names[k], error=error,
+                    n_left_out=np.count_nonzero(seen[first:]) * dataset.n_dims,
+                ))  # fmt: skip
+    return out
+
+
+def _levels(groups):
+    """Where walls stand across their axes, by axis and side."""
+    return {key: np.median([jump.place[key[0]] for jump in own]) for key, own in groups.items()}
+
+
+def _at_walls(places, levels, near):
+    """Whether places (T, d) are nearer than that to some wall, or behind it, (T,)."""
+    held = [side * (places[:, axis] - at) < near for (axis, side), at in levels.items()]
+    return np.any(held, axis=0)
 
 
 def _unexplained(view):
@@ -166,18 +201,13 @@ def _flights(dataset, jumps_of, groups):
     groups : dict of (int, int) to list of Jump
         By axis and side of walls; a body that lies at one is held by it.
     """
-    levels = {key: np.median([jump.place[key[0]] for jump in own]) for key, own in groups.items()}
-
-    def at_walls(places, near):
-        held = [side * (places[:, axis] - at) < near for (axis, side), at in levels.items()]
-        return np.any(held, axis=0)
-
-    out = []
+    levels, out = _levels(groups), []
     for scene in dataset.scenes:
         for k in scene.dynamic:
             _, v, a = between(scene.times, scene.positions[:, k], jumps_of[scene.name, k])
             mass, error = scene.entities[k].mass, scatter(scene.positions[:, k])
-            told = np.isfinite(a).all(axis=1) & ~at_walls(scene.positions[:, k], ERRORS * error)
+            near = _at_walls(scene.positions[:, k], levels, ERRORS * error)
+            told = np.isfinite(a).all(axis=1) & ~near
             mass = mass if math.isfinite(mass) else 1.0
             span = WINDOW * float(np.median(np.diff(scene.times)))
             error *= math.sqrt(720) / span**2  # of a parabola through so many rows

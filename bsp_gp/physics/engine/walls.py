@@ -180,11 +180,14 @@ class Walls:
 
 
 def _since(far, speed, push):
-    """Time since a body was at a wall; negative if it will be."""
+    """Time since a body was at a wall, or nearest to one that it misses; negative if it will be."""
     square = speed * speed - 2 * push * far
-    root = np.sqrt(np.where(square.real > 0, square, 0.0))  # 0: it turns back just before
+    is_there = square.real > 0
+    root = np.sqrt(np.where(is_there, square, 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return 2 * far / (speed - root)  # of two the instant at which it went in
+        # Of two the instant at which it went in; at the wall itself, at rest, it is now.
+        since = np.where(is_there, 2 * far / (speed - root), speed / push)
+    return np.where(np.isfinite(since), since, 0.0)
 
 
 def _reflected(part, place, velocity, values, before, after, stays):
