@@ -664,8 +664,11 @@ def _serve(args):
 
 def _completion(args):
     from bsp_gp.cli_completion import completion_script
+    from bsp_gp.simulate.machines import MACHINES
+    from bsp_gp.simulate.synth import PRESETS
 
-    print(completion_script(build_parser(), args.shell), end="")
+    names = {"make": (*PRESETS, *MACHINES)}
+    print(completion_script(build_parser(), args.shell, names), end="")
 
 
 def _width():

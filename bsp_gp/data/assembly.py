@@ -14,6 +14,7 @@ from bsp_gp.data.headings import (
     TEXT_COLUMNS,
     is_acceleration,
     is_angle,
+    is_count,
     is_error,
     is_rate,
 )
@@ -213,7 +214,7 @@ def axes_of(table, declaration):
         if not is_angle(angle)
         and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration))
         and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
-        and not is_error(column)
+        and not (is_error(column) or is_count(column))
     ]
     if doubtful:
         raise DataError(

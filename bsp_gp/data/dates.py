@@ -19,6 +19,8 @@ _FORMATS = (
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d[.,]\d+"), "%d.%m.%Y %H:%M:%S.%f"),
 )
 """Ways of writing a date in which day and month cannot be mistaken for each other."""
+_TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
+"""A date in which day and month may be mistaken for each other, which matters where it changes."""
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
 
 
@@ -47,6 +49,10 @@ def seconds_of(cells):
         if clock.all():
             parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
             return _spread(is_known, parts.to_numpy() @ [3600.0, 60.0, 1.0]), "midnight"
+        if known.str.fullmatch(_TURNED.pattern).all():
+            known = _either_way(known)
+            if known is None:
+                return None
         form = next((f for regex, f in _FORMATS if known.str.fullmatch(regex.pattern).all()), None)
         if form is None:
             return None
@@ -57,6 +63,20 @@ def seconds_of(cells):
     start = known.min()
     seconds = (known - start) / pd.Timedelta(seconds=1)
     return _spread(is_known, seconds.to_numpy(dtype=float)), f"{start:%Y-%m-%d %H:%M:%S}"
+
+
+def _either_way(cells):
+    """Dates with the day first, or the month, in ISO; None where both can be and differ."""
+    parts = cells.str.extract(r"(\d+)/(\d+)/(\d+) (.*)")
+    found = []
+    for day, month in ((0, 1), (1, 0)):
+        if parts[month].astype(int).max() > 12 or parts[day].astype(int).max() > 31:
+            continue
+        text = [f"{y}-{m:>02}-{d:>02} {clock:>08}" for d, m, y, clock in
+                parts[[day, month, 2, 3]].itertuples(index=False)]  # fmt: skip
+        found.append(pd.Series(text, cells.index))
+    is_one_day = (parts[[0, 1, 2]].nunique() == 1).all()
+    return found[0] if len(found) == 1 or (found and is_one_day) else None
 
 
 def _spread(is_known, values):

@@ -21,6 +21,7 @@ from bsp_gp.data.headings import (
     NUMBER_COLUMNS,
     TEXT_COLUMNS,
     UNKNOWN,
+    has_place,
     number_columns,
     run_of,
     told,
@@ -155,6 +156,11 @@ def long_table(
     else:
         rest = [h for h in found if h.sure == UNKNOWN]
         frame = frame.set_axis(names, axis=1)[[name for name in names if name]]
+    is_named = {"entity", "scene"} & set(names)
+    untimed = not (as_text or is_named or {"t", "frame"} & set(names)) and has_place(found)
+    if untimed and all(h.sure != UNKNOWN for h in found):  # else one of the others is the time
+        frame = frame.assign(frame=frame.index - frame.index.min())
+        notes = (*notes, "there is no column of times: every row is taken as a frame")
     is_named = {"entity", "scene"} & set(frame.columns)
     if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not run_of(title):
         title = ""  # of Tracker it is the name of the mass; of others, anything

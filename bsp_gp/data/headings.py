@@ -18,6 +18,7 @@ from bsp_gp.data.polar_words import (
     is_angle_word,
     is_bare_error,
     is_far,
+    is_julian,
     is_of_sky,
     is_position_angle,
 )
@@ -28,7 +29,7 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_error", "is_rate", "is_run", "number_columns",
+    "is_angle", "is_angle_name", "is_count", "is_error", "is_rate", "is_run", "number_columns",
     "run_of", "told",
 ]  # fmt: skip
 
@@ -46,7 +47,10 @@ LITERAL, WORD, GUESS, UNKNOWN = range(4)
 _WITH_UNIT = re.compile(r"(.*?)\s*[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+(?:in|-|–)\s+|_)[(\[]?([^()\[\]_]+)[)\]]?")
 """``t / s``, ``t in s``, ``t - s``, ``t, s``, ``t_s``, ``v / (m/s)``: then comes a unit."""
-_RUN = r"(?:run|data ?set|lauf|versuch|messung|trial|essai|prova|ensayo|latest|latest run)"
+_AFTER_LAST_MARK = re.compile(_AFTER_MARK.pattern.replace(".+?", ".+", 1))
+"""``s_A1 / m``."""
+_RUN = (r"(?:run|data ?set|lauf|versuch|messung|durchgang|messreihe|trial|essai|série|prova|serie"
+        r"|ensayo|corrida|latest|latest run)")  # fmt: skip
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+", re.IGNORECASE)
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
 _RUN_AFTER = re.compile(rf"(.*[^\s,;])[\s,;]+({_RUN_NAME.pattern})", re.IGNORECASE)
@@ -58,7 +62,7 @@ def _set(text):
     return frozenset(text.split())
 
 
-_TIME_WORDS = _set("time elapsed zeit temps tiempo tempo")
+_TIME_WORDS = _set("time elapsed relative zeit temps tiempo tempo")
 _PLACE_WORDS = _set(
     "position pos coordinate coord coordinates koordinate ort lage weg location posición"
     " posizione displacement"
@@ -76,17 +80,20 @@ _ANGLE = re.compile(
     r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
 )
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
-_COUNT_WORDS = _set("nr no number num nummer index idx # id numéro número numero of the")
+_COUNT_WORDS = _set("nr no number num nummer index idx # id n° nº numéro número numero of the")
+_INPUT = re.compile(r"[ab]\d")
+"""Of an interface, as in ``s_A1``."""
+_ROW_WORDS = _set("iter iteration record row sample point reading zeile messpunkt ligne fila riga")
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
               " epoch time and und et"),
-    "frame": _set("frame frames bild coords image video"),
+    "frame": _set("frame frames bild coords image slice video"),
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
                   " wurf throw drop shot recording aufnahme repetition scene szene"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
-    "x": _PLACE_WORDS | _set("distance strecke abstand entfernung auslenkung distanz distanza"
+    "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
                              " extension s"),
 }  # fmt: skip
@@ -164,7 +171,7 @@ def run_of(title):
 
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
-    is_symbol = re.fullmatch(r"a[\s_]?[xyz]", text.strip().lower()) is not None
+    is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz]", text.strip().lower()) is not None
     return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
 
 
@@ -177,6 +184,11 @@ def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
     return bool(_words(text) & no_place)
+
+
+def is_count(text):
+    """Whether a heading counts rows."""
+    return (_words(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
 
 
 def _words(text):
@@ -244,8 +256,7 @@ def _split_unit(cell, back, is_track):
     match = _WITH_UNIT.fullmatch(cell)
     if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
         return match[1], match[2]
-    match = _AFTER_MARK.fullmatch(cell)
-    if match:
+    for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
         stem = match[1]
         name = back.get(cell, back.get(stem, _our_name(stem)[0]))
         if is_track and name not in _UNIT_OF:
@@ -279,7 +290,7 @@ def _our_name(name):
 
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    words = _words(name) - {""}
+    words = {word for word in _words(name) - {""} if not _INPUT.fullmatch(word)}
     for ours, known in _GUESSES.items():
         counted = words - _COUNT_WORDS if ours in ("scene", "entity", "frame") else words
         if counted and counted <= known:
@@ -329,9 +340,10 @@ def _with_dates(found):
     if is_dated:
         return found
     if not (is_polar(names) or is_sky(names)):  # "day" may count recordings
+        told = [(h, date_unit(h.name) if h.sure == UNKNOWN else None) for h in found]
         return [
-            replace(h, name="t", unit=h.unit or "yr", sure=GUESS)
-            if h.sure == UNKNOWN and date_unit(h.name) == "yr" else h for h in found
+            replace(h, name="t", unit=h.unit or unit, sure=GUESS)
+            if unit == "yr" or is_julian(h.name) else h for h, unit in told
         ]  # fmt: skip
     k = next((k for k, h in enumerate(found) if date_unit(h.name) is not None), None)
     return [replace(h, name="t", sure=GUESS) if j == k else h for j, h in enumerate(found)]

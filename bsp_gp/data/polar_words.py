@@ -8,7 +8,7 @@ from bsp_gp.units import OF_THE_SKY
 
 __all__ = [
     "date_unit", "error_of", "is_angle_word", "is_bare_error", "is_besselian", "is_far",
-    "is_of_sky", "is_position_angle", "plain_words", "sky_unit",
+    "is_julian", "is_of_sky", "is_position_angle", "plain_words", "sky_unit",
 ]  # fmt: skip
 
 
@@ -32,7 +32,7 @@ _ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur i
 _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
 _YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
-_DAY = _set("jd mjd hjd bjd")
+_DAY = _set("jd mjd hjd bjd julian")
 _DATE = _set("date epoch ep obs observed observation of time day days t") | _YEAR | _DAY
 
 
@@ -103,6 +103,11 @@ def date_unit(text):
     if not words or not words <= _DATE or words <= _set("obs observed of"):
         return None
     return "yr" if words & _YEAR else "day" if words & _DAY else ""
+
+
+def is_julian(text):
+    """Whether a heading counts days in the manner of Julius Scaliger."""
+    return date_unit(text) == "day" and bool(plain_words(text) & _DAY)
 
 
 def is_besselian(text):

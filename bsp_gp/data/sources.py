@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bsp_gp.data.horizons import is_horizons, plain_table
+from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.errors import DataError, MissingDependencyError
 
 __all__ = ["Source", "open_source"]
@@ -127,21 +127,21 @@ def _text_file(path):
     if not _is_windows(path):
         _fail_encoding(path, bad_line)
     note = f"{path.name} is not UTF-8: read as Windows-1252, as Excel writes it"
-    return Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,))
+    return _told_apart(Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,)))
 
 
 def _told_apart(source):
-    """The source itself, or the plain table within an ephemeris of Horizons."""
+    """The source itself, or the plain table below the preamble of a program."""
     with source.open() as stream:
         head = stream.read(20)
-        if not head.startswith(("*" * 10, "API", "Ephemeris", "JPL", "{")):
+        if not head.startswith(HEADS):
             return source
         text = head + stream.read()
-    if not is_horizons(text):
+    plain = without_preamble(text, source.path)
+    if plain == text:
         return source
-    text = plain_table(text)
-    counts = {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
-    return replace(source, text=text, counts=counts)
+    counts = {mark.encode(): plain.count(mark) for mark in (",", ";", "\t", "\n", '"')}
+    return replace(source, text=plain, counts=counts)
 
 
 def _is_windows(path):

@@ -90,7 +90,11 @@ def test_what_was_made_from_python_cannot_be_run_again(folder, tmp_path, capsys)
 @pytest.mark.parametrize(
     ("typed", "found"),
     [(["bsp-gp", "clo"], ["close"]), (["bsp-gp", "close", "x", "--declar"], ["--declare"]),
-     (["bsp-gp", "show", "--no"], ["--no-open"]), (["bsp-gp", "close", "x", "--per-e"], [])],
+     (["bsp-gp", "show", "--no"], ["--no-open"]), (["bsp-gp", "close", "x", "--per-e"], []),
+     (["bsp-gp", "make", "pe"], ["pendulum"]), (["bsp-gp", "make", "x", "pe"], []),
+     (["bsp-gp", "grammar", "ch"], ["check"]), (["bsp-gp", "completion", "z"], ["zsh"]),
+     (["bsp-gp", "grammar", "check", "--da"], ["--data"]),
+     (["bsp-gp", "close", "x", "--search", "ge"], ["genetic"])],
 )  # fmt: skip
 def test_a_shell_completes_commands_and_options(typed, found, capsys):
     assert main(["completion", "bash"]) == 0

@@ -1,18 +1,22 @@
 """Tables of loggers and programs: read right, or refused with the option that helps."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bsp_gp.cli import main
+from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, on_command_line
+from tests.capture_tables import CAPTURES
 from tests.logger_tables import LATER, LOOKED_AT, MORE, SET_ASIDE
 
-SAMPLES = LOOKED_AT | SET_ASIDE | LATER | MORE
+SAMPLES = LOOKED_AT | SET_ASIDE | LATER | MORE | CAPTURES
 
 
-def test_there_are_thirty_of_them_half_set_aside_and_fifteen_of_another_day():
-    assert len(LOOKED_AT) == len(SET_ASIDE) == len(LATER) == 15 and len(SAMPLES) == 45 + len(MORE)
+def test_there_are_thirty_of_them_half_set_aside_and_thirty_of_other_days():
+    fifteen = (LOOKED_AT, SET_ASIDE, LATER, CAPTURES)
+    assert {len(tables) for tables in fifteen} == {15} and len(SAMPLES) == 60 + len(MORE)
 
 
 @pytest.mark.parametrize("name", SAMPLES)
@@ -44,6 +48,39 @@ def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
     text = " ".join(dataset.notes)
     for word in sample.told:
         assert word in text, f"{word} is not told in {text}"
+
+
+@pytest.mark.parametrize(
+    ("name", "cut", "said"),
+    [
+        ("motive", lambda text: text.replace("Length Units", "Units"), "preamble cannot be read"),
+        ("trc", lambda text: text.replace("ball\t", "\t"), "must name markers"),
+        ("vicon", lambda text: text[:20], "preamble cannot be read"),
+        ("campbell", lambda text: "\n".join(text.splitlines()[:2]), "preamble cannot be read"),
+        ("cassy", lambda text: text.replace("DEF", "Def"), "preamble cannot be read"),
+    ],
+)
+def test_a_preamble_that_is_not_as_the_program_writes_it_is_told(tmp_path, name, cut, said):
+    path = tmp_path / CAPTURES[name].name
+    path.write_text(cut(CAPTURES[name].content.decode("cp1252")), "utf-8")
+    with pytest.raises(DataError, match=said):
+        load_dataset(path)
+
+
+@pytest.mark.parametrize(
+    ("dates", "seconds"),
+    [
+        (["1/2/2025 10:00:00", "1/2/2025 10:00:01", "1/2/2025 10:00:03"], [0, 1, 3]),
+        (["31/1/2025 23:59:59", "1/2/2025 00:00:00", "1/2/2025 0:00:01"], [0, 1, 2]),
+        (["1/31/2025 23:59:59", "2/1/2025 00:00:00", "2/1/2025 0:00:01"], [0, 1, 2]),
+        (["1/2/2025 23:59:59", "2/2/2025 00:00:00", "2/2/2025 0:00:01"], None),
+    ],
+)
+def test_dates_in_which_day_and_month_may_be_mistaken_are_read_where_that_does_not_matter(
+    dates, seconds
+):
+    read = seconds_of(pd.Series(dates))
+    assert read is None if seconds is None else read[0] == pytest.approx(seconds)
 
 
 def test_check_says_what_was_understood_and_draws_it(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,135 @@
+"""Tables below a preamble, as programs of motion capture and loggers write them, as plain ones.
+
+Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
+the exports of OptiTrack's Motive and of Vicon's Nexus, TOA5 of Campbell's loggers, the texts of
+Leybold's CASSY Lab, and vector tables of JPL Horizons.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+
+from bsp_gp.data.horizons import is_horizons, plain_table
+from bsp_gp.errors import DataError
+
+__all__ = ["HEADS", "without_preamble"]
+
+_AXES = ("X", "Y", "Z")
+
+
+def _cells(line, delimiter):
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def _long(rows, time, owners, unit, path):
+    """Rows of markers side by side as one row per time and marker.
+
+    Parameters
+    ----------
+    rows : iterable of list of str
+    time : callable
+        The time of a row, as a text.
+    owners : sequence of (int, str)
+        Column of X, and whose it is.
+    unit : str
+        Of lengths.
+    """
+    names = [name for _, name in owners]
+    if not owners or len(set(names)) < len(names):
+        raise DataError(
+            f"the header must name markers, each once, got {names[:6]}", file=path,
+            remedy="export markers with labels, or a table with columns t, entity, x, y, z",
+        )  # fmt: skip
+    lines = ["\t".join(["entity", "t (s)", *(f"{a.lower()} ({unit})" for a in _AXES)])]
+    for row in rows:
+        for start, name in owners:
+            place = [*row[start : start + 3], "", "", ""][:3]
+            if any(place):
+                lines.append("\t".join([name, time(row), *place]))
+    return "\n".join(lines) + "\n"
+
+
+def _trc(text, path):
+    lines = text.splitlines()
+    about = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    names = _cells(lines[3], "\t")
+    owners = [(k, name) for k, name in enumerate(names) if name and k > 1]
+    rows = [_cells(line, "\t") for line in lines[5:] if line.strip()]
+    return _long(rows, lambda row: row[1], owners, about["Units"].strip(), path)
+
+
+def _motive(text, path):
+    lines = text.splitlines()
+    about = _cells(lines[0], ",")
+    unit = about[about.index("Length Units") + 1].lower()
+    start = next(k for k, line in enumerate(lines) if line.startswith("Frame,Time"))
+    above = [_cells(line, ",") for line in lines[1:start]]
+    kinds = next(row for row in above if "Position" in row)
+    named = next(row for row in above if "Name" in row)
+    owners = [
+        (k, named[k]) for k, axis in enumerate(_cells(lines[start], ","))
+        if axis == "X" and kinds[k] == "Position"
+    ]  # fmt: skip
+    rows = [_cells(line, ",") for line in lines[start + 1 :] if line.strip()]
+    return _long(rows, lambda row: row[1], owners, unit, path)
+
+
+def _vicon(text, path):
+    lines = text.splitlines()
+    rate = float(lines[1].split(",")[0])
+    owners = [(k, name.split(":")[-1]) for k, name in enumerate(_cells(lines[2], ",")) if name]
+    unit = next((cell for cell in _cells(lines[4], ",") if cell), "")
+    rows = []
+    for line in lines[5:]:  # other sections come after a blank line
+        if not line.strip(" ,"):
+            break
+        rows.append(_cells(line, ","))
+    return _long(rows, lambda row: f"{(float(row[0]) - 1) / rate:.9g}", owners, unit, path)
+
+
+def _campbell(text, path):
+    lines = text.splitlines()
+    names, units = (_cells(line, ",") for line in lines[1:3])
+    named = [
+        name if unit in ("", "TS", "RN") else f"{name} ({unit})"
+        for name, unit in zip(names, units, strict=True)
+    ]
+    return "\n".join([",".join(f'"{name}"' for name in named), *lines[4:]]) + "\n"
+
+
+def _cassy(text, path):
+    found = re.search(r"^DEF=(.*)$", text, re.MULTILINE)
+    header = found[1].replace('"', "").strip()
+    return f"{header}\n{text[found.end() :].lstrip()}"
+
+
+def _horizons(text, path):
+    return plain_table(text) if is_horizons(text) else text
+
+
+_KNOWN = {
+    "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon, '"TOA5"': _campbell,
+    "MIN=": _cassy, "*" * 10: _horizons, "API": _horizons, "Ephemeris": _horizons,
+    "JPL": _horizons, "{": _horizons,
+}  # fmt: skip
+HEADS = tuple(_KNOWN)
+"""How such files begin."""
+
+
+def without_preamble(text, path):
+    """The plain table in a text that begins as one of `HEADS`; the text itself if it is none.
+
+    Raises
+    ------
+    DataError
+        If the preamble is not as the program writes it, or markers have no names.
+    """
+    plain = next(rule for head, rule in _KNOWN.items() if text.startswith(head))
+    try:
+        return plain(text, path)
+    except (LookupError, ValueError, StopIteration, TypeError) as error:
+        raise DataError(
+            f"the file begins as {text.splitlines()[0][:30]!r}, and its preamble cannot be read "
+            f"({error!r})", file=path, remedy="give a table with the columns t, x, y (and entity)",
+        ) from error  # fmt: skip
