@@ -40,8 +40,8 @@ class _Parser(argparse.ArgumentParser):
         if "--declare --model" in message and self.prog.endswith("close"):
             message = (
                 'say what is known of the forces, such as --declare "9.81 [m/s^2] * m_i * down" '
-                "(--model FILE holds several); where nothing is known, bsp-gp fit DATA looks for "
-                "a law from no force at all"
+                "(--model FILE holds several); where nothing is known, --declare nothing, or "
+                "bsp-gp fit DATA, which looks for a law from no force at all"
             )
         if "--object" in message and "required" in message:
             message += ", such as --object ball=disc:red or --object ball=disc:#2060b0"

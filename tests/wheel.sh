@@ -22,20 +22,18 @@ test -s demo/report.html
 "$work/venv/bin/bsp-gp" grammar list >grammars.txt
 grep -q '^physics:' grammars.txt
 
-if git -C "$source" rev-parse --git-dir >/dev/null 2>&1; then  # an sdist has no repository
-    mkdir newcomer && cd newcomer
-    sed -n '/tests\/wheel.sh does -->$/,/^```$/p' "$source/docs/start.md" | sed '/^```\|^<!--/d' |
-        sed "s#/path/to/this/repository#$source#; s#pip install#& --quiet --disable-pip-version-check#" \
-            >start.sh
-    (
-        PATH="$(dirname "$("$python" -c 'import sys; print(sys._base_executable)')"):$PATH"
-        . ./start.sh
-        test "$(command -v bsp-gp)" = "$PWD/.venv/bin/bsp-gp"
-        bsp-gp check "$source/examples/falls.csv" >seen.txt
-        (cd "$source" && "$python" -m tests.snippets docs/grammars.md "$work/newcomer/page") >/dev/null
-        cd page
-        sed -n '/tests\/wheel.sh does -->$/,/^```$/p' "$source/docs/grammars.md" | sed '/^```\|^<!--/d' >flow.sh
-        . ./flow.sh
-    )
-fi
+# The blocks of two pages that install, as a newcomer types them.
+block() { sed -n '/tests\/wheel.sh does -->$/,/^```$/p' "$source/docs/$1" | sed '/^```\|^<!--/d'; }
+mkdir newcomer && cd newcomer
+block start.md | sed "s#/path/to/this/repository#$work/source#; s#pip install#& --quiet#" >start.sh
+(
+    PATH="$(dirname "$("$python" -c 'import sys; print(sys._base_executable)')"):$PATH"
+    . ./start.sh
+    test "$(command -v bsp-gp)" = "$PWD/.venv/bin/bsp-gp"
+    bsp-gp check "$source/examples/falls.csv" >seen.txt
+    (cd "$source" && "$python" -m tests.snippets docs/grammars.md "$work/newcomer/page") >/dev/null
+    cd page
+    block grammars.md >flow.sh
+    . ./flow.sh
+)
 echo "Wheel and sdist are sound."

@@ -162,6 +162,8 @@ def _phrase(direction, condition, powers, value, is_loose=False):
     speed = powers.get("norm(v_i)", 0) or powers.get("norm(v_i - v_j)", 0)
     distance = powers.get("norm(p_i - p_j)", 0)
     radial = any("along(" in name for name in powers)
+    # A function of the velocity that is no power, such as an operator of one's own.
+    has_own = any(name not in _WORDS and "v_i" in _input_names(name) for name in powers)
     extension = [p for name, p in powers.items() if name.startswith("norm(p_i - p_j) - ")]
     if text in ("normalize(v_i)", "v_i") and not distance and not radial:
         brakes = value is None or value <= 0
@@ -169,13 +171,14 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             return f"{'drag' if brakes else 'forward push'}{where}"
         total = speed + (1 if text == "v_i" else 0)
         kind = "drag" if brakes else "forward push"
-        # A function of the velocity that is no power, such as an operator of one's own.
-        if any(name not in _WORDS and "v_i" in _input_names(name) for name in powers):
+        if has_own:
             return kind + _scaling(powers | ({"norm(v_i)": total} if total else {})) + where
         if total == 0:
             return f"{'friction' if brakes else kind} of constant size{where}"
         return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
     if text.startswith("perp(normalize(v_i") or text.startswith("cross("):
+        if has_own and not radial:
+            return f"force across the velocity{_scaling(powers)}{where}"
         return f"force across the velocity, speed^{speed:g} (magnetic or Magnus){where}"
     if text in ("e_x", "e_y", "e_z"):
         return f"uniform push along {text[-1]}" + _scaling(powers) + where
@@ -187,6 +190,11 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             return f"spring towards the other body{where}"
         return verb + _scaling(powers) + where
     inner = text.removeprefix("normalize(").removesuffix(")")
+    if (stream := re.fullmatch(r"v_i - ([A-Za-z]\w*)", inner)) and stream[1] != "v_j":
+        total = powers.get(f"norm({inner})", 0) + (text == inner)
+        if set(powers) <= {f"norm({inner})"} and not is_loose and (value is None or value <= 0):
+            power = _POWERS.get(total, f"power {total:g}")
+            return f"drag against the {stream[1]}, {power} in speed{where}"
     along = _DIRECTIONS.get(inner, text or "a fixed direction")
     return f"force along the {along}" + _scaling(powers) + where
 

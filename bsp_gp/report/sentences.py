@@ -188,7 +188,9 @@ def powers_sentence(round_):
             continue  # what a law rightly lacks is not told
         size = _SIZES.get(e["of"], e["of"])
         text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
-        if is_number(e["stated"]):
+        if e["stated"] == 0:
+            text = f"a further {text}, which the law has not"
+        elif is_number(e["stated"]):
             text += f", written as {e['stated']:g}".replace("-", "−")
         told.setdefault(e["term"].split(" * ")[0], []).append(text)
     several = len(told) > 1  # then whose it is: "distance" alone would be any force's

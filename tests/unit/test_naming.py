@@ -14,7 +14,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import describe
 from tests.worlds import WEIGHT, flights, linear_drag
 
-TYPES = input_types(PROPERTY_UNITS, up="y")
+TYPES = input_types(PROPERTY_UNITS, up="y") | {"wind": input_types(PROPERTY_UNITS)["v_i"]}
 R = "norm(p_i - p_j)"
 
 
@@ -44,6 +44,8 @@ def formula(text):
          "force across the velocity, speed (magnetic or Magnus)"),
         ("c1 * norm(v_i) * cross(e_x, normalize(v_i))", 1.0,
          "force across the velocity, speed (magnetic or Magnus)"),
+        ("c1 * tanh(norm(v_i) / 2 [m/s]) * perp(normalize(v_i))", 1.0,
+         "force across the velocity, as tanh(norm(v_i) / 2 [m/s])"),
         ("c1 * e_x", 1.0, "uniform push along x"),
         ("c1 * m_i * e_y", 1.0, "uniform push along y"),
         ("c1 * norm(v_i) * e_y", 1.0, "uniform push along y, as speed"),
@@ -58,6 +60,9 @@ def formula(text):
         ("c1 * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j)", -8.0,
          "pull to the other body, as radial speed"),
         ("c1 * normalize(v_i - v_j)", -8.0, "force along the relative velocity"),
+        ("c1 * (v_i - wind)", -0.1, "drag against the wind, linear in speed"),
+        ("c1 * norm(v_i - wind) * (v_i - wind)", -0.1, "drag against the wind, quadratic in speed"),
+        ("c1 * (v_i - wind)", 0.1, "force along the v_i - wind"),
         ("c1 * normalize(p_i - p_c) * does_collide(s_i, p_i, s_j, p_j)", 1.0,
          "push from the other body at contact"),
     ],

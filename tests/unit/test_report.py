@@ -254,6 +254,10 @@ def test_powers_of_several_forces_are_told_with_the_constant_of_each():
     ]  # fmt: skip
     assert "in c1, distance to the −2.99" in told[0] and "in c2, speed to the −2.99" in told[0]
     assert "(90 %): distance to the" in told[1]
+    further = {**one, "term": "c1 * (m_i)", "stated": 0.0}
+    effect = replace(report.rounds[0].effect, exponents=(further,), varies_with=())
+    told = powers_sentence(replace(report.rounds[0], effect=effect))
+    assert "a further distance to the −2.990 [−3.010, −2.970], which the law has not" in told
 
 
 def test_errors_of_scenes_have_their_unit():
