@@ -228,8 +228,10 @@ def _run_loop(args, progress):
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap
     law = laws if dataset.latents else read_law(dataset, laws)
-    if not dataset.latents and law.names:  # a slip shows before the work
-        progress(f"constants to fit: {', '.join(law.names)}")
+    if not dataset.latents:
+        if law.names:  # a slip shows before the work
+            progress(f"constants to fit: {', '.join(law.names)}")
+        _tell_masses(args, dataset, law)
     rounds = []
     args.kept = Kept(args.target, {
         "data": dataset_digest(dataset), "declared": laws, "grammar": grammar.fingerprint,
@@ -289,6 +291,7 @@ def _fit(args):
     from bsp_gp.fitting.law_fit import fit_law
 
     law = read_law(dataset, laws)
+    _tell_masses(args, dataset, law)
     settings = read_fit_settings(args)
     with _Progress(args.quiet) as progress:
         progress("fitting")
@@ -307,6 +310,17 @@ def _tell_constants(args, names):
     """Say which names of a typed law were taken as constants and not as inputs."""
     if names and not args.quiet:
         print(f"Constants to fit: {', '.join(names)}", file=sys.stderr, flush=True)
+
+
+def _tell_masses(args, dataset, law):
+    """Say at the start that a law needs masses and none is given."""
+    from bsp_gp.physics.force import needs_masses
+    from bsp_gp.physics.masses import NO_MASS, has_masses, without_masses
+
+    if not args.quiet and needs_masses(law) and not has_masses(dataset):
+        note = without_masses(dataset)
+        if note != NO_MASS:
+            _say(f"note: {note}")
 
 
 def _infer(args):

@@ -29,6 +29,7 @@ def read_dataset(args):
     dataset = load_dataset(
         args.data, units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
         columns=_mapping("--columns", args.columns), train=args.train, test=args.test,
+        properties=_mapping("--property", args.property),
     )  # fmt: skip
     if args.up is not None:
         axes = "xyz"[: dataset.n_dims]

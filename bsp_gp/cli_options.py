@@ -590,6 +590,11 @@ def _reading(parser, with_noise=True):
         help="names of columns: x=X_cm",
     )
     group.add_argument(
+        "--property", action="extend", nargs="+", type=_pair, metavar="NAME=VALUE",
+        help="what is known of bodies: mass=0.3, mass=305.8[g], mass=star1:1.2,star2:0.8; without "
+        "a [unit] in that of --units",
+    )  # fmt: skip
+    group.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"), help="axis that points up"
     )
     clock = group.add_mutually_exclusive_group()

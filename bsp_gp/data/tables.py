@@ -26,6 +26,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import headings, is_angle, is_angle_name
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
+from bsp_gp.data.properties import with_properties
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, notes_beside, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.sky import from_sky
@@ -45,6 +46,7 @@ def load_dataset(
     path: str | os.PathLike, *, units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None, fps: float | None = None, dt: float | None = None,
     train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
+    properties: Mapping | None = None,
 ) -> Dataset:  # fmt: skip
     """Read a data set folder, or a lone delimited file.
 
@@ -63,6 +65,9 @@ def load_dataset(
         Frames per second, or time per frame in the unit of time, where the file counts frames.
     train, test : str or list of str, optional
         Names, globs or ranges ``a..b`` of scenes, in place of ``[split]``.
+    properties : mapping of str to float, str or mapping, optional
+        Property -> number for all bodies, or body -> number: ``{"mass": 0.3}``, ``{"mass":
+        "305.8[g]"}``, ``{"mass": {"star1": 1.2, "star2": 0.8}}``; in place of what the data say.
 
     Returns
     -------
@@ -91,7 +96,8 @@ def load_dataset(
         declaration = read_declaration(toml) if os.path.lexists(toml) else Declaration()
         entities = path / ENTITIES
     elif path.suffix.lower() == ".trk" and path.is_file():
-        return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
+        return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test,
+                             properties=properties)  # fmt: skip
     elif path.suffix.lower() == ".trz" and path.is_file():
         raise DataError(
             "a zipped Tracker project cannot be read as it is",
@@ -103,7 +109,7 @@ def load_dataset(
     else:
         raise DataError("there is no such file or folder", file=path, remedy="check the path")
     declaration = declaration.override(
-        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test
+        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, properties=properties
     )
     if trajectories.suffix.lower() in (".parquet", ".pq"):
         table = _read_parquet(trajectories, declaration.columns)
@@ -139,7 +145,7 @@ def _read_parquet(path, rename):
     return dataclasses.replace(table, file=str(path), digest=digest)
 
 
-def _from_tracker(path, *, units, fps, dt, train, test):
+def _from_tracker(path, *, units, fps, dt, train, test, properties):
     """A data set of a Tracker file; time and axes are its own, the rest may be declared."""
     if fps is not None or dt is not None:
         raise DataError("a Tracker file has its own times", file=path, remedy="leave out fps or dt")
@@ -153,14 +159,14 @@ def _from_tracker(path, *, units, fps, dt, train, test):
         entities["mass"] = [mass if mass > 0 else math.nan for mass in masses]
     dataset = dataset_from_frames(
         frame, entities, name=path.stem, units=own | dict(units or {}), up="y", train=train,
-        test=test, provenance={"source": f"Tracker file {path.name}"},
+        test=test, provenance={"source": f"Tracker file {path.name}"}, properties=properties,
     )  # fmt: skip
     return dataclasses.replace(dataset, notes=(*dataset.notes, *about["notes"]))
 
 
 def dataset_from_frames(
     frames, entities=None, *, name="frames", units=None, columns=None, fps=None, dt=None,
-    train=None, test=None, up=None, noise=None, provenance=None,
+    train=None, test=None, up=None, noise=None, provenance=None, properties=None,
 ):  # fmt: skip
     """Make a data set of DataFrames with the columns of ``trajectories.csv``.
 
@@ -172,7 +178,7 @@ def dataset_from_frames(
         The content of ``entities.csv``.
     name, up, noise, provenance
         As in ``dataset.toml``.
-    units, columns, fps, dt, train, test
+    units, columns, fps, dt, train, test, properties
         As for `load_dataset`.
 
     Returns
@@ -182,7 +188,8 @@ def dataset_from_frames(
     noise = noise.tolist() if hasattr(noise, "tolist") else noise  # of numpy
     declaration = Declaration(
         name=name, up=up, provenance=dict(provenance or {}), file="arguments"
-    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, noise=noise)
+    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, noise=noise,
+               properties=properties)  # fmt: skip
     if isinstance(frames, Mapping):
         if not frames:
             raise DataError("frames is an empty mapping; at least one scene is needed")
@@ -239,7 +246,8 @@ def _assemble(table, roster, declaration, default_name):
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
-    known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
+    known = {*OWN_COLUMNS, *declaration.properties}
+    known |= {latent.name for latent in declaration.latents}
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
     known |= {unit for t in tables for unit in t.units}
@@ -285,7 +293,7 @@ def _assemble(table, roster, declaration, default_name):
     for each in tables:
         if each.digest:
             provenance[f"sha256 of {Path(each.file).name}"] = each.digest
-    return Dataset(
+    dataset = Dataset(
         name=declaration.name or default_name,
         scenes=scenes,
         train=train,
@@ -304,6 +312,7 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
     )
+    return with_properties(dataset, declaration.properties)
 
 
 def _with_angles(table, declaration):

@@ -17,7 +17,7 @@ __all__ = ["data_figure", "data_text"]
 
 MAX_PANELS = 6
 _MAX_NAMES = 8
-_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+_LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
 
 def data_text(dataset):
@@ -93,10 +93,14 @@ def _properties(dataset):
                f"{'' if latent.share == 'entity' else f', shared: {latent.share}'}"
                for latent in dataset.latents]  # fmt: skip
     if names:
-        return [f"Properties: {', '.join(names)}", *unknown]
+        given = dataset.provenance.get("properties")
+        return [f"Properties: {', '.join(names)}{f' (given: {given})' if given else ''}", *unknown]
     if any(latent.name == "mass" for latent in dataset.latents):
         return ["Properties: none is known", *unknown]
     none = "Properties: none (no masses): constants are those per unit of mass"
+    if dataset.units.is_calibrated(_MASS):
+        none = "Properties: none (no masses): every body is taken as 1 kg"
+    none += "; masses are given with --property mass=0.3[kg]"
     return [none, *unknown]
 
 
