@@ -567,7 +567,10 @@ def _add_demo(commands):
 
 
 def _data(parser, with_noise=True):
-    parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    parser.add_argument(
+        "data", metavar="DATA", nargs="+",
+        help="data set folder, or a lone table; several are recordings of one motion, a scene each",
+    )  # fmt: skip
     _reading(parser, with_noise)
 
 

@@ -17,7 +17,7 @@ READING = ("units", "columns", "property", "up", "fps", "dt", "train", "test", "
 
 def read_as(options, path):
     """A data set, read with options of the command line."""
-    return read_dataset(argparse.Namespace(**options, data=str(path)))
+    return read_dataset(argparse.Namespace(**options, data=[str(path)]))
 
 
 def run_sweep(args, laws, workers, progress):

@@ -65,7 +65,8 @@ def with_usable_masses(dataset, counts=True):
     if has_masses(dataset):
         return dataset
     scenes = tuple(with_unit_masses(scene) for scene in dataset.scenes)
-    return replace(dataset, scenes=scenes, notes=(*dataset.notes, without_masses(dataset) if counts else NO_MASS))
+    note = without_masses(dataset) if counts else NO_MASS
+    return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
 
 
 def with_unit_masses(scene):
