@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import os
 import sys
 
@@ -19,7 +20,7 @@ from bsp_gp.cli_inputs import (
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.cli_progress import Progress as _Progress
 from bsp_gp.cli_reports import run_again, run_record
-from bsp_gp.errors import BspError, SettingsError, on_command_line
+from bsp_gp.errors import BspError, DataError, SettingsError, on_command_line
 from bsp_gp.workers import hands
 
 __all__ = ["main"]
@@ -173,7 +174,11 @@ def _check(args):
     if args.out is None:
         args.overwrite = True  # only ever a check of ours is replaced
     out = _target(args, "check", f"{_data_name(args.data)}-check")
-    dataset = read_dataset(args)
+    try:
+        dataset = read_dataset(args)
+    except DataError:
+        _tell_columns(args)
+        raise
     from bsp_gp.report.drawing import png_bytes
     from bsp_gp.report.recording import data_figure, data_text
 
@@ -182,6 +187,23 @@ def _check(args):
     _write_folder(args, "check", out, files)
     print(text)
     print(f"Picture: {out / 'picture.png'}")
+
+
+def _tell_columns(args):
+    """How the headings of tables are read that are refused, as far as they can be."""
+    from pathlib import Path
+
+    from bsp_gp.cli_inputs import columns_said
+    from bsp_gp.data.folder import TRAJECTORIES
+    from bsp_gp.data.glance import columns_of
+    from bsp_gp.report.recording import columns_text
+
+    for path in map(Path, args.data):
+        table = path / TRAJECTORIES if path.is_dir() else path
+        if table.suffix.lower() in (".trk", ".trz", ".parquet", ".pq"):
+            continue
+        with contextlib.suppress(BspError, OSError, csv.Error, UnicodeError):
+            print(columns_text(path.name, columns_of(table, columns_said(args))))
 
 
 def _close(args):
@@ -228,8 +250,10 @@ def _run_loop(args, progress):
     if args.bootstrap is not None:
         settings["n_bootstrap"] = args.bootstrap
     law = laws if dataset.latents else read_law(dataset, laws)
-    if not dataset.latents and law.names:  # a slip shows before the work
-        progress(f"constants to fit: {', '.join(law.names)}")
+    if not dataset.latents:
+        if law.names:  # a slip shows before the work
+            progress(f"constants to fit: {', '.join(law.names)}")
+        _tell_masses(args, dataset, law)
     rounds = []
     args.kept = Kept(args.target, {
         "data": dataset_digest(dataset), "declared": laws, "grammar": grammar.fingerprint,
@@ -289,6 +313,7 @@ def _fit(args):
     from bsp_gp.fitting.law_fit import fit_law
 
     law = read_law(dataset, laws)
+    _tell_masses(args, dataset, law)
     settings = read_fit_settings(args)
     with _Progress(args.quiet) as progress:
         progress("fitting")
@@ -307,6 +332,17 @@ def _tell_constants(args, names):
     """Say which names of a typed law were taken as constants and not as inputs."""
     if names and not args.quiet:
         print(f"Constants to fit: {', '.join(names)}", file=sys.stderr, flush=True)
+
+
+def _tell_masses(args, dataset, law):
+    """Say at the start that a law needs masses and none is given."""
+    from bsp_gp.physics.force import needs_masses
+    from bsp_gp.physics.masses import NO_MASS, has_masses, without_masses
+
+    if not args.quiet and needs_masses(law) and not has_masses(dataset):
+        note = without_masses(dataset)
+        if note != NO_MASS:
+            _say(f"note: {note}")
 
 
 def _infer(args):
@@ -705,7 +741,11 @@ _COMMANDS = {
 def _data_name(data):
     from pathlib import Path
 
-    path = Path(data)
+    if len(data) > 1:
+        from bsp_gp.data.several import name_of_several
+
+        return name_of_several(data)
+    path = Path(data[0])
     real = Path(os.path.realpath(path))  # of a loop of links too
     return path.stem if path.is_file() else real.name or "data"
 
@@ -718,7 +758,9 @@ def _target(args, kind, default=None):
     from bsp_gp.output.place import claim
 
     files = [getattr(args, name, None) for name in ("model", "video", "grammar")]
-    inputs = [getattr(args, "data", None), *(f for f in files if f and os.path.isfile(f))]
+    data = getattr(args, "data", None)
+    data = data if isinstance(data, list) else [data]
+    inputs = [*data, *(f for f in files if f and os.path.isfile(f))]
     place = args.held.enter_context(
         claim(out, kind, inputs=[path for path in inputs if path], overwrite=args.overwrite)
     )

@@ -8,6 +8,7 @@ import re
 from bsp_gp.errors import LawError, SettingsError
 
 __all__ = [
+    "columns_said",
     "excluded_inputs",
     "masked_grammar",
     "read_constants",
@@ -27,8 +28,10 @@ def read_dataset(args):
     from bsp_gp.data.tables import load_dataset
 
     dataset = load_dataset(
-        args.data, units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
-        columns=_mapping("--columns", args.columns), train=args.train, test=args.test,
+        args.data if len(args.data) > 1 else args.data[0],
+        units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
+        columns=columns_said(args), train=args.train, test=args.test,
+        properties=_mapping("--property", args.property),
     )  # fmt: skip
     if args.up is not None:
         axes = "xyz"[: dataset.n_dims]
@@ -44,6 +47,11 @@ def read_dataset(args):
         length = unit_of_length(dataset)
         dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset
+
+
+def columns_said(args):
+    """What --columns says."""
+    return _mapping("--columns", args.columns)
 
 
 def _units(pairs):

@@ -567,7 +567,10 @@ def _add_demo(commands):
 
 
 def _data(parser, with_noise=True):
-    parser.add_argument("data", metavar="DATA", help="data set folder, or a lone table")
+    parser.add_argument(
+        "data", metavar="DATA", nargs="+",
+        help="data set folder, or a lone table; several are recordings of one motion, a scene each",
+    )  # fmt: skip
     _reading(parser, with_noise)
 
 
@@ -589,6 +592,11 @@ def _reading(parser, with_noise=True):
         metavar="OURS=THEIRS",
         help="names of columns: x=X_cm",
     )
+    group.add_argument(
+        "--property", action="extend", nargs="+", type=_pair, metavar="NAME=VALUE",
+        help="what is known of bodies: mass=0.3, mass=305.8[g], mass=star1:1.2,star2:0.8; without "
+        "a [unit] in that of --units",
+    )  # fmt: skip
     group.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"), help="axis that points up"
     )

@@ -11,13 +11,13 @@ from bsp_gp.errors import BspError
 
 __all__ = ["run_sweep"]
 
-READING = ("units", "columns", "up", "fps", "dt", "train", "test", "noise", "command")
+READING = ("units", "columns", "property", "up", "fps", "dt", "train", "test", "noise", "command")
 """Options that say how a data set is read."""
 
 
 def read_as(options, path):
     """A data set, read with options of the command line."""
-    return read_dataset(argparse.Namespace(**options, data=str(path)))
+    return read_dataset(argparse.Namespace(**options, data=[str(path)]))
 
 
 def run_sweep(args, laws, workers, progress):

@@ -27,11 +27,11 @@ __all__ = [
 _IS_SHELL = ContextVar("on the command line", default=False)
 _OPTION = re.compile(
     r"""(?<![\w-])--([a-z][a-z-]*)"""
-    r"""((?:[ ][\w.]+=(?:"[^"]*"|'[^']*'|[^\s;,)"']+))+|[ ][\w-]+(?=$|[;,. )]))?"""
+    r"""((?:[ ](?:[\w.]+|"[^"]*")=(?:"[^"]*"|'[^']*'|[^\s;,)"']+))+|[ ][\w-]+(?=$|[;,. )]))?"""
 )
-_PAIR = re.compile(r"""([\w.]+)=("[^"]*"|'[^']*'|[^\s;,)"']+)""")
+_PAIR = re.compile(r"""([\w.]+|"[^"]*")=("[^"]*"|'[^']*'|[^\s;,)"']+)""")
 _ARGUMENTS = {"start": "starts", "set": "constants", "overwrite": "overwrite=True",
-              "out": "folder", "law": "law"}  # fmt: skip
+              "out": "folder", "law": "law", "property": "properties"}  # fmt: skip
 _WITH_WORD = ("up", "kind", "latent", "max-levels")
 
 
@@ -61,7 +61,8 @@ def _argument(match):
     rest = match[2] or ""
     pairs = _PAIR.findall(rest)
     if pairs:
-        told = ", ".join(f'"{key}": "{value.strip(chr(34) + chr(39))}"' for key, value in pairs)
+        pairs = [(key.strip('"'), value.strip("\"'")) for key, value in pairs]
+        told = ", ".join(f'"{key}": "{value}"' for key, value in pairs)
         return f"{name}={{{told}}}"
     word = rest.strip() if rest.strip().isdecimal() else f'"{rest.strip()}"'
     return f"{name}={word}" if rest and match[1] in _WITH_WORD else name + rest

@@ -16,6 +16,7 @@ from bsp_gp.data.headings import (
     is_angle,
     is_count,
     is_error,
+    is_no_place,
     is_rate,
 )
 from bsp_gp.data.roster import ABSURD, WITHIN, require_columns, vector_stems
@@ -208,25 +209,35 @@ def axes_of(table, declaration):
         return axes, ()
     other = "y" if axes == ["x"] else "x"
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
-    doubtful = [
-        column
-        for column in columns
-        if not is_angle(angle)
-        and column not in (*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration))
-        and unit_of(table.units.get(column, "m")) == Unit.of(m=1)
-        and not (is_error(column) or is_count(column))
-    ]
+    known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
+    rest = [] if is_angle(angle) else [column for column in columns if column not in known]
+    doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]
     if doubtful:
+        theirs = [table.unused.get(column, column) for column in doubtful]
+        names = [name if re.fullmatch(r"\w+", name) else f'"{name}"' for name in theirs]
+        ignored = " ".join(f"{name}=ignore" for name in names)
         raise DataError(
             f"the header has no column {other!r}; present are {', '.join(columns)}",
             file=table.file, column=other,
-            remedy=f'add it, or name it in [columns]: {other} = "its name in the file" (--columns '
-            f"{other}=ITS_NAME); if all motion is along {axes[0]}, leave out {', '.join(doubtful)}",
+            remedy=f"if {theirs[0]!r} is that, --columns {other}={names[0]} (in dataset.toml under "
+            f"[columns]); if all motion is along {axes[0]}, --columns {ignored}",
         )  # fmt: skip
     note = () if is_angle(angle) else (
         f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
     )  # fmt: skip
     return ["x", "y"], note
+
+
+def _may_be_place(table, column, axis):
+    """Whether a column that means nothing to us may be a coordinate: nothing else speaks of it."""
+    cells, unit = table.frame[column], table.units.get(column, "")
+    is_number = pd.api.types.is_numeric_dtype(cells)
+    if not is_number or cells.nunique() < 2 or is_error(column) or is_count(column):
+        return False
+    if unit:
+        return unit_of(unit) == Unit.of(m=1)
+    # Who writes the unit of one coordinate writes that of the other.
+    return not (table.units.get(axis) or is_no_place(column))
 
 
 def _refuse_rates(table, declaration, axes):
@@ -352,7 +363,7 @@ def _codes(table, column, default):
 
 _BELOW = (
     "where recordings or bodies stand below each other, say which column tells them apart: "
-    '--columns scene="..." or entity="..."'
+    "--columns scene=COLUMN of recordings, --columns entity=COLUMN of bodies"
 )
 
 

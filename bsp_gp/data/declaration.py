@@ -52,6 +52,8 @@ class Declaration:
         a mapping of bodies, or of globs of them, to their own.
     columns : mapping of str to str
         Our name of a column -> its name in the file.
+    properties : mapping
+        What is said of properties of bodies, see `properties.read_properties`.
     sky : mapping of str to str
         ``distance`` or ``parallax`` of what is seen, see `sky.from_sky`.
     first_position, first_velocity : str
@@ -76,6 +78,7 @@ class Declaration:
     noise_memory: float | None = None
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
+    properties: Mapping = field(default_factory=dict)
     sky: Mapping = field(default_factory=dict)
     first_position: str = "measured"
     first_velocity: str = "unknown"
@@ -93,11 +96,14 @@ class Declaration:
             )
 
     def override(
-        self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None, noise=None
-    ):
+        self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None, noise=None,
+        properties=None,
+    ):  # fmt: skip
         """Let the caller's arguments win over the file."""
         reader = _Reader({"noise": noise}, "arguments")
         changes = {} if noise is None else {"noise": reader.noise()}
+        if properties is not None:
+            changes["properties"] = dict(properties)
         if units is not None:
             changes["units"] = {**self.units, **reader.texts(units, "units")}
         if columns is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pandas as pd
@@ -22,6 +22,7 @@ from bsp_gp.data.headings import (
     TEXT_COLUMNS,
     UNKNOWN,
     has_place,
+    is_body,
     number_columns,
     run_of,
     told,
@@ -63,6 +64,8 @@ class Table:
         All columns of the file, as it calls them.
     up : str or None
         Axis that is a height by its name.
+    unused : dict of str to str
+        Names of columns that mean nothing to us -> what the file calls them.
     """
 
     frame: pd.DataFrame
@@ -76,6 +79,7 @@ class Table:
     theirs: dict = field(default_factory=dict)
     present: tuple[str, ...] = ()
     up: str | None = None
+    unused: dict = field(default_factory=dict)
 
 
 def read_table(path, *, rename=None, as_text=False):
@@ -164,25 +168,52 @@ def long_table(
     is_named = {"entity", "scene"} & set(frame.columns)
     if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not run_of(title):
         title = ""  # of Tracker it is the name of the mass; of others, anything
+    if not (groups or as_text):
+        frame, found = _with_bodies(frame, found)
+        rest = [h for h in found if h.sure == UNKNOWN]
     run = run_of(title)
     if run and "scene" not in is_named:
         frame, title = frame.assign(scene=run), ""
     for column in (c for c in TEXT_COLUMNS if c in frame.columns):
         frame[column] = frame[column].map(plain_cell)
     of_names = {n: u for n, u in zip(names, units, strict=True) if u and n in frame.columns}
-    unused = () if as_text else [f"{Path(file).name}: column {h.theirs!r} is not used"
-                                 for h in rest if h.theirs]  # fmt: skip
+    unused = {} if as_text else {h.name or h.theirs: h.theirs for h in rest if h.theirs}
     is_height = any(h.name == "y" and h.sure == GUESS and not h.body for h in found)
     return Table(
         frame=frame, units=of_names | ({"t": "s"} if dated else {}),
-        renamed=frozenset(h.name if not h.body else f"{h.body}_{h.name}"
-                          for h in found if h.is_renamed),
+        renamed=frozenset(h.ignored or (f"{h.body}_{h.name}" if h.body else h.name)
+                          for h in found if h.is_renamed or h.ignored),
         file=str(file), digest=digest, title=title or None, decimal=decimal,
-        notes=(*notes, *unused, *date_notes, *filter(None, [told(found)])),
+        notes=(*notes, *date_notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_height else None,
+        unused=unused,
     )  # fmt: skip
+
+
+def _with_bodies(frame, found):
+    """Where rows share their times, the column that tells them apart is that of bodies."""
+    clock = "t" if "t" in frame.columns else "frame"
+    if "entity" in frame.columns or clock not in frame.columns:
+        return frame, found
+    keys = [name for name in ("scene", clock) if name in frame.columns]
+    if not frame.duplicated(keys).any():
+        return frame, found
+    again = frame[clock].diff() == 0  # next to each other, they are no recordings one by one
+    able = [
+        h for h in found
+        if h.sure == UNKNOWN and h.name in frame.columns
+        and not frame.duplicated([*keys, h.name]).any() and frame[h.name].notna().all()
+        and (is_body(h.name) or (again.any() and frame[h.name].dtype.kind not in "fiub"))
+    ]  # fmt: skip
+    named = [h for h in able if is_body(h.name)] or able
+    if len(named) != 1:
+        return frame, found
+    (heading,) = named
+    frame = frame.rename(columns={heading.name: "entity"})
+    new = [replace(h, name="entity", sure=GUESS) if h is heading else h for h in found]
+    return frame, new
 
 
 def _place(heading):

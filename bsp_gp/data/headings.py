@@ -29,8 +29,8 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_count", "is_error", "is_rate", "is_run", "number_columns",
-    "run_of", "told",
+    "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored", "is_no_place",
+    "is_rate", "is_run", "number_columns", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -84,6 +84,21 @@ _COUNT_WORDS = _set("nr no number num nummer index idx # id n° nº numéro núm
 _INPUT = re.compile(r"[ab]\d")
 """Of an interface, as in ``s_A1``."""
 _ROW_WORDS = _set("iter iteration record row sample point reading zeile messpunkt ligne fila riga")
+_BESIDE_WORDS = _set(
+    "temperature temp temperatur température temperatura voltage volt spannung tension current"
+    " strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery akku"
+    " charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
+    " energy energie mass masse weight gewicht comment kommentar note bemerkung remark flag status"
+    " area size fläche"
+)
+"""What is logged beside a motion, and is no place."""
+_BODY_WORDS = _set(
+    "puck pucks ball balls kugel ball sphere disc disk scheibe glider gleiter bead particle"
+    " teilchen name label bodies cell zelle fish fly mouse bird animal tier car ship boat moon"
+    " component bob pendulum pendel palla bola balle bille carrito carrello"
+)
+"""More words of bodies, where rows at one time need to be told apart."""
+IGNORE = "ignore"
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
               " epoch time and und et"),
@@ -126,6 +141,8 @@ class Heading:
         Whose the column is; may be empty.
     is_renamed : bool
         The caller named it.
+    ignored : str
+        What the caller called it who wants it left out; such a heading has no name.
     """
 
     name: str
@@ -136,6 +153,7 @@ class Heading:
     run: str = ""
     body: str = ""
     is_renamed: bool = False
+    ignored: str = ""
 
     @property
     def owner(self):
@@ -180,6 +198,17 @@ def is_rate(text):
     return bool(_words(text) & {"gyroscope", "gyroskop", "gyro"})
 
 
+def is_no_place(text):
+    """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
+    return bool(_words(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+
+
+def is_body(text):
+    """Whether a heading may name bodies."""
+    words = _words(text) - {""} - _COUNT_WORDS
+    return bool(words) and words <= _GUESSES["entity"] | _BODY_WORDS
+
+
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
@@ -216,9 +245,11 @@ def headings(cells, rename=None, *, is_track=True):
     -------
     tuple of Heading
     """
-    back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()}
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
-    found = [_read(cell, back, is_track) for cell in cells]
+    ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
+    back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
+            if k.strip() not in ignored}  # fmt: skip
+    found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
@@ -226,10 +257,19 @@ def headings(cells, rename=None, *, is_track=True):
     return tuple(_settled(found))
 
 
-def _read(cell, back, is_track):
+def is_ignored(text, cells):
+    """Whether `text`, in the place of a column's name, means that it is to be left out."""
+    return text.strip() == IGNORE and IGNORE not in cells
+
+
+def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
     run, rest = _run_of(cell) if is_track and cell not in back else ("", cell)
     stem, unit = _split_unit(rest, back, is_track)
+    bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
+    for text in (cell, rest, stem, bare):
+        if text in ignored:
+            return Heading("", unit, cell, ignored=text)
     if cell in back and cell == f"{stem}_{unit}":
         stem, unit = cell, ""  # the caller took it for a name
     for text in (cell, rest, stem):

@@ -12,7 +12,7 @@ import pandas as pd
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
 
-__all__ = ["WITHIN", "Roster", "notes_beside", "read_roster", "require_columns", "roster_within"]
+__all__ = ["WITHIN", "Roster", "read_roster", "require_columns", "roster_within"]
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 WITHIN = ("mass", "charge")
@@ -108,18 +108,11 @@ def roster_within(table, units):
     bodies = frame[[*keys, *found]].drop_duplicates(keys) if keys else frame[found].iloc[:1]
     if "entity" not in keys:
         bodies = bodies.assign(entity=table.title or "object")
-    notes = notes_beside(table, found)
     roster = replace(
         table, frame=bodies, units={c: u for c, u in table.units.items() if c in found}, notes=()
     )
-    return roster, replace(table, frame=frame.drop(columns=found), notes=notes)
-
-
-def notes_beside(table, columns):
-    """Notes of a table without those that say of some columns that they are not used."""
-    names = "|".join(map(re.escape, columns))
-    told = re.compile(rf"column '(?:{names})(?!\w)[^']*' is not used")
-    return tuple(note for note in table.notes if not (columns and told.search(note)))
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in found}
+    return roster, replace(table, frame=frame.drop(columns=found), unused=unused)
 
 
 def read_roster(table, conversion, *, coded=()):

@@ -461,7 +461,7 @@ class Dataset:
             gives the names of the scenes.
         entities : DataFrame or sequence of Entity, optional
         **settings
-            name, units, columns, fps, dt, train, test, up, noise, provenance.
+            name, units, columns, properties, fps, dt, train, test, up, noise, provenance.
         """
         from bsp_gp.data.tables import dataset_from_frames  # tables import the nouns
 

@@ -24,10 +24,12 @@ from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
-from bsp_gp.data.headings import headings, is_angle, is_angle_name
+from bsp_gp.data.headings import headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
-from bsp_gp.data.roster import OWN_COLUMNS, Roster, notes_beside, read_roster, roster_within
+from bsp_gp.data.properties import with_properties
+from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.several import joined
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.trk import read_trk
@@ -42,17 +44,20 @@ MAX_COLUMNS = 12
 
 
 def load_dataset(
-    path: str | os.PathLike, *, units: Mapping[str, str] | None = None,
+    path: str | os.PathLike | Sequence[str | os.PathLike], *,
+    units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None, fps: float | None = None, dt: float | None = None,
     train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
+    properties: Mapping | None = None,
 ) -> Dataset:  # fmt: skip
-    """Read a data set folder, or a lone delimited file.
+    """Read a data set folder, or a lone delimited file, or several as recordings of one motion.
 
     Parameters
     ----------
-    path : path-like
+    path : path-like, or sequence of them
         A folder with ``trajectories.csv`` (or ``.parquet``), or a text file (CSV, a Tracker
-        export, a trackpy table).
+        export, a trackpy table). Of several every file is a scene that is called like it, or keeps
+        its scenes; see `bsp_gp.data.several.joined`.
     units : mapping of str to str, optional
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
@@ -63,6 +68,9 @@ def load_dataset(
         Frames per second, or time per frame in the unit of time, where the file counts frames.
     train, test : str or list of str, optional
         Names, globs or ranges ``a..b`` of scenes, in place of ``[split]``.
+    properties : mapping of str to float, str or mapping, optional
+        Property -> number for all bodies, or body -> number: ``{"mass": 0.3}``, ``{"mass":
+        "305.8[g]"}``, ``{"mass": {"star1": 1.2, "star2": 0.8}}``; in place of what the data say.
 
     Returns
     -------
@@ -74,7 +82,24 @@ def load_dataset(
     DataError
         Whatever is wrong with the data, with file, line, column and remedy.
     """
-    path = Path(path)
+    reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties}
+    if isinstance(path, str | os.PathLike):
+        dataset = _loaded(Path(path), train=train, test=test, **reading)
+    else:
+        paths = list(path)
+        if not paths:
+            raise DataError("no file is given; at least one is needed")
+        dataset = joined([_loaded(Path(each), **reading) for each in paths], paths)
+        if train is not None or test is not None:
+            said = Declaration(file="arguments").override(train=train, test=test)
+            sides = _split(said, [scene.name for scene in dataset.scenes])
+            notes = (*dataset.notes, *sides[2])
+            dataset = dataclasses.replace(dataset, train=sides[0], test=sides[1], notes=notes)
+    return with_properties(dataset, properties)
+
+
+def _loaded(path, *, units, columns, fps, dt, properties, train=None, test=None):
+    """One file or folder, without what is said of properties beside it."""
     if path.is_dir():
         path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
@@ -103,7 +128,7 @@ def load_dataset(
     else:
         raise DataError("there is no such file or folder", file=path, remedy="check the path")
     declaration = declaration.override(
-        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test
+        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, properties=properties
     )
     if trajectories.suffix.lower() in (".parquet", ".pq"):
         table = _read_parquet(trajectories, declaration.columns)
@@ -160,7 +185,7 @@ def _from_tracker(path, *, units, fps, dt, train, test):
 
 def dataset_from_frames(
     frames, entities=None, *, name="frames", units=None, columns=None, fps=None, dt=None,
-    train=None, test=None, up=None, noise=None, provenance=None,
+    train=None, test=None, up=None, noise=None, provenance=None, properties=None,
 ):  # fmt: skip
     """Make a data set of DataFrames with the columns of ``trajectories.csv``.
 
@@ -172,7 +197,7 @@ def dataset_from_frames(
         The content of ``entities.csv``.
     name, up, noise, provenance
         As in ``dataset.toml``.
-    units, columns, fps, dt, train, test
+    units, columns, fps, dt, train, test, properties
         As for `load_dataset`.
 
     Returns
@@ -182,7 +207,8 @@ def dataset_from_frames(
     noise = noise.tolist() if hasattr(noise, "tolist") else noise  # of numpy
     declaration = Declaration(
         name=name, up=up, provenance=dict(provenance or {}), file="arguments"
-    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, noise=noise)
+    ).override(units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, noise=noise,
+               properties=properties)  # fmt: skip
     if isinstance(frames, Mapping):
         if not frames:
             raise DataError("frames is an empty mapping; at least one scene is needed")
@@ -195,7 +221,7 @@ def dataset_from_frames(
             roster = _frame_table(entities, declaration.columns, "entities")
     else:
         roster = _roster_of(tuple(entities))
-    return _assemble(table, roster, declaration, name)
+    return with_properties(_assemble(table, roster, declaration, name), properties)
 
 
 def _checked_frame(frame, what):
@@ -239,7 +265,8 @@ def _assemble(table, roster, declaration, default_name):
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
-    known = {*OWN_COLUMNS, *(latent.name for latent in declaration.latents)}
+    known = {*OWN_COLUMNS, *declaration.properties}
+    known |= {latent.name for latent in declaration.latents}
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
     known |= {unit for t in tables for unit in t.units}
@@ -261,7 +288,8 @@ def _assemble(table, roster, declaration, default_name):
     train, test, split_note = _split(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
     notes = [
-        *notes_beside(table, inputs_of(table, declaration)),
+        *table.notes,
+        *_unused(table, inputs_of(table, declaration)),
         *units_notes,
         *rows.notes,
         *(roster.notes if roster else ()),
@@ -304,6 +332,13 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
     )
+
+
+def _unused(table, inputs):
+    """A note of what is not read of a table."""
+    names = [theirs for name, theirs in table.unused.items() if name not in inputs]
+    more = f" and {len(names) - MAX_COLUMNS} more" if len(names) > MAX_COLUMNS else ""
+    return [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
 
 
 def _with_angles(table, declaration):
@@ -355,12 +390,15 @@ def _require_renames(declaration, tables):
     for ours, theirs in declaration.columns.items():
         if POLAR_ALIASES.get(ours, ours) not in found:
             present = [column for table in tables for column in table.present]
+            is_out = is_ignored(theirs, present)
+            what = ours if is_out else theirs
+            options = "ONE_OF_THESE=ignore" if is_out else f"{ours}=ONE_OF_THESE"
             raise DataError(
-                f"[columns] {ours} = {theirs!r}: there is no column of that name; "
+                f"[columns] {ours} = {theirs!r}: there is no column {what!r}; "
                 f"present are {', '.join(present)}",
                 file=declaration.file or tables[0].file,
                 column=ours,
-                remedy=f"write --columns {ours}=ONE_OF_THESE; the only other key is velocity "
+                remedy=f"write --columns {options}; the only other key is velocity "
                 "(measured or ignore)",
             )
 

@@ -32,7 +32,7 @@ from bsp_gp.fitting.outliers import is_exact, without_outliers
 from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
-from bsp_gp.physics.force import ForceLaw, constant_units
+from bsp_gp.physics.force import ForceLaw, constant_units, needs_masses
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
 from bsp_gp.units import Unit
@@ -204,7 +204,7 @@ def fit_law(
     if noise is not None:
         dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
-    dataset = with_usable_masses(dataset)
+    dataset = with_usable_masses(dataset, needs_masses(law))
     split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
     train, far_off = training_part(dataset, split.learned, said)

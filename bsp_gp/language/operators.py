@@ -150,6 +150,13 @@ def _infer_sub(a, b):
     raise UnitError(f"cannot subtract a {b.shape} from a {a.shape}")
 
 
+_PLACE = (
+    ", which is a place; a difference of points is a vector: write k * ((X, Y) - p_i), a pull to "
+    "(X, Y), k * (origin - p_i), one to the origin, or -k * x_i * e_x along one axis"
+)
+"""What to write in place of -k * p_i."""
+
+
 def _infer_mul(a, b):
     unit = _times(a.unit, b.unit)
     if _number(a) and _number(b):
@@ -159,6 +166,7 @@ def _infer_mul(a, b):
     raise UnitError(
         f"cannot multiply a {a.shape} by a {b.shape}"
         + ("; write dot(a, b) or a norm" if a.shape == b.shape == "vector" else "")
+        + (_PLACE if "point" in (a.shape, b.shape) else "")
     )
 
 
@@ -195,7 +203,7 @@ def _infer_pow(a, b):
 
 def _infer_neg(a):
     if a.shape == "point":
-        raise UnitError("cannot negate a point; use a difference of points")
+        raise UnitError(f"cannot negate a point{_PLACE}")
     return Type("scalar" if _number(a) else a.shape, a.unit)
 
 

@@ -125,10 +125,17 @@ def _number(digits, unit_text, text, units):
     except UnitError as error:
         raise LawError(f"law {_short(text)}: {error}") from None
     if units is not None and not units.is_calibrated(unit):
+        if set(units.symbols.values()) == {"mass"}:
+            raise LawError(
+                f"law {_short(text)}: [{unit_text.strip()}] needs masses, and the data do not say "
+                "what they are; give them with --property mass=0.3[kg], or where they have masses "
+                "the unit of those with --units mass=kg"
+            )
         raise LawError(
             f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "
             f"not say what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; "
-            "declare them under [units] in dataset.toml, or with --units length=m time=s mass=kg"
+            "declare them under [units] in dataset.toml, or with --units length=m time=s; a mass "
+            "is given with --property mass=0.3[kg]"
         )
     return Number(_finite(value * scale, digits, text), unit, f"{digits} [{unit_text.strip()}]")
 
@@ -261,8 +268,9 @@ class _Builder:
         if known is not None:
             self.fail(
                 f"the data have no property {known[0]!r} (wanted by {name!r}); "
-                f"present are {', '.join(present) or 'none'}; a constant to fit must not end in "
-                "_i or _j"
+                f"present are {', '.join(present) or 'none'}; give it with --property "
+                f'{known[0]}=1.2, body by body with --property {known[0]}="star1:1.2,star2:0.8", '
+                "or in entities.csv; a constant to fit must not end in _i or _j"
             )
         columns = {property_of(n)[0] for n in present}
         if name in columns or ALIASES.get(name) in columns:

@@ -16,6 +16,7 @@ from bsp_gp.language.formula import (
     Call,
     Constant,
     Input,
+    Number,
     evaluate_with_gradient,
     factors,
     product,
@@ -25,11 +26,11 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs, under
 from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
-from bsp_gp.units import FORCE, Unit
+from bsp_gp.units import BASE, FORCE, Unit
 
 __all__ = [
     "COPY", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name",
-    "fresh_names", "key_of", "kind_of", "split_linear", "tabled", "term_gradient",
+    "fresh_names", "key_of", "kind_of", "needs_masses", "split_linear", "tabled", "term_gradient",
 ]  # fmt: skip
 
 HOLDING = ("constraint", "linkage", "wall")
@@ -452,3 +453,20 @@ def _coordinate(formula):
         if isinstance(one, Constant) and other.type.unit == Unit.of():
             return one
     return formula
+
+
+def needs_masses(law):
+    """Whether a number or a constant of a law has kilograms in its unit, so that masses count.
+
+    A law per unit mass, such as `9.81 [m/s^2] * m_i * down`, is the same for every mass.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    """
+    kg = BASE.index("kg")
+    units = []
+    for term in law.terms:
+        units += [n.type.unit for n in walk(term.formula) if isinstance(n, Number)]
+        units += constant_units(term).values()
+    return any(isinstance(unit, Unit) and unit.exponents[kg] for unit in units)

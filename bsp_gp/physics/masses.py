@@ -7,22 +7,44 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.scene import Entity
-from bsp_gp.errors import DataError, LawError
+from bsp_gp.errors import DataError, LawError, in_python
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
+from bsp_gp.units import Unit
 
-__all__ = ["NO_MASS", "check_properties", "with_unit_masses", "with_usable_masses"]
+__all__ = ["NO_MASS", "ONE_KILOGRAM", "check_properties", "has_masses", "with_unit_masses",
+           "with_usable_masses", "without_masses"]  # fmt: skip
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
-"""Note on a data set."""
+"""Note on a data set without any mass."""
+ONE_KILOGRAM = "no mass is given: every body is taken as 1 kg"
+"""How such a note begins where the data say what a unit of mass is."""
+_KILOGRAM = Unit.of(kg=1)
 
 
-def with_usable_masses(dataset):
+def has_masses(dataset):
+    """Whether any body that moves has a mass."""
+    return any(np.isfinite(e.mass) for s in dataset.scenes for e in s.entities if not e.is_static)
+
+
+def without_masses(dataset):
+    """The note on a data set without any mass."""
+    if not dataset.units.is_calibrated(_KILOGRAM):
+        return NO_MASS
+    return in_python(
+        f"{ONE_KILOGRAM}, and constants with kg or N in their units are those of such a body; "
+        "give the mass with --property mass=0.3[kg]"
+    )
+
+
+def with_usable_masses(dataset, counts=True):
     """Where no dynamic entity has a mass, every mass is one: constants are per unit mass.
 
     Parameters
     ----------
     dataset : Dataset
+    counts : bool
+        Whether the mass makes a difference, as far as the law is known.
 
     Returns
     -------
@@ -40,10 +62,11 @@ def with_usable_masses(dataset):
             "no entity is dynamic: there is no motion to explain",
             remedy="set dynamic to 1 for the bodies that move",
         )
-    if any(np.isfinite(e.mass) for e in dynamic):
+    if has_masses(dataset):
         return dataset
     scenes = tuple(with_unit_masses(scene) for scene in dataset.scenes)
-    return replace(dataset, scenes=scenes, notes=(*dataset.notes, NO_MASS))
+    note = without_masses(dataset) if counts else NO_MASS
+    return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
 
 
 def with_unit_masses(scene):

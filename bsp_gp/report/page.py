@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from bsp_gp.data.scene import CHECK
 from bsp_gp.language.render import to_text
-from bsp_gp.physics.force import split_linear
+from bsp_gp.physics.force import needs_masses, split_linear
+from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
@@ -81,7 +83,10 @@ def _notes(report):
                 f"Beside what was found the data do not ask for the declared {entry['law']}: "
                 "it was taken out of the law."
             )
-    yield from report.dataset["notes"]
+    for note in report.dataset["notes"]:
+        if note.startswith(ONE_KILOGRAM):
+            note = CHECK + note if needs_masses(report.law) else NO_MASS
+        yield note
     if report.dataset["split"]:
         yield report.dataset["split"]
     symbols = {k: v for k, v in report.dataset["symbols"].items() if v != "rad"}

@@ -13,11 +13,11 @@ from bsp_gp.report.drawing import new_figure, tidy
 from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
 
-__all__ = ["data_figure", "data_text"]
+__all__ = ["columns_text", "data_figure", "data_text"]
 
 MAX_PANELS = 6
 _MAX_NAMES = 8
-_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+_LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
 
 def data_text(dataset):
@@ -44,6 +44,24 @@ def data_text(dataset):
     lines += _properties(dataset)
     lines += [*_first(dataset), _up(dataset), *_motion(dataset)]
     lines += [f"Note: {note}" for note in dataset.notes]
+    return "\n".join(lines)
+
+
+def columns_text(name, columns):
+    """Say how the headings of a table were read, where its data are refused.
+
+    Parameters
+    ----------
+    name : str
+    columns : list of dict
+        See `bsp_gp.data.glance.columns_of`.
+    """
+    known = [f"{c['ours']} = {c['theirs']!r}" for c in columns if c["ours"]]
+    rest = [repr(c["theirs"]) for c in columns if not c["ours"]]
+    lines = [f"{name}: columns as they are read: {', '.join(known) or 'none is known'}"]
+    lines += [f"Not known: {', '.join(rest[:12])}"] if rest else []
+    for c in columns[:12]:
+        lines.append(f"  {c['theirs']}: {', '.join(c['rows'][:3])} ...")
     return "\n".join(lines)
 
 
@@ -93,10 +111,14 @@ def _properties(dataset):
                f"{'' if latent.share == 'entity' else f', shared: {latent.share}'}"
                for latent in dataset.latents]  # fmt: skip
     if names:
-        return [f"Properties: {', '.join(names)}", *unknown]
+        given = dataset.provenance.get("properties")
+        return [f"Properties: {', '.join(names)}{f' (given: {given})' if given else ''}", *unknown]
     if any(latent.name == "mass" for latent in dataset.latents):
         return ["Properties: none is known", *unknown]
     none = "Properties: none (no masses): constants are those per unit of mass"
+    if dataset.units.is_calibrated(_MASS):
+        none = "Properties: none (no masses): every body is taken as 1 kg"
+    none += "; masses are given with --property mass=0.3[kg]"
     return [none, *unknown]
 
 

@@ -11,37 +11,9 @@ import json
 import sys
 from pathlib import Path
 
+from bsp_gp.data.glance import columns_of
 from bsp_gp.errors import BspError
 from bsp_gp.web.store import FILMS
-
-N_ROWS, N_LINES, N_COLUMNS = 5, 40, 60
-
-
-def columns(path):
-    """Columns of a table as they stand in the file, and as they are understood.
-
-    Returns
-    -------
-    list of dict
-        ``theirs``, ``ours`` (empty if it means nothing to us), ``unit``, ``rows``.
-    """
-    from bsp_gp.data.headings import UNKNOWN
-    from bsp_gp.data.sniffing import sniff, split_line
-    from bsp_gp.data.sources import open_source
-
-    with open_source(path).open() as stream:
-        head = [line.rstrip("\n") for _, line in zip(range(N_LINES), stream, strict=False)]
-    layout = sniff(head, {}, ("t", "frame"), path)
-    rows = [split_line(line, layout.delimiter) for line in head[layout.data_line :] if line.strip()]
-    return [
-        {
-            "theirs": heading.theirs or heading.name,
-            "ours": heading.name if heading.sure != UNKNOWN else "",
-            "unit": unit or heading.unit,
-            "rows": [row[k][:40] if k < len(row) else "" for row in rows[:N_ROWS]],
-        }
-        for k, (heading, unit) in enumerate(zip(layout.headings, layout.units, strict=True))
-    ][:N_COLUMNS]
 
 
 def first_frame(path, out):
@@ -68,7 +40,7 @@ def main(argv):
         elif path.is_dir() or path.suffix.lower() in (".trk", ".parquet", ".pq"):
             found = []
         else:
-            found = columns(path)
+            found = columns_of(path)
     except (BspError, OSError, csv.Error, UnicodeError) as error:
         sys.stderr.write(f"bsp-gp: error: {' '.join(str(error).split())}\n")
         return 2

@@ -83,7 +83,7 @@ def test_without_any_mass_constants_are_per_unit_mass():
         replace(s, entities=(replace(s.entities[0], properties={}),)) for s in data.scenes
     )
     report = close(replace(data, scenes=scenes), WEIGHT_OF_BALL)
-    assert any("no mass is known" in note for note in report.dataset["notes"])
+    assert any("no mass is given" in note for note in report.dataset["notes"])
     assert report.verdict == "effect adopted"
 
 

@@ -115,11 +115,11 @@ def test_close_writes_a_report_and_says_where(data, tmp_path, monkeypatch, capsy
 def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("lone.csv").write_text("t,x,y\n", encoding="utf-8")
-    assert cli._data_name("lone.csv") == "lone"
-    assert cli._data_name(data) == cli._data_name(f"{data}/") == "throws"
+    assert cli._data_name(["lone.csv"]) == "lone"
+    assert cli._data_name([data]) == cli._data_name([f"{data}/"]) == "throws"
     monkeypatch.chdir(data)
-    assert cli._data_name(".") == "throws"
-    assert cli._data_name("/") == "data"
+    assert cli._data_name(["."]) == "throws"
+    assert cli._data_name(["/"]) == "data"
 
 
 def test_close_tells_its_schema_its_settings_and_its_law(closed):

@@ -145,7 +145,7 @@ def test_trackpy_csv(tmp_path):
     assert scene.names == ("7",)
     assert scene.times == pytest.approx([0, 0.04, 0.08, 0.12])
     assert scene.positions[1, 0].tolist() == [2.0, 1.25]
-    assert any("'mass' is not used" in note for note in dataset.notes)
+    assert any(note == "not used: mass" for note in dataset.notes)
 
 
 def test_line_numbers_survive_titles_and_blank_lines(tmp_path):

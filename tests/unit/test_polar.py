@@ -55,7 +55,7 @@ def test_units_of_the_header_are_read(tmp_path):
 def test_beside_x_and_y_they_are_no_places(tmp_path):
     data = loaded(tmp_path, "t,x,y,distance,angle\n0,1,2,9,9\n1,1,2,9,9\n2,1,2,9,9\n")
     np.testing.assert_array_equal(data.scenes[0].positions[:, 0], [[1, 2]] * 3)
-    assert any("'distance' is not used" in note for note in data.notes)
+    assert any(note == "not used: distance" for note in data.notes)
     assert list(data.scenes[0].inputs) == ["angle"]  # whose unit is declared
 
 

@@ -1,0 +1,111 @@
+"""Several files of one motion as one data set: every file is a scene, or keeps its own."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+from bsp_gp.data.scene import Dataset
+from bsp_gp.errors import DataError
+
+__all__ = ["joined", "name_of_several"]
+
+_REMEDY = "files given together need the same columns and units; convert it, or leave it out"
+
+
+def name_of_several(paths):
+    """What the names of some files begin with alike, or the first one's name."""
+    stems = [Path(path).stem for path in paths]
+    common = os.path.commonprefix(stems).rstrip(" _-.#([")
+    return common if len(common) > 1 else f"{stems[0]}-and-{len(stems) - 1}-more"
+
+
+def joined(datasets, paths):
+    """Make one data set of several.
+
+    Parameters
+    ----------
+    datasets : sequence of Dataset
+    paths : sequence of path-like
+        Where each comes from.
+
+    Returns
+    -------
+    Dataset
+        A file of one scene gives its name to it; scenes of a file with several keep theirs, after
+        that of the file where another file has the same.
+
+    Raises
+    ------
+    DataError
+        If columns or units differ; names the file.
+    """
+    first = datasets[0]
+    for dataset, path in zip(datasets[1:], paths[1:], strict=True):
+        _require_alike(first, dataset, paths[0], path)
+    stems = [Path(path).stem for path in paths]
+    if len(set(stems)) < len(stems):
+        stems = [f"{Path(path).resolve().parent.name} {Path(path).stem}" for path in paths]
+    names = [[scene.name for scene in d.scenes] if len(d.scenes) > 1 else [stem]
+             for d, stem in zip(datasets, stems, strict=True)]  # fmt: skip
+    counts = Counter(name for each in names for name in each)
+    taken = [[name if counts[name] == 1 else f"{stem} {name}" for name in each]
+             for stem, each in zip(stems, names, strict=True)]  # fmt: skip
+    flat = [name for each in taken for name in each]
+    if len(set(flat)) < len(flat):
+        twice = next(name for name in flat if flat.count(name) > 1)
+        raise DataError(f"two files give a scene {twice!r}", remedy="give every file once")
+    scenes, notes, sides = [], {}, {"train": [], "test": []}
+    provenance = {}
+    for dataset, new, stem in zip(datasets, taken, stems, strict=True):
+        of_old = dict(zip((scene.name for scene in dataset.scenes), new, strict=True))
+        scenes += [replace(s, name=of_old[s.name]) for s in dataset.scenes]
+        for side, chosen in sides.items():
+            chosen += [of_old[name] for name in getattr(dataset, side)]
+        for note in dataset.notes:
+            notes.setdefault(note, []).append(stem)
+        provenance = {**dataset.provenance, **provenance}
+    told = [note if len(of) == len(stems) else f"{', '.join(of)}: {note}"
+            for note, of in notes.items()]  # fmt: skip
+    return Dataset(
+        name_of_several(paths), tuple(scenes), tuple(sides["train"]), tuple(sides["test"]),
+        first.units, {k: v for d in datasets for k, v in d.property_units.items()}, first.up,
+        first.noise, first.velocity, first.latents, first.evaluation, provenance, tuple(told),
+        first.noise_memory,
+    )  # fmt: skip
+
+
+def _require_alike(first, other, path, file):
+    """DataError about the first thing in which two data sets differ."""
+    here, there = dict(other.units.declared), dict(first.units.declared)
+    for kind in dict.fromkeys((*there, *here)):
+        if here.get(kind) != there.get(kind):
+            raise DataError(
+                f"{kind} is in {here.get(kind, 'no unit')}, and in {there.get(kind, 'no unit')} in "
+                f"{Path(path).name}", file=file, column=kind, remedy=_REMEDY,
+            )  # fmt: skip
+    for what, one, two in zip(_ALIKE, _build(other), _build(first), strict=True):
+        if one != two:
+            raise DataError(
+                f"{what} are {one or 'none'}, and {two or 'none'} in {Path(path).name}", file=file,
+                remedy=_REMEDY,
+            )  # fmt: skip
+
+
+_ALIKE = ("axes", "measured inputs", "properties of bodies", "other declarations")
+
+
+def _build(dataset):
+    """What must be the same in all files, in words."""
+    missing = {axis for axis in "xyz" for note in dataset.notes
+               if note.startswith(f"there is no column {axis!r}")}  # fmt: skip
+    axes = [axis for axis in "xyz"[: dataset.n_dims] if axis not in missing]
+    inputs = sorted({name for scene in dataset.scenes for name in scene.inputs})
+    rest = [f"up = {dataset.up}" if dataset.up else "", f"noise = {dataset.noise}"]
+    rest += [f"velocity = {dataset.velocity}", f"noise_memory = {dataset.noise_memory}"]
+    rest += [f"latent {latent.name}" for latent in dataset.latents]
+    return tuple(
+        ", ".join(filter(None, each)) for each in (axes, inputs, dataset.property_names, rest)
+    )
