@@ -141,10 +141,10 @@ def _ties(report):
             text = (
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
                 f"the likeliest {r.effect.equivalents[0]}"
-            ) if n else "Nothing else that was tried is as likely"
+            ) if n else "No other law does as well"
             if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
-            text += f"; and {rest}" if rest and n else f", but {rest}" if rest else ""
+            text += f"; and {rest}" if rest and n else f", but for {rest}" if rest else ""
             text = f"{text}. {parting_sentence(r.effect)}".rstrip(". ")
             return [(text, "  ")]
     return []
