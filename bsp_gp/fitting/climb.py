@@ -7,6 +7,7 @@ and each level hands the nodes that it found to the next.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.growing import RANKS, grow, tried
 from bsp_gp.fitting.jumps import nodes_between
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Settings
+from bsp_gp.fitting.problem import Minimum, Settings
 from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
@@ -52,6 +53,8 @@ ALLOWED = 2.0
 """Standard deviations above its mean up to which chi-squared may be that of noise."""
 ENOUGH = 2
 """Starts that agree, after which no more are asked."""
+STEPS = 2
+"""Of the linearisation, which lead forces that know no physics to the data."""
 
 
 class Climb:
@@ -159,8 +162,7 @@ class Climb:
             return self._finish(replace(end, n_starts=1, n_agree=1))
         points = self.first_points()
         # Where rows are dense and no constant is free, starts cannot differ.
-        is_open = self.run.parameters and not self.run.is_aside
-        may_grow = not self.paper_steps and (self.is_coarse or is_open)
+        may_grow = not self.paper_steps and (self.is_coarse or self.run.parameters)
         may_grow = may_grow and not self.run.law.unseen
         ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         ends = []
@@ -452,6 +454,49 @@ class Climb:
         from bsp_gp.fitting.periodogram import leading_rates
 
         return leading_rates(self.run.groups, self.noises)
+
+    def stepped(self, constants, nodes=None):
+        """Where steps of the linearisation lead, the first constants held where they are.
+
+        Parameters
+        ----------
+        constants : ndarray, shape (j,)
+            Of the first parameters; the others begin at zero, and are led to the data.
+        nodes : sequence of ndarray, optional
+            Near the data; read off these where there are none that fit.
+
+        Returns
+        -------
+        Minimum or None
+            None where a step leads to nothing finite.
+        """
+        shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in self.run.groups]
+        if nodes is None or [own.shape for own in nodes] != shapes:
+            nodes = tuple(first_nodes(chains, self.is_coarse) for chains in self.run.groups)
+        values = np.zeros(len(self.run.parameters))
+        values[: len(constants)] = constants
+        point = TrackPoint(self.coordinates.unknowns(values), tuple(nodes))
+        point = TrackPoint(point.values, tuple(
+            carried(f, own, values) for f, own in zip(self.flows, point.nodes, strict=True)
+        ))  # fmt: skip
+        problem = self.problem = TrackProblem(
+            self._shootings(None), (None,) * len(self.flows), self.coordinates, self.ridge(point)
+        ).with_meshes(point)
+        for _ in range(STEPS):
+            linearised = problem.linearise(point)
+            if linearised is None:
+                return None
+            free = linearised.jacobian[:, len(constants) :]
+            step = np.zeros(len(values))
+            step[len(constants) :] = np.linalg.lstsq(free, -linearised.residual, rcond=None)[0]
+            point = problem.move(point, linearised, point.values + step, 1.0)
+        linearised = problem.linearise(point)
+        if linearised is None:
+            return None
+        nothing = np.zeros(len(values), dtype=bool)
+        return Minimum(
+            point, point.values, linearised, "unconverged", "limit", 1.0, math.inf, nothing, STEPS
+        )
 
     def probe_columns(self, minimum, motions, n_most):
         """Changes of the tracks by terms of strength zero, as columns local to every chain.

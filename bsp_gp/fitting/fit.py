@@ -282,7 +282,6 @@ class _Run:
         self.roles = roles_of(self.law)
         self.is_over = lambda: False
         self.near = None
-        self.is_aside = False  # for the noise alone: not worth every start
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
             raise DataError("nothing moves: no dynamic entity changes its position on any axis")
@@ -315,14 +314,6 @@ class _Run:
                     f"the start of {name} must lie within its bounds {low:g}..{high:g}, "
                     f"got {value:g}"
                 )
-
-    def copy_ranges(self, other):
-        """Take bounds and priors of the parameters that another run has as well."""
-        own, theirs = ({pair: k for k, pair in enumerate(r.parameters)} for r in (self, other))
-        shared = [pair for pair in own if pair in theirs]
-        at, there = ([k[pair] for pair in shared] for k in (own, theirs))
-        for name in ("low", "high", "pull", "width"):
-            getattr(self, name)[..., at] = getattr(other, name)[..., there]
 
     def step_kinds(self):
         """Whether the paper's steps, continuous motion, or both are tried, and in which order.
@@ -415,7 +406,7 @@ class _Run:
             return self
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
         led.low, led.high = self.low, self.high
-        led.is_over, led.is_aside = self.is_over, self.is_aside
+        led.is_over = self.is_over
         return led
 
     def has_misfit(self, minimum):
@@ -431,13 +422,8 @@ class _Run:
         if climb.is_lost(minimum):  # what it leaves is neither noise nor what the law lacks
             return model
         if self.has_misfit(minimum) and self.probed_motions and not paper_steps:
-            parts = (Forces(self.probed_law, False), TrackNoise(model))
-            beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
-            beside.is_over, beside.is_aside, beside.near = self.is_over, True, self.near
-            beside.copy_ranges(self)
-            other, found = beside.descend(model, False)
-            if found.linearised is not None and found.chisqr < minimum.chisqr:
-                tracks = _tracks_of(beside, other, found)
+            tracks = self.tracks_beside(climb, minimum, model)
+            if tracks is not None:
                 n_own = len(self.parameters)
                 # What a force does may differ from scene to scene, and is no noise either.
                 local = np.concatenate([tracks.local, tracks.shared[n_own:]])
@@ -445,6 +431,22 @@ class _Run:
                     model, tracks.channels, tracks.residual, tracks.shared[:n_own], local
                 )
         return self.estimated(climb, minimum, model)
+
+    def tracks_beside(self, climb, minimum, model):
+        """Tracks of the law and its probes, of strengths that lead to the data; None if none do.
+
+        A descent with so many forces has no end where they tell little apart; from nodes that lie
+        at the data, two steps of the linearisation lead as far.
+        """
+        parts = (Forces(self.probed_law, False), TrackNoise(model))
+        beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
+        beside.is_over = self.is_over
+        wider = Climb(beside, self.noises(model), climb.scales, False)
+        nodes = self.near.nodes if self.near is not None and self.near.shows_tracks else None
+        found = wider.stepped(climb.coordinates.constants(minimum.values)[0], nodes)
+        if found is None or found.chisqr >= minimum.chisqr:
+            return None
+        return _tracks_of(beside, wider, found)
 
     def estimated(self, climb, minimum, model, adopt=True):
         """The noise of the residual, what probes could explain of it taken out.

@@ -17,8 +17,11 @@ __all__ = ["Pieces", "cut_pieces"]
 MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""
 LEAST_ROWS = 12
-MOST_PIECES = 64
-"""Pieces of a group of chains that are looked at, spread evenly over it."""
+MOST_PIECES, FEWEST_PIECES = 64, 16
+"""Pieces of a group of chains that are looked at, spread evenly over it; fewer where they are
+large."""
+MOST_CHANGES = 1 << 26
+"""Numbers that tell what forces at all instants do to the states of all pieces at all instants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +137,7 @@ class Pieces:
         return whole[0], whole[1]
 
 
-def cut_pieces(chains, noise, batch, n_held=0):
+def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
     """Cut chains into pieces.
 
     Parameters
@@ -145,15 +148,20 @@ def cut_pieces(chains, noise, batch, n_held=0):
         Of the scenes that the chains are of.
     n_held : int
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
+    per_row : int
+        Instants of forces for each row.
     """
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
-    per_row = max(chains.n_moving * chains.n_dims - n_held, 1)
-    rows = max(MOST_COORDINATES // per_row, LEAST_ROWS)
+    n_own = chains.n_moving * chains.n_dims
+    rows = max(MOST_COORDINATES // max(n_own - n_held, 1), LEAST_ROWS)
     windows = cut_windows(chains.lengths[:n_scenes], rows)
     chosen = np.arange(len(windows.chain))
-    if len(chosen) > MOST_PIECES:
-        chosen = np.unique(np.linspace(0, len(chosen) - 1, MOST_PIECES).astype(int))
+    n_instants = per_row * int(windows.length.max(initial=1))
+    most = MOST_CHANGES // (2 * (n_instants * n_own) ** 2 * n_groups)
+    most = int(np.clip(most, FEWEST_PIECES, MOST_PIECES))
+    if len(chosen) > most:
+        chosen = np.unique(np.linspace(0, len(chosen) - 1, most).astype(int))
     scene = windows.chain[chosen]
     moving = batch.bodies.receivers
     driven = np.setdiff1d(np.arange(batch.bodies.shapes.code.shape[1]), moving)

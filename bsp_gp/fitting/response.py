@@ -210,8 +210,9 @@ def respond(fit, dataset, scenes=None):
             first += count
             pairs = [pair for part in constraints_of(fit.law) for pair in part.pairs]
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
-            pieces = cut_pieces(chains, noise, batch, n_held)
-            group = _Group(fit, chains, nodes, noise, pieces)
+            per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
+            pieces = cut_pieces(chains, noise, batch, n_held, per_row)
+            group = _Group(fit, chains, nodes, noise, pieces, per_row)
             batches += group.batches()
             columns += group.columns(batches)
             levels.append(group.level)
@@ -239,17 +240,35 @@ def _noise(fit, chains, part):
     )  # fmt: skip
 
 
+def _instants_per_row(fit, chains, nodes):
+    """How many instants it takes that the motion turns little between two of them."""
+    motion = Motion(fit.law, chains, fit.parameters)
+    motion.set_constants(fit.values)
+    flow = Flow(motion, np.ones(chains.n_chains))
+    points = flow.points(nodes[..., flow.row, flow.chain], flow.start, flow.chain)
+    by_state, _ = flow.motion.slopes(points)
+    half = flow.n_state // 2
+    stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
+    v = points.state[1].reshape(half, -1)
+    a = flow.motion.acceleration(points).reshape(half, -1)
+    size = np.square(v).sum(axis=0)
+    across = np.where(size > 0, np.square(a).sum(axis=0) / np.where(size > 0, size, 1.0), 0.0)
+    rate = np.sqrt(np.maximum(stiffness, np.minimum(across, stiffness + across)))
+    turned = np.nan_to_num(rate * flow.length)
+    typical = float(np.quantile(turned, 0.9)) if len(turned) else 0.0
+    return int(np.clip(np.ceil(typical / PHASE), 1, MOST_INSTANTS))
+
+
 class _Group:
     """The pieces of one group of like-built chains."""
 
-    def __init__(self, fit, chains, nodes, noise, pieces):
-        self.fit, self.pieces = fit, pieces
+    def __init__(self, fit, chains, nodes, noise, pieces, per_row):
+        self.fit, self.pieces, self.per_row = fit, pieces, per_row
         self.chains, self.noise = pieces.chains(chains), pieces.noise(noise)
         self.motion = Motion(fit.law, self.chains, fit.parameters)
         self.motion.set_constants(fit.values)
         self.tolerance = pieces.tolerance(noise)
         self.rows = pieces.nodes(nodes)
-        self.per_row = 1 if fit.paper_steps else self._instants_per_row()
         self.fine = _refined(self.chains, self.per_row)
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
@@ -265,22 +284,6 @@ class _Group:
         motion = self.motion.on(chains, self.fit.law)
         motion.set_constants(self.fit.values)
         return Flow(motion, self.tolerance, self.fit.paper_steps)
-
-    def _instants_per_row(self):
-        """How many instants it takes that the motion turns little between two of them."""
-        flow = self._flow(self.chains)
-        points = flow.points(self.rows[..., flow.row, flow.chain], flow.start, flow.chain)
-        by_state, _ = flow.motion.slopes(points)
-        half = flow.n_state // 2
-        stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
-        v = points.state[1].reshape(half, -1)
-        a = flow.motion.acceleration(points).reshape(half, -1)
-        size = np.square(v).sum(axis=0)
-        across = np.where(size > 0, np.square(a).sum(axis=0) / np.where(size > 0, size, 1.0), 0.0)
-        rate = np.sqrt(np.maximum(stiffness, np.minimum(across, stiffness + across)))
-        turned = np.nan_to_num(rate * flow.length)
-        typical = float(np.quantile(turned, 0.9)) if len(turned) else 0.0
-        return int(np.clip(np.ceil(typical / PHASE), 1, MOST_INSTANTS))
 
     def _between(self):
         """States at all instants, from those of the rows."""

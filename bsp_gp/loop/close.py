@@ -17,7 +17,7 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
 from bsp_gp.fitting.law_fit import (
     about_noise,
     about_outliers,
@@ -171,7 +171,7 @@ def close_loop(
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
         says("looking at what was held out")
-        other = ready.swapped()
+        other = ready.swapped(rounds[0].entering.noise)
         found = look(other, swapped_rng)
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
@@ -265,10 +265,20 @@ class _Ready:
         """Whether scenes are held out that are not learned from."""
         return bool(self.split.test) and self.before_cut is None
 
-    def swapped(self):
-        """The same with train and test swapped."""
+    def swapped(self, noise):
+        """The same with train and test swapped; a memory of the noise that was told is known there.
+
+        Few scenes tell little of it, and what it does there would pass for a force.
+        """
         other = copy(self)
         other._learn_from(self.split.swapped)
+        model = other.hypothesis.noise
+        if noise.correlated and model.is_free.any() and not model.is_correlation_known:
+            model = replace(
+                model, correlated=noise.correlated, correlation_time=noise.correlation_time,
+                is_correlation_known=True,
+            )  # fmt: skip
+            other.hypothesis += TrackNoise(model)
         return other
 
     def refitted(self, found, hypothesis, bounds, clock):

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.table import SAME_MINIMUM
 
 __all__ = ["Decision", "decide", "share_of_listed"]
 
@@ -61,7 +62,7 @@ def decide(table, criteria=None):
     noise = next((row for row in candidates if row.kind == "noise"), None)
     is_near = noise is not None and (
         best.log_posterior - noise.log_posterior < criteria.noise_nats
-        and noise.log_posterior > table.base.log_posterior
+        and noise.log_posterior > table.base.log_posterior + SAME_MINIMUM
     )  # fmt: skip
     if is_near:
         return Decision("the noise is not as assumed", "noise_explains", noise, True)
@@ -69,8 +70,11 @@ def decide(table, criteria=None):
         row for row in _comparable(table)
         if row.id != best.id and _is_rival(row, best, criteria)
     )  # fmt: skip
-    if best.log_posterior <= table.base.log_posterior:
-        if table.noise_p <= criteria.alpha:  # odd noise, and no cause is likelier than none
+    # Of odd noise that the base has, too, a cause is told only where it is likelier by as much.
+    is_odd = table.noise_p <= criteria.alpha
+    needed = criteria.noise_nats if is_odd else 0.0
+    if best.log_posterior - table.base.log_posterior <= needed:
+        if is_odd:
             return Decision("the noise is not as assumed", "noise_explains")
         return Decision("seen, not adopted", "no_better_than_before", best, False, rivals)
     if _is_refused(best, criteria):

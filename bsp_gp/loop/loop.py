@@ -15,7 +15,7 @@ from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued
 from bsp_gp.loop.questions import hidden_bound, noise_findings
-from bsp_gp.loop.table import HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
 from bsp_gp.workers import Crew
@@ -34,8 +34,6 @@ MOST_OF_ALL = 0.9
 tracks have gained otherwise."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
-SAME_MINIMUM = 1e-3
-"""Nats within which two descents of one cause have come to one minimum."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-__all__ = ["HeldOut", "HypothesisTable", "Row", "held_out_gain"]
+__all__ = ["SAME_MINIMUM", "HeldOut", "HypothesisTable", "Row", "held_out_gain"]
+
+SAME_MINIMUM = 1e-3
+"""Nats within which two descents have come to one minimum."""
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ def row(number, code="law", kind="force", gain=100.0, prior=-4.0, status="conver
     return replace(made, **changes)
 
 
-def decided(*rows, p=1e-6, base=BASE, criteria=None):
-    return decide(HypothesisTable((base, *rows), p).with_probabilities(), criteria)
+def decided(*rows, p=1e-6, base=BASE, criteria=None, noise_p=1.0):
+    return decide(HypothesisTable((base, *rows), p, noise_p).with_probabilities(), criteria)
 
 
 def test_codes_are_those_of_the_closed_lists():
@@ -52,6 +52,17 @@ def test_a_failed_fit_is_never_nothing_missing():
         assert (said.verdict, said.reason) == ("cannot tell", "declared_model_not_fitted")
     assert decided(row(1), p=np.nan).reason == "not_tested"
     assert decided(row(1, status="unconverged")).verdict == "seen, not adopted"
+
+
+@pytest.mark.parametrize(("nats", "is_told"), [(1.0, False), (4.0, True)])
+def test_a_cause_must_be_likelier_than_odd_noise_that_the_base_has_too(nats, is_told):
+    law = row(1, gain=2 * (nats + 5.0 + 4.0))
+    same = row(2, "noise", "noise", gain=10.0 + 1e-6, prior=0.0)
+    for rows in ((law,), (law, same)):
+        said = decided(*rows, noise_p=1e-9)
+        assert said.is_adopted == is_told
+        assert said.verdict == ("effect adopted" if is_told else "the noise is not as assumed")
+    assert decided(law).is_adopted
 
 
 def test_what_fits_in_place_of_a_law_that_does_not_is_adopted():

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsp_gp.loop.close import close_loop
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.close import _Ready, close_loop
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.questions import noise_findings
 from tests.loop_views import GRAVITY, throws, view_of
@@ -25,6 +27,13 @@ def with_memory(rng, shape, memory):
     for k in range(1, len(out)):
         out[k] = memory * out[k - 1] + np.sqrt(1 - memory**2) * steps[k]
     return out
+
+
+def remembered(seed, n_scenes):
+    """Throws that lack nothing, of unknown noise with a memory."""
+    rng = np.random.default_rng(seed)
+    noise = lambda s, shape: SIGMA * with_memory(rng, shape, 0.8)  # noqa: E731
+    return replace(throws(rng, n_scenes=n_scenes, noise=noise), noise=None)
 
 
 def proposed(view):
@@ -103,3 +112,23 @@ def test_a_memory_of_the_noise_is_not_taken_for_forces_however_many_tracks_there
     view = view_of(replace(throws(rng, n_scenes=5, n_rows=20, n_bodies=4, noise=slow), noise=None))
     assert view.fit.noise.correlated > 0.5
     assert not view.is_memory_doubted
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_fit_comes_to_its_end_beside_noise_that_looks_like_forces(seed):
+    data = remembered(seed, 1)
+    law = Hypothesis.from_laws(data, ["c1 * m_i * e_y"])
+    found = fit(law, data, near=view_of(data).near, effort=600)
+    assert found.status == "converged"
+
+
+def test_a_memory_of_the_noise_is_known_in_held_out_scenes():
+    data, rng = remembered(0, 5), np.random.default_rng(0)
+    ready = _Ready(data, GRAVITY, rng)
+    found = fit(ready.hypothesis, ready.train)
+    assert found.noise.correlated > 0
+    noise = ready.swapped(found.noise).hypothesis.noise
+    assert noise.is_correlation_known
+    assert noise.correlation_time == found.noise.correlation_time
+    white = replace(found.noise, correlated=0.0, correlation_time=0.0)
+    assert not ready.swapped(white).hypothesis.noise.is_correlation_known

@@ -134,6 +134,17 @@ def test_nothing_is_proposed_where_nothing_bounces():
     assert family.proposals == ()
 
 
+def test_turns_that_the_law_explains_are_no_walls():
+    rng, times = np.random.default_rng(4), np.arange(60) * 0.05
+    places = np.stack([0.3 * np.cos(9.0 * times), np.zeros(60)], axis=1)[:, None]
+    places[..., 0] += 0.002 * rng.standard_normal((60, 1))
+    scene = Scene("1", times, places, (Entity("bob"),))
+    assert len(jumps(times, places[:, 0])) > 2
+    dataset = Dataset("spring", (scene,), units=SI)
+    law = "k * (origin - p_i)"
+    assert Walls().propose(view_of(dataset, law)).proposals == ()
+
+
 def test_a_bouncing_ball_is_told_with_its_weight():
     data = bounces(np.random.default_rng(5), noise=False, **WALL)
     report = close_loop(data, "nothing", rng=0, n_bootstrap=0)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 
-from bsp_gp.language.formula import Call, Constant, Number, factors
+from bsp_gp.language.formula import Call, Constant, Number, factors, walk
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
-__all__ = ["Declared", "base_of", "is_size", "power_of", "typical_value"]
+__all__ = ["Declared", "base_of", "is_size", "power_of", "rounding_of", "typical_value"]
 
 MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
+FEWEST_DIGITS = 3
+"""Digits from which a number with a decimal point is taken for rounded."""
+_MANTISSA = re.compile(r"(?<=-)\d*\.\d+|^\d*\.\d+")
 
 
 class Declared:
@@ -73,7 +79,27 @@ class Declared:
         name = fresh_name(law, "s")
         factor = Call("add", Number(1.0), Constant(name))
         text = f"number of {to_text(law.terms[index].formula)}"
-        return _freed(view, index, "number", text, factor, name, score)
+        found = _freed(view, index, "number", text, factor, name, score)
+        if abs(score.amplitudes[0]) <= rounding_of(law.terms[index].formula):
+            # That a number was rounded as it was typed is no cause to be doubted.
+            found = replace(found, log_prior=0.0, text=f"{text}, within its last digit")
+        return found
+
+
+def rounding_of(formula):
+    """Part by which a term may be off since its numbers were rounded: half of each last digit.
+
+    Numbers of few digits, and those without a decimal point, may be exact.
+    """
+    total = 0.0
+    for node in walk(formula):
+        found = _MANTISSA.search(node.text) if isinstance(node, Number) else None
+        if found is None or not float(found[0]):
+            continue
+        digits = found[0].replace(".", "").lstrip("0")
+        if len(digits) >= FEWEST_DIGITS:
+            total += 0.5 / int(digits)
+    return total
 
 
 def _freed(view, index, code, text, factor, name, score):

@@ -12,6 +12,7 @@ from itertools import count, product
 
 import numpy as np
 
+from bsp_gp.fitting.fit import FitTolerances
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.jumps import WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
@@ -62,7 +63,7 @@ class Walls:
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
         groups = _walls([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
-        if not groups:
+        if not groups or _unexplained(view) <= 0:
             return Family(self.name)
         proposals = _proposals(view, groups, found)
         best = proposals[0]
@@ -98,8 +99,10 @@ def _proposals(view, groups, jumps_of):
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
         part = part + walls[-1]
     every = [jump for own in groups.values() for jump in own]
-    # All that is left: bodies that bounce are far from where the law would take them.
+    # All that is left: bodies that bounce are far from where the law would take them. Turns that it
+    # explains, of a mass on a spring, are none of these.
     gain = max(float(view.left @ view.left) - view.n_left, sum(jump.gain for jump in every))
+    gain = min(gain, _unexplained(view))
     text = ", ".join(wall.describe() for wall in walls)
     rank = sum(len(wall.names) for wall in walls)
     told = _told(dataset, jumps_of, groups, is_bare=not any(t.is_declared for t in law.terms))
@@ -125,6 +128,15 @@ def _proposals(view, groups, jumps_of):
             rank + len(forms), kind="wall", is_sole=True, error=error, is_afresh=True,
         ))  # fmt: skip
     return tuple(sorted(out, key=lambda proposal: -proposal.promise))
+
+
+def _unexplained(view):
+    """Chi-squared that the law leaves of places beyond that of noise, surely."""
+    fit = view.fit
+    left = fit.residual / fit.noise.sizes(fit.channels)
+    count = np.count_nonzero(np.isfinite(left))
+    chance = count + FitTolerances.refuted * math.sqrt(2 * count)
+    return float(np.nansum(np.square(left))) - chance
 
 
 def _told(dataset, jumps_of, groups, is_bare):

@@ -1,0 +1,45 @@
+"""Numbers of declared terms: what was rounded as it was typed is no cause to be doubted."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.proposers.exponents import rounding_of
+from bsp_gp.physics.bodies import dataset_types
+from tests.planted import SI
+
+TIMES = np.arange(240) / 60.0
+
+
+def swings(stiffness=8.01846, sigma=1e-5):
+    """A body on two springs, its attraction known to more digits than anybody types."""
+    rng, rate = np.random.default_rng(2), np.sqrt(stiffness)
+    places = np.stack([0.2 * np.cos(rate * TIMES), 0.1 * np.sin(rate * TIMES)], axis=1)[:, None]
+    places = places + sigma * rng.standard_normal(places.shape)
+    return Dataset("swings", (Scene("1", TIMES, places, (Entity("disc"),)),), units=SI)
+
+
+@pytest.mark.parametrize(
+    ("text", "rounding"),
+    [
+        ("-9.81 [m/s^2] * m_i * e_y", 0.5 / 981),
+        ("8.018 [1/s^2] * m_i * (origin - p_i)", 0.5 / 8018),
+        ("0.5 [1/s^2] * m_i * (origin - p_i)", 0.0), ("100 [1/s^2] * m_i * (origin - p_i)", 0.0),
+        ("6.674e-11 [m/s^2] * m_i * e_y", 0.5 / 6674), ("c * m_i * e_y", 0.0),
+    ],
+)  # fmt: skip
+def test_what_numbers_may_be_off_by_is_half_a_last_digit(text, rounding):
+    formula = parse_formula(text, dataset_types(swings()))
+    assert rounding_of(formula) == pytest.approx(rounding)
+
+
+def test_a_number_that_was_rounded_is_told_as_that():
+    report = close_loop(swings(), "8.018 [1/s^2] * m_i * (origin - p_i)", rng=0, n_bootstrap=0)
+    effect = report.rounds[0].effect
+    assert effect.code == "number"
+    assert effect.name.endswith("within its last digit")
+    assert report.rounds[0].adopted
+    assert report.constants[0].value == pytest.approx(8.01846 / 8.018 - 1, abs=4e-5)
+    assert report.rounds[-1].reason == "not_significant"
