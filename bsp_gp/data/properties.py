@@ -18,8 +18,8 @@ __all__ = ["read_properties", "with_properties"]
 _VALUE = re.compile(
     r"(?:(?P<body>.+?)\s*:)?\s*(?P<number>[^:\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?"
 )
-_KINDS = ("mass", "charge")
-"""Kinds of unit that are called like a property."""
+_KINDS = {"mass": "kg", "charge": "C"}
+"""Kinds of unit that are called like a property, and the one of SI."""
 
 
 def read_properties(said):
@@ -105,7 +105,7 @@ def with_properties(dataset, said):
                     f"{name} is given in {own!r}, and the data do not say in what unit others are",
                     column=name, remedy=f"declare it: --units {name}={own}",
                 )  # fmt: skip
-            declared[name] = own
+            declared[name] = _KINDS[name]  # so forces are told in newtons and not in g m/s^2
         values[name] = {}
         for body, (number, unit) in of_bodies.items():
             scale, units[name] = _scale(name, unit, declared)

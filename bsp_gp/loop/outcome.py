@@ -17,7 +17,9 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw
+from bsp_gp.units import FORCE
 
 __all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord",
            "law_record"]  # fmt: skip
@@ -272,16 +274,24 @@ class LoopReport:
             object.__setattr__(self, "law", replace(self.law, up=self.dataset.get("up")))
 
     def __repr__(self):
-        before, after, floor = (self.total[name] for name in ("before", "after", "floor"))
+        units = Told(self.dataset.get("units") or {}, self.dataset.get("symbols") or {})
+        before, after, floor = (
+            units.errors(self.total[name]) for name in ("before", "after", "floor")
+        )
         errors = [e.rollout_rmse for e in (before, after, floor) if e is not None]
         told = " -> ".join(f"{e:.4g}" for e in errors[:2])
-        n = len(self.equivalents)
+        n, bound = len(self.equivalents), self.hidden_bound
+        hidden = []
+        if bound is not None and math.isfinite(bound["force"] or math.nan):
+            factor, unit = units.unit(bound["unit"])
+            size = f"{factor * bound['force']:.2g} {'N' if unit == FORCE.text() else unit}"
+            hidden = [f"  a constant force of up to {size} is not excluded (95 %)"]
         ties = [f"  these data do not tell it from {n} other form{'s' * (n > 1)}"] if n else []
         return "\n".join([
             f"LoopReport of {self.dataset.get('name')!r}: {self.verdict}",
-            f"  law: F_i = {self.law_text}",
+            f"  law: F_i = {units.text(self.law_text)}",
             f"  held-out position error: {told} {before.unit}; noise floor {errors[-1]:.4g}",
-            *ties,
+            *ties, *hidden,
             f"  rounds: {len(self.rounds)}, fits: {self.n_fits}; in full: bsp_gp.write_report",
         ])  # fmt: skip
 

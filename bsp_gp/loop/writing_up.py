@@ -276,6 +276,10 @@ def _kind(best, law):
     return law.terms[-1].kind if best.kind == "force" else best.kind
 
 
+_ONE_WAY = 0.98
+"""Share of the span of a track between its ends where it does not turn back, but for noise."""
+
+
 def about_data(dataset, split, notes):
     """What the report says of the data.
 
@@ -300,6 +304,7 @@ def about_data(dataset, split, notes):
         "up": dataset.up,
         "partner": _partner(dataset),
         "properties": _properties(dataset),
+        "way": _way(dataset),
         "provenance": dict(dataset.provenance),
         "fingerprint": dataset_digest(dataset),
         "notes": [*dataset.notes, *notes],
@@ -316,8 +321,28 @@ def _properties(dataset):
         out[name] = {
             "unit": [str(power) for power in (unit or DIMENSIONLESS).exponents],
             "is_vector": any(np.ndim(value) for value in values),
+            "is_constant": len(set(map(repr, values))) <= 1,
         }
     return out
+
+
+def _way(dataset):
+    """The axis along which everything moves all the time in one direction; "" if it is none."""
+    axes, signs = set(), set()
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            track = scene.positions[:, k]
+            track = track[np.isfinite(track).all(axis=1)]
+            spans = np.ptp(track, axis=0) if len(track) > 1 else np.zeros(dataset.n_dims)
+            axes |= set(np.flatnonzero(spans).tolist())
+            if len(axes) != 1:
+                return ""
+            (axis,) = axes
+            ahead = track[-1, axis] - track[0, axis]
+            signs.add(np.sign(ahead))
+            if len(signs) > 1 or abs(ahead) < _ONE_WAY * spans[axis]:
+                return ""
+    return "xyz"[axes.pop()] if axes else ""
 
 
 def _partner(dataset):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.loop.told import Told
 from bsp_gp.report.bars import constants_figure, rounds_figure
 from bsp_gp.report.drawing import (
     AFTER,
@@ -26,7 +27,6 @@ from bsp_gp.report.drawing import (
 from bsp_gp.report.hidden_map import draw_hidden_map
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import adopted_rounds
-from bsp_gp.report.told import Told
 from bsp_gp.report.traces import trace_figure
 from bsp_gp.report.tracks import (
     draw_errors,

@@ -6,12 +6,13 @@ from types import SimpleNamespace
 
 from bsp_gp.data.scene import CHECK
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
-from bsp_gp.report.told import retold
+from bsp_gp.report.rewritings import rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
 
 __all__ = ["page_of"]
@@ -56,7 +57,9 @@ def page_of(report):
         if r.effect is not None:
             if r.effect.kind == "hidden_body":
                 r.effect.name = name_of(r.effect)
-            r.effect.equivalents = rivals_of(r.effect.equivalents)
+            law, rivals = r.effect.written or "", rivals_of(r.effect.equivalents)
+            r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
+            r.effect.rewritten = rewritten(n_same, why)
     return page
 
 
@@ -176,7 +179,8 @@ def _name(effect, parts, other):
 
 def _effect(effect, name, parts, tied):
     return SimpleNamespace(
-        name=name, parts=parts, kind=effect.kind, law=effect.law or effect.name, latex=effect.latex,
+        name=name, parts=parts, kind=effect.kind, law=effect.law or effect.name,
+        written=effect.law, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,
         exponents=effect.exponents, varies_with=effect.varies_with,

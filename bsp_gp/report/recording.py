@@ -9,6 +9,7 @@ import numpy as np
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
 from bsp_gp.inference.priors import prior_of
+from bsp_gp.loop.told import Told
 from bsp_gp.report.drawing import new_figure, tidy
 from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
@@ -79,27 +80,32 @@ def _units(dataset):
     kinds = [f"{kind} in {declared[kind]}" for kind in ("length", "time", "mass")
              if kind in declared]  # fmt: skip
     if kinds:
-        return f"Units: {', '.join(kinds)}; below, all are {_unit(dataset, _LENGTH)}, " \
-               f"{_unit(dataset, _TIME)}"  # fmt: skip
+        shown = [_told(dataset, unit)[1] for unit in (_LENGTH, _TIME)]
+        is_same = shown == [declared.get("length"), declared.get("time")]
+        below = "" if is_same else f"; below, all are {', '.join(shown)}"
+        return f"Units: {', '.join(kinds)}{below}"
     return "Units: none are given, so numbers stay as they are; give them with --units length=m " \
            "time=s"  # fmt: skip
 
 
-def _unit(dataset, unit):
-    return dataset.units.text(unit)
+def _told(dataset, unit):
+    """Factor of numbers in a unit, and how it is told in the words of the data."""
+    units = dataset.units
+    return Told(units.declared, units.symbols).unit(units.text(unit))
 
 
 def _scenes(dataset):
-    out = []
+    out, (factor, unit) = [], _told(dataset, _TIME)
     for scene in dataset.scenes[:_MAX_NAMES]:
-        steps = np.diff(scene.times)
+        times = factor * scene.times
+        steps = np.diff(times)
         is_even = np.ptp(steps) <= 0.01 * np.median(steps)
         step = format_number(float(np.median(steps)), 4)
         out.append(
             f"Scene {scene.name}: {_counted(len(scene.times), 'row')}, t from "
-            f"{format_number(float(scene.times[0]), 4)} to "
-            f"{with_unit(format_number(float(scene.times[-1]), 4), _unit(dataset, _TIME))}, "
-            f"{'every' if is_even else 'mostly every'} {with_unit(step, _unit(dataset, _TIME))}"
+            f"{format_number(float(times[0]), 4)} to "
+            f"{with_unit(format_number(float(times[-1]), 4), unit)}, "
+            f"{'every' if is_even else 'mostly every'} {with_unit(step, unit)}"
         )
     left = len(dataset.scenes) - _MAX_NAMES
     return [*out, f"and {_counted(left, 'scene')} more"] if left > 0 else out
@@ -155,7 +161,7 @@ def _moves(dataset, axis):
 
 def _motion(dataset):
     """Where bodies are, and the noise, axis by axis."""
-    length = _unit(dataset, _LENGTH)
+    factor, length = _told(dataset, _LENGTH)
     try:
         noise = estimate_noise(dataset)
     except DataError as error:
@@ -166,12 +172,12 @@ def _motion(dataset):
             out.append(f"Axis {name}: nothing moves along it")
             continue
         values = [s.positions[:, s.dynamic, axis].ravel() for s in dataset.scenes]
-        values = np.concatenate(values)
+        values = factor * np.concatenate(values)
         low, high = np.nanmin(values), np.nanmax(values)
         out.append(
             f"Axis {name}: from {format_number(float(low), 4)} to "
             f"{with_unit(format_number(float(high), 4), length)}, noise "
-            f"{with_unit(format_number(noise.sigma[axis], 2), length)} ({noise.source})"
+            f"{with_unit(format_number(factor * noise.sigma[axis], 2), length)} ({noise.source})"
         )
     return out
 

@@ -136,14 +136,15 @@ def _powers(report):
 def _ties(report):
     rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
     for r in reversed(rounds):
-        if r.effect is not None and r.effect.equivalents:
-            n = len(r.effect.equivalents)
+        if r.effect is not None and (r.effect.equivalents or r.effect.rewritten):
+            n, rest = len(r.effect.equivalents), r.effect.rewritten
             text = (
                 f"Not separable on these data: {n} other law{'s' if n > 1 else ''}, "
                 f"the likeliest {r.effect.equivalents[0]}"
-            )
+            ) if n else "No other law does as well"
             if r.undecided:
                 text = f"Not separable on these data: {r.effect.name}, {', '.join(r.undecided)}"
+            text += f"; and {rest}" if rest and n else f", but for {rest}" if rest else ""
             text = f"{text}. {parting_sentence(r.effect)}".rstrip(". ")
             return [(text, "  ")]
     return []

@@ -50,9 +50,9 @@ def test_a_mass_beside_a_table(spring, said):
     assert not any(NO_MASS in note for note in data.notes)
 
 
-def test_a_unit_of_its_own_is_that_of_masses(spring):
+def test_a_unit_of_its_own_calibrates_masses(spring):
     data = bsp_gp.load_dataset(spring, properties={"mass": "500[g]"})
-    assert data.units.declared["mass"] == "g"
+    assert data.units.declared["mass"] == "kg"
     read_law(data, SPRING)
 
 

@@ -27,6 +27,7 @@ from bsp_gp.loop.criteria import (
     STOP_REASONS,
     VERDICTS,
 )
+from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
@@ -48,7 +49,6 @@ from bsp_gp.report.sentences import (
     worse_bodies,
 )
 from bsp_gp.report.summary import summary_text
-from bsp_gp.report.told import Told
 from bsp_gp.report.tracks import pick_overlays, wants_errors
 from bsp_gp.report.typeset import law_document, split_terms, to_svg
 

@@ -10,10 +10,10 @@ from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.told import Told
 from bsp_gp.loop.view import View
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import verdict_sentence
-from bsp_gp.report.told import Told
 from bsp_gp.units import parse_unit
 from tests.lone_orbit import MASS, PLACE, dataset
 

@@ -91,6 +91,12 @@ class Told:
             },
         )  # fmt: skip
 
+    def bound(self, bound):
+        """Put what may still be hidden, as pages read it, into them."""
+        if bound is not None and bound.force is not None:
+            factor, bound.unit = self.unit(bound.unit)
+            bound.force *= factor
+
     def overlay(self, overlay):
         """Tracks in them."""
         place, time = self.factor("m"), self.factor("s")
@@ -212,15 +218,14 @@ def retold(report):
     told = Told(report.dataset.get("units") or {}, report.dataset.get("symbols") or {})
     if not told.own and not told.is_astronomical:
         return report
+    told.bound(report.bound)
     for r in report.rounds:
         r.before, r.after, r.floor = map(told.errors, (r.before, r.after, r.floor))
         r.held_out, r.trace = told.scenes(r.held_out), told.trace(r.trace)
         r.time_unit = told.unit("s")[1]
         factor, unit = told.unit(r.missing.unit)
         r.missing = replace(r.missing, detectable=r.missing.detectable * factor, unit=unit)
-        if r.bound is not None and r.bound.force is not None:
-            factor, r.bound.unit = told.unit(r.bound.unit)
-            r.bound.force *= factor
+        told.bound(r.bound)
         if r.effect is not None:
             r.effect.constants = tuple(map(told.constant, r.effect.constants))
             r.effect.law = told.text(r.effect.law)
