@@ -389,12 +389,7 @@ class Climb:
 
     def first_points(self):
         """Points to begin with: nodes off the data, constants given, regressed or of their size."""
-        run = self.run
-        nodes = tuple(first_nodes(chains, self.is_coarse) for chains in run.groups)
-        if self.paper_steps:
-            nodes = tuple(map(stepped_nodes, run.groups, nodes))
-        elif walls_of(run.law):
-            nodes = tuple(map(nodes_between, run.groups, nodes))
+        run, nodes = self.run, self._read_off()
         inner = candidates(
             run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts
         )
@@ -413,6 +408,15 @@ class Climb:
         if len(inner) == 1 and free:
             points += self._sized(points[0], nodes, free)
         return _unlike(points)[: run.tolerances.most_starts]
+
+    def _read_off(self):
+        """Nodes off the data, of every group."""
+        nodes = tuple(first_nodes(chains, self.is_coarse) for chains in self.run.groups)
+        if self.paper_steps:
+            return tuple(map(stepped_nodes, self.run.groups, nodes))
+        if walls_of(self.run.law):
+            return tuple(map(nodes_between, self.run.groups, nodes))
+        return nodes
 
     @property
     def is_coarse(self):
@@ -472,13 +476,11 @@ class Climb:
         """
         shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in self.run.groups]
         if nodes is None or [own.shape for own in nodes] != shapes:
-            nodes = tuple(first_nodes(chains, self.is_coarse) for chains in self.run.groups)
+            nodes = self._read_off()
         values = np.zeros(len(self.run.parameters))
         values[: len(constants)] = constants
-        point = TrackPoint(self.coordinates.unknowns(values), tuple(nodes))
-        point = TrackPoint(point.values, tuple(
-            carried(f, own, values) for f, own in zip(self.flows, point.nodes, strict=True)
-        ))  # fmt: skip
+        own = tuple(carried(f, o, values) for f, o in zip(self.flows, nodes, strict=True))
+        point = TrackPoint(self.coordinates.unknowns(values), own)
         problem = self.problem = TrackProblem(
             self._shootings(None), (None,) * len(self.flows), self.coordinates, self.ridge(point)
         ).with_meshes(point)
