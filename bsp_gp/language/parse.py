@@ -134,8 +134,8 @@ def _number(digits, unit_text, text, units):
         raise LawError(
             f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "
             f"not say what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; "
-            "declare them under [units] in dataset.toml, or with --units length=m time=s; a mass "
-            "is given with --property mass=0.3[kg]"
+            "declare them under [units] in dataset.toml, or with --units length=m time=s (or au, "
+            "yr); a mass is given with --property mass=0.3[kg] (or Msun)"
         )
     return Number(_finite(value * scale, digits, text), unit, f"{digits} [{unit_text.strip()}]")
 

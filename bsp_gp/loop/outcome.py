@@ -283,7 +283,7 @@ class LoopReport:
         n, bound = len(self.equivalents), self.hidden_bound
         hidden = []
         if bound is not None and math.isfinite(bound["force"] or math.nan):
-            factor, unit = units.unit(bound["unit"])
+            factor, unit = units.force(bound["unit"])
             size = f"{factor * bound['force']:.2g} {'N' if unit == FORCE.text() else unit}"
             hidden = [f"  a constant force of up to {size} is not excluded (95 %)"]
         ties = [f"  these data do not tell it from {n} other form{'s' * (n > 1)}"] if n else []

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.errors import UnitError
-from bsp_gp.units import BASE, Unit, parse_unit
+from bsp_gp.units import BASE, FORCE, Unit, parse_unit
 
 __all__ = ["Told", "retold"]
 
@@ -67,6 +67,11 @@ class Told:
             names[base] = name
         return factor, Unit.of(**exponents).text(names) + per + tail
 
+    def force(self, text):
+        """The same of a force, of which newtons stay newtons on Earth: not kg cm/s^2."""
+        is_newton = text == FORCE.text() and not self.is_astronomical
+        return (1.0, text) if is_newton else self.unit(text)
+
     def constant(self, constant):
         """A `ConstantEstimate` in them."""
         factor, unit = self.unit(constant.unit)
@@ -94,7 +99,7 @@ class Told:
     def bound(self, bound):
         """Put what may still be hidden, as pages read it, into them."""
         if bound is not None and bound.force is not None:
-            factor, bound.unit = self.unit(bound.unit)
+            factor, bound.unit = self.force(bound.unit)
             bound.force *= factor
 
     def overlay(self, overlay):

@@ -92,5 +92,9 @@ def test_what_check_says_and_the_report_are_in_the_units_of_the_data():
     report = dataclasses.replace(
         report, dataset={**report.dataset, "units": units, "symbols": {}}, hidden_bound=bound
     )
+    near = dataclasses.replace(
+        report, dataset={**report.dataset, "units": {"length": "cm", "time": "s", "mass": "kg"}}
+    )
+    assert "force of up to 6.8e+21 N is" in repr(near)
     for told in (repr(report), " ".join(summary_text(report).split())):
         assert "of up to" in told and "Msun" in told and " N " not in told
