@@ -179,8 +179,7 @@ class Climb:
         near, run = self.run.near, self.run
         if near is None or not near.shows_tracks or near.paper_steps != self.paper_steps:
             return None
-        shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in run.groups]
-        if shapes != [nodes.shape for nodes in near.nodes]:  # it has bodies or rows of its own
+        if not self._can_begin_at(near.nodes):
             return None
         there = dict(zip(near.parameters, near.values, strict=True))
         known = np.array([run.starts.get(pair, there.get(pair, np.nan)) for pair in run.parameters])
@@ -195,6 +194,11 @@ class Climb:
         end = self._joined(self._minimise(problem, point, WHOLE), problem)
         is_end = end.linearised is not None and end.status != "unconverged"
         return end if is_end else None
+
+    def _can_begin_at(self, nodes):
+        """Whether nodes are of the bodies and rows of this fit, and of no others."""
+        shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in self.run.groups]
+        return shapes == [own.shape for own in nodes]
 
     def _is_enough(self, ends):
         """Whether nothing more is tried: a good minimum, or as many as were asked for."""
@@ -474,8 +478,7 @@ class Climb:
         Minimum or None
             None where a step leads to nothing finite.
         """
-        shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in self.run.groups]
-        if nodes is None or [own.shape for own in nodes] != shapes:
+        if nodes is None or not self._can_begin_at(nodes):
             nodes = self._read_off()
         values = np.zeros(len(self.run.parameters))
         values[: len(constants)] = constants

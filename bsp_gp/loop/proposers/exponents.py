@@ -19,7 +19,7 @@ MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
 FEWEST_DIGITS = 3
 """Digits from which a number with a decimal point is taken for rounded."""
-_MANTISSA = re.compile(r"(?<=-)\d*\.\d+|^\d*\.\d+")
+_MANTISSA = re.compile(r"-?(\d*\.\d+)")
 
 
 class Declared:
@@ -93,10 +93,8 @@ def rounding_of(formula):
     """
     total = 0.0
     for node in walk(formula):
-        found = _MANTISSA.search(node.text) if isinstance(node, Number) else None
-        if found is None or not float(found[0]):
-            continue
-        digits = found[0].replace(".", "").lstrip("0")
+        found = _MANTISSA.match(node.text) if isinstance(node, Number) else None
+        digits = found[1].replace(".", "").lstrip("0") if found else ""
         if len(digits) >= FEWEST_DIGITS:
             total += 0.5 / int(digits)
     return total

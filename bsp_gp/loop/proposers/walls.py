@@ -66,9 +66,10 @@ class Walls:
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
         groups = _walls([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
-        if not groups or _unexplained(view) <= 0:
+        most = _unexplained(view)
+        if not groups or most <= 0:
             return Family(self.name)
-        proposals = _proposals(view, groups, found)
+        proposals = _proposals(view, groups, found, most)
         best = proposals[0]
         return Family(
             self.name, proposals, best.gain, best.rank, np.zeros(1),
@@ -91,8 +92,11 @@ def _walls(found, dataset):
     return groups if sum(map(len, groups.values())) >= LEAST_JUMPS else {}
 
 
-def _proposals(view, groups, jumps_of):
-    """All walls together: beside the law as it is, and with forces of textbooks as well."""
+def _proposals(view, groups, jumps_of, most):
+    """All walls together: beside the law as it is, and with forces of textbooks as well.
+
+    None gains more than `most`.
+    """
     law, dataset, part = view.fit.law, view.dataset, view.hypothesis
     names, walls = list(law.names), []
     for (axis, side), own in groups.items():
@@ -107,7 +111,7 @@ def _proposals(view, groups, jumps_of):
     # All that is left: bodies that bounce are far from where the law would take them. Turns that it
     # explains, of a mass on a spring, are none of these.
     gain = max(float(view.left @ view.left) - view.n_left, sum(jump.gain for jump in every))
-    gain = min(gain, _unexplained(view))
+    gain = min(gain, most)
     text = ", ".join(one.describe() for one in (*walls, *resting))
     rank = sum(len(wall.names) for wall in walls)
     told = _told(dataset, jumps_of, groups, is_bare=not any(t.is_declared for t in law.terms))
