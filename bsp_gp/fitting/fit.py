@@ -212,7 +212,8 @@ def fit(
     deadline : float, optional
         Seconds after which a fit ends with what it has, within an integration if need be.
     effort : int, optional
-        Steps of integrations and descents after which it ends so, the same on every machine.
+        Steps of all intervals, and of descents, after which it ends so, the same on every
+        machine.
     near : Fit, optional
         Of a hypothesis that this one extends: the first descent begins at its tracks, and is the
         last one if it converges.
@@ -233,8 +234,7 @@ def fit(
     tolerances = tolerances or FitTolerances()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     run.near = near
-    if deadline is not None or effort is not None:
-        run.is_over = _Patience(began, deadline, effort)
+    run.is_over = _Patience(began, deadline, effort)
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
@@ -248,14 +248,18 @@ def fit(
 
 
 class _Patience:
-    """Asked at every step, whether a fit has gone on for long enough."""
+    """Asked at every step, whether a fit has gone on for long enough.
+
+    A step that only a share of the intervals takes counts as that share: else the fastest
+    interval of many scenes would use up the patience for all of them.
+    """
 
     def __init__(self, began, deadline, effort):
         self.end = math.inf if deadline is None else began + deadline
         self.left = math.inf if effort is None else effort
 
-    def __call__(self):
-        self.left -= 1
+    def __call__(self, share=1.0):
+        self.left -= share
         return self.left < 0 or time.monotonic() > self.end
 
 
@@ -280,7 +284,7 @@ class _Run:
         )
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
-        self.is_over = lambda: False
+        self.is_over = _Patience(0.0, None, None)
         self.near = None
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():

@@ -444,7 +444,7 @@ def test_a_flow_that_is_over_has_no_ends():
     flow = Flow(motion, np.full(chains.n_chains, 1e-9))
     mesh = flow.mesh(nodes)
     assert mesh.is_complete and np.isfinite(flow.run(nodes, mesh)[0]).all()
-    late = Flow(motion, flow.tolerance, is_over=lambda: True)
+    late = Flow(motion, flow.tolerance, is_over=lambda share: True)
     assert not late.mesh(nodes).is_complete
     ends, transitions = late.run(nodes, mesh)
     assert np.isnan(ends).all() and np.isnan(transitions).all()

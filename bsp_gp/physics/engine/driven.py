@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 __all__ = ["Driven"]
+
+N_POWERS = 6
+"""Coefficients of a piece of a curve, of which the highest degree is 5."""
 
 
 class Driven:
@@ -25,24 +30,13 @@ class Driven:
         first = np.take_along_axis(track, np.argmax(seen, axis=0)[None, ..., None], axis=0)[0]
         self.first = np.moveaxis(first, 0, -1)  # (D, d, S)
         moving = np.any((track != first) & seen[..., None], axis=(0, -1))
-        self.curves = {
-            (s, k): self._curve(chains, s, k, np.flatnonzero(seen[:, s, k]))
-            for s, k in np.argwhere(moving).tolist()
-        }
-
-    @staticmethod
-    def _curve(chains, s, k, rows):
-        """A spline, the times between which it holds, and its slope."""
-        from scipy.interpolate import CubicHermiteSpline, make_interp_spline
-
-        times, places = chains.driven_times[rows, s], chains.driven[rows, s, k]
-        given = chains.driven_velocities
-        if given is not None and np.isfinite(given[rows, s, k]).all():
-            curve = CubicHermiteSpline(times, places, given[rows, s, k])
-        else:
-            degree = 5 if len(rows) > 5 else 1 if len(rows) < 4 else 3
-            curve = make_interp_spline(times, places, k=degree)
-        return curve, curve.derivative(), times[0], times[-1]
+        self.curves = _Curves(
+            {
+                (k, s): _curve(chains, s, k, np.flatnonzero(seen[:, s, k]))
+                for s, k in np.argwhere(moving).tolist()
+            },
+            (self.count, track.shape[1]),
+        )
 
     def at(self, times, chain):
         """Places and velocities, shape (2, D, d, M); None without driven bodies."""
@@ -53,19 +47,104 @@ class Driven:
         first = self.first[..., chain]
         out = np.stack([first, np.zeros_like(first)])
         self._last = (chain, out)
-        for (s, k), (curve, slope, begin, end) in self.curves.items():
-            mine = np.flatnonzero(chain == s)
-            inside = np.clip(times[mine], begin, end)
-            velocity = slope(inside)
+        if self.curves:
+            which, beyond, (places, velocities) = self.curves.at(times, chain, 2)
             # Before the first and after the last seen row: straight on.
-            out[0, k][:, mine] = (curve(inside) + velocity * (times[mine] - inside)[:, None]).T
-            out[1, k][:, mine] = velocity.T
+            body, point = which
+            out[0][body, :, point] = places + velocities * beyond[:, None]
+            out[1][body, :, point] = velocities
         return out
 
     def pull(self, times, chain):
         """Accelerations, shape (D, d, M)."""
         out = np.zeros(self.first[..., chain].shape)
-        for (s, k), (_, slope, begin, end) in self.curves.items():
-            mine = np.flatnonzero((chain == s) & (times >= begin) & (times <= end))
-            out[k][:, mine] = slope.derivative()(times[mine]).T
+        if self.curves:
+            (body, point), beyond, (*_, pulls) = self.curves.at(times, chain, 3)
+            out[body, :, point] = np.where(beyond[:, None], 0.0, pulls)
         return out
+
+
+def _curve(chains, s, k, rows):
+    """A curve through the seen rows of one body, a PPoly."""
+    from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
+
+    times, places = chains.driven_times[rows, s], chains.driven[rows, s, k]
+    given = chains.driven_velocities
+    if given is not None and np.isfinite(given[rows, s, k]).all():
+        return CubicHermiteSpline(times, places, given[rows, s, k])
+    degree = 5 if len(rows) > 5 else 1 if len(rows) < 4 else 3
+    spline = make_interp_spline(times, places, k=degree)
+    knots = spline.t[degree : len(spline.t) - degree]
+    powers = [spline(knots[:-1], nu=k) / math.factorial(k) for k in range(degree, -1, -1)]
+    return PPoly(np.array(powers), knots)
+
+
+class _Curves:
+    """The pieces of all curves in one table, so that all points are looked up at once.
+
+    Parameters
+    ----------
+    curves : dict of (int, int) to PPoly
+        By body and chain.
+    shape : (int, int)
+        Bodies and chains.
+    """
+
+    def __init__(self, curves, shape):
+        self.number = np.full(shape, -1)
+        for n, key in enumerate(curves):
+            self.number[key] = n
+        if not curves:
+            return
+        each = list(curves.values())
+        self.begin, self.end = (np.array([curve.x[k] for curve in each]) for k in (0, -1))
+        count = np.array([len(curve.x) - 1 for curve in each])
+        self.last = np.cumsum(count) - 1
+        self.starts = np.concatenate([curve.x[:-1] for curve in each])
+        # Every curve has its own stretch of length 1 among these keys.
+        self.keys = self._keys(self.starts, np.repeat(np.arange(len(each)), count))
+        self.powers = np.zeros((N_POWERS, len(self.starts), each[0].c.shape[-1]))
+        first = 0
+        for curve in each:
+            n_powers, n, _ = curve.c.shape
+            self.powers[N_POWERS - n_powers :, first : first + n] = curve.c
+            first += n
+
+    def __bool__(self):
+        return bool((self.number >= 0).any())
+
+    def _keys(self, times, number):
+        begin, end = self.begin[number], self.end[number]
+        return 2.0 * number + (times - begin) / (end - begin)
+
+    def at(self, times, chain, count):
+        """Values and derivatives of the bodies that move.
+
+        Parameters
+        ----------
+        times : ndarray, shape (M,)
+        chain : ndarray of int, shape (M,)
+        count : int
+            2: places and velocities, 3: accelerations as well.
+
+        Returns
+        -------
+        which : (ndarray, ndarray), shape (N,)
+            Bodies, and points that they are asked for.
+        beyond : ndarray, shape (N,)
+            Times from the curve's end; 0 within it.
+        values : list of ndarray, shape (N, d)
+        """
+        number = self.number[:, chain]
+        which = np.nonzero(number >= 0)
+        number, times = number[which], times[which[1]]
+        inside = np.clip(times, self.begin[number], self.end[number])
+        piece = np.searchsorted(self.keys, self._keys(inside, number), side="right") - 1
+        piece = np.minimum(piece, self.last[number])
+        past = (inside - self.starts[piece])[:, None]
+        values = [np.zeros((len(past), self.powers.shape[-1])) for _ in range(count)]
+        for power in self.powers:  # Horner's scheme, with derivatives
+            for order in range(count - 1, 0, -1):
+                values[order] = values[order] * past + order * values[order - 1]
+            values[0] = values[0] * past + power[piece]
+        return which, times - inside, values

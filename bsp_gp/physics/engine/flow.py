@@ -142,7 +142,8 @@ class Flow:
     max_steps : int
         Steps within one interval beyond which an integration is given up.
     is_over : callable, optional
-        Asked before every step; where it is true, meshes are not complete and ends are nan.
+        Asked before every step, with the share of all intervals that take it; where it is true,
+        meshes are not complete and ends are nan.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class Flow:
         self.motion, self.chains = motion, chains
         self.tolerance = np.asarray(tolerance, dtype=float)
         self.paper_steps, self.max_steps = paper_steps, max_steps
-        self.is_over = is_over or (lambda: False)
+        self.is_over = is_over or (lambda share: False)
         with np.errstate(invalid="ignore"):
             running = np.isfinite(chains.times[1:]) & np.isfinite(chains.times[:-1])
         self.row, self.chain = np.nonzero(running)
@@ -172,6 +173,10 @@ class Flow:
     @property
     def n_intervals(self):
         return len(self.row)
+
+    def _share(self, n_open):
+        """What a step of some intervals costs, as a share of a step of all of them."""
+        return (n_open + CALL) / (self.n_intervals + CALL)
 
     # --- points ----------------------------------------------------------------------------------
 
@@ -356,7 +361,7 @@ class Flow:
         scale = factor * self._scales(nodes)
         modes = self.points(state, self.start, self.chain).modes
         for _ in range(self.max_steps):
-            if not len(open_) or self.is_over():
+            if not len(open_) or self.is_over(self._share(len(open_))):
                 break
             points = self.points(
                 state[..., open_], self.start[open_] + done[open_], self.chain[open_],
@@ -530,7 +535,7 @@ class Flow:
             n_open = min(len(size) - block.start, len(index))
             if n_open <= 0:
                 break
-            if self.is_over():
+            if self.is_over(self._share(n_open)):
                 state = np.full_like(state, np.nan)
                 break
             open_ = slice(0, n_open)
