@@ -51,6 +51,8 @@ AGREE = 2
 """Starts that lead to one minimum before it is believed in, where the noise is estimated."""
 ALLOWED = 2.0
 """Standard deviations above its mean up to which chi-squared may be that of noise."""
+FEW_LOST = 0.2
+"""Part of the tracks that may stay behind where all others follow a law."""
 ENOUGH = 2
 """Starts that agree, after which no more are asked."""
 STEPS = 2
@@ -168,7 +170,7 @@ class Climb:
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
-            if self._is_enough(ends) or self.run.is_over():
+            if self._is_enough(ends) or self.is_behind or self.run.is_over():
                 break
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)
@@ -200,6 +202,11 @@ class Climb:
         shapes = [(2, c.n_moving, c.n_dims, *c.times.shape) for c in self.run.groups]
         return shapes == [own.shape for own in nodes]
 
+    @property
+    def is_behind(self):
+        """Whether whole tracks were fitted but for a few, for which alone no start is tried."""
+        return bool(self.run.lost)
+
     def _is_enough(self, ends):
         """Whether nothing more is tried: a good minimum, or as many as were asked for."""
         if self._is_good(ends):
@@ -224,7 +231,7 @@ class Climb:
     def _is_allowed(self, minimum):
         """Whether no more is left than the noise that is assumed."""
         seen = sum(noise.n_seen for noise in self.noises)
-        return minimum.chisqr < seen + ALLOWED * np.sqrt(2 * seen)
+        return minimum.kept_chisqr < seen + ALLOWED * np.sqrt(2 * seen)
 
     def _is_found(self, ends):
         """Whether nothing better than the best can be hoped for."""
@@ -258,10 +265,13 @@ class Climb:
         firsts = self._firsts(levels[0], points[len(firsts) :], firsts)
         ends = []
         for minimum in _distinct(firsts)[:KEPT]:
-            if ends and (self.run.is_over() or self._is_found(ends)):
+            if ends and (self.run.is_over() or self.is_behind or self._is_found(ends)):
                 break
             end = known.get(id(minimum)) or self._up(levels, minimum)
             ends += [end] * sum(_agree(other, minimum) for other in firsts)
+            if end.linearised is None and not self.is_behind:  # pieces may tell which stay behind
+                problem = TrackProblem(self._shootings(levels[0]), (), self.coordinates)
+                self._tell_lost(minimum, problem)
         return ends or firsts
 
     def _vouched(self, levels, point):
@@ -308,9 +318,25 @@ class Climb:
     def _joined(self, minimum, problem):
         """A minimum of whole tracks; one whose intervals do not join is none."""
         self.problem = problem
-        if minimum.linearised is None or self.is_joined(minimum):
+        if minimum.linearised is None:
             return minimum
+        if not minimum.held.any() and self.is_joined(minimum):
+            return minimum
+        self._tell_lost(minimum, problem)
         return replace(minimum, linearised=None)
+
+    def _tell_lost(self, minimum, problem):
+        """Remember the scenes of which a track was held, if those are few."""
+        if not minimum.held.any():
+            return
+        held = problem.split(minimum.held)
+        scenes = dict.fromkeys(
+            shooting.chains.scenes[s]
+            for shooting, own in zip(problem.shootings, held, strict=True)
+            for s in shooting.chains_of(own)
+        )
+        if len(scenes) <= FEW_LOST * sum(flow.chains.n_chains for flow in self.flows):
+            self.run.lost.append((minimum.kept_chisqr, tuple(scenes)))
 
     def again(self, minimum, meshes, is_last=True):
         """Descend from a minimum under this noise, with the steps it was found with.
@@ -381,7 +407,7 @@ class Climb:
                 break
             if found.code != "stalled" and self.is_joined(found, problem):
                 break
-            point = problem.settled(found.point, 2)
+            point = problem.settled(found.point, 2, found.held)
         return replace(found, n_linearised=count)
 
     @property
@@ -489,14 +515,14 @@ class Climb:
         ).with_meshes(point)
         for _ in range(STEPS):
             linearised = problem.linearise(point)
-            if linearised is None:
+            if linearised is None or not linearised.is_finite:
                 return None
             free = linearised.jacobian[:, len(constants) :]
             step = np.zeros(len(values))
             step[len(constants) :] = np.linalg.lstsq(free, -linearised.residual, rcond=None)[0]
             point = problem.move(point, linearised, point.values + step, 1.0)
         linearised = problem.linearise(point)
-        if linearised is None:
+        if linearised is None or not linearised.is_finite:
             return None
         nothing = np.zeros(len(values), dtype=bool)
         return Minimum(
@@ -537,14 +563,16 @@ class Climb:
     # --- what a minimum is ----------------------------------------------------------------------
 
     def is_joined(self, minimum, problem=None):
-        """Whether the intervals of whole tracks join end to end."""
+        """Whether the intervals of whole tracks join end to end; those that are held count as such."""
         constants, _ = self.coordinates.constants(minimum.values)
         problem = problem or self.problem
-        for shooting, mesh, nodes, noise in zip(
-            problem.shootings, problem.meshes, minimum.point.nodes, self.noises, strict=True
+        held = problem.split(minimum.held if len(minimum.held) else False)
+        for shooting, mesh, nodes, noise, own in zip(
+            problem.shootings, problem.meshes, minimum.point.nodes, self.noises, held, strict=True
         ):
             shooting.flow.motion.set_constants(constants)
             gaps = shooting.gaps(nodes, mesh)
+            gaps[..., np.isin(shooting.flow.chain, shooting.chains_of(own))] = 0.0
             sigma = self.sigma(noise)[shooting.flow.chain]
             floor = 1e-10 * np.nanmax(np.abs(shooting.chains.observed))
             allowed = np.maximum(self.run.tolerances.gap * sigma, floor)

@@ -133,6 +133,9 @@ class Fit:
     seconds : float
     message : str
         Code of why the descent ended.
+    lost : tuple of str
+        Scenes that no path under the law follows, where all others are followed: for them alone
+        it has not converged.
     """
 
     law: ForceLaw
@@ -164,6 +167,7 @@ class Fit:
     paper_steps: bool = False
     seconds: float = 0.0
     message: str = ""
+    lost: tuple = ()
 
     def __repr__(self):
         names = [f"{n}{f' of {e}' if e else ''} = {v:.4g}" for (n, e), v in
@@ -285,6 +289,8 @@ class _Run:
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = _Patience(0.0, None, None)
+        # Of descents of which a few tracks stayed behind: chi-squared of the others, their scenes.
+        self.lost = []
         self.near = None
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
@@ -556,6 +562,7 @@ class _Run:
             rows=rows, row_scenes=row_scenes,
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
             message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
+            lost=min(self.lost)[1] if self.lost and minimum.linearised is None else (),
         )  # fmt: skip
         return replace(found, status=self.status(climb, minimum, found))
 
@@ -563,7 +570,7 @@ class _Run:
         """The first of `STATUSES` that applies."""
         finite = np.isfinite(found.log_likelihood) and np.isfinite(found.values).all()
         if minimum.linearised is None or not finite:
-            is_left = found.message in ("stopped", "stalled", "limit")
+            is_left = found.message in ("stopped", "stalled", "limit", "held")
             return "unconverged" if is_left and finite else "nonfinite"
         is_minimum = minimum.status != "unconverged" or self.is_reproduced(found)
         if not is_minimum or not climb.is_joined(minimum):

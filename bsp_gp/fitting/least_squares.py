@@ -30,6 +30,13 @@ _BLOCK = 256
 _ACCEPTED, _POOR, _GOOD = 1e-4, 0.25, 0.75
 """Parts of the fall foreseen: from the first a step is taken, below the second the radius shrinks,
 above the third it grows."""
+_REINED, _LEAST_REIN = 0.1, 0.05
+"""How much shorter steps become of blocks whose last ones failed; blocks of still shorter ones are
+held."""
+_OWN = 0.5
+"""Part of what a step is to change of a block that its own step must make to be to blame."""
+_FEWEST_BLOCKS, _MOST_HELD = 3, 0.5
+"""Blocks from which single ones may be to blame; part of them that may fail at once, or be held."""
 
 
 def minimise(problem, start, *, low=None, high=None, settings=None, is_over=None):
@@ -66,6 +73,7 @@ class _Place:
     point: Any
     values: np.ndarray
     linearised: Linearised
+    rests: np.ndarray
     chisqr: float
     lengths: np.ndarray
     triangle: np.ndarray
@@ -77,13 +85,14 @@ class _Place:
     def rounding(self):
         """Fall of chi-squared that rounding errors alone foresee."""
         terms = np.sum(np.square(self.lengths * self.values))
-        return (4 * _EPS) ** 2 * (self.chisqr + terms) if np.isfinite(terms) else 0.0
+        own = (4 * _EPS) ** 2 * (self.chisqr + terms) if np.isfinite(terms) else 0.0
+        return max(own, self.linearised.rounding)
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
     values: np.ndarray
-    share: float
+    shares: np.ndarray  # of their own step that blocks make; nan = held
     size: float
     fall: float
     unseen: np.ndarray  # part of each unknown (0 to 1) that lies where nothing is determined
@@ -106,9 +115,17 @@ class _Descent:
                 f"{self.high[k]:g}, got {values[k]:g}; move the start or widen the bounds"
             )
         self.n_linearised = 0
+        self.reins = None  # longest parts of their own steps that blocks may make; 0 = held
+        self.seen = None  # what the last look showed, finite or not
+
+    @property
+    def held(self):
+        return self.reins == 0
 
     def run(self, start):
         here = self.look(start)
+        if here is None and self.seen is not None:
+            here = self.without_lost(start)
         if here is None:
             values = np.asarray(self.problem.values(start), dtype=float)
             nothing = np.ones(values.shape, dtype=bool)
@@ -139,12 +156,30 @@ class _Descent:
     def look(self, point):
         """Linearise at a point; None where that is not finite."""
         self.n_linearised += 1
-        linearised = self.problem.linearise(point)
-        if linearised is None:
+        self.seen = self.problem.linearise(point)
+        return None if self.seen is None else self.place(point, self.seen)
+
+    def without_lost(self, start):
+        """The start without the blocks that are not finite there; None if those are too many."""
+        chisqr = self.seen.by_block(self.seen.residual) + self.seen.rests
+        is_lost = ~(chisqr < _HUGE**2)
+        if len(is_lost) < _FEWEST_BLOCKS or not self.may_hold(is_lost):
             return None
-        residual, jacobian = linearised.residual, linearised.jacobian
+        self.reins[is_lost] = 0.0
+        return self.place(start, self.seen)
+
+    def place(self, point, linearised):
+        """A point without the blocks that are held; None where it is not finite."""
+        if self.reins is None:
+            self.reins = np.ones(len(linearised.rests))
+        residual, jacobian, rests = linearised.residual, linearised.jacobian, linearised.rests
+        if self.held.any():
+            rows = np.flatnonzero(self.held[linearised.block])
+            residual, jacobian = residual.copy(), jacobian.copy()
+            residual[rows], jacobian[rows] = 0.0, 0.0
+            rests = np.where(self.held, 0.0, rests)
         lengths = np.sqrt(np.sum(np.square(jacobian), axis=0))
-        chisqr = linearised.chisqr
+        chisqr = float(residual @ residual + rests.sum())
         if not (chisqr < _HUGE**2 and np.all(lengths < _HUGE)):
             return None
         values = np.asarray(self.problem.values(point), dtype=float)
@@ -155,7 +190,9 @@ class _Descent:
         lines = lengths * np.sqrt(residual @ residual)
         cosines = np.abs(slopes[free]) / np.where(lines > 0, lines, 1.0)[free]
         gradient = float(np.max(cosines, initial=0.0))
-        return _Place(point, values, linearised, chisqr, lengths, triangle, image, free, gradient)
+        return _Place(
+            point, values, linearised, rests, chisqr, lengths, triangle, image, free, gradient
+        )
 
     def solve(self, here, scale, radius):
         """The step of the free unknowns that the linearisation finds best within a radius.
@@ -163,7 +200,8 @@ class _Descent:
         Lengths are those of the change of the residual, unknown by unknown (`scale`: lengths of
         columns), so that units do not matter; the local step counts as one more direction.
         """
-        free, rest = here.free, here.linearised.rest
+        free = here.free
+        rest = float((self.reins * here.rests).sum())
         scale = np.where(scale > 0, scale, 1.0)[free]
         left, s, right = np.linalg.svd(here.triangle[:, free] / scale, full_matrices=False)
         seen = s > self.settings.rank * np.max(s, initial=0.0)
@@ -182,19 +220,21 @@ class _Descent:
             scaled = np.clip(bounded.x, low, high)
             scaled = np.where(bounded.active_mask < 0, low, scaled)  # to the last bit
             scaled = np.where(bounded.active_mask > 0, high, scaled)
-        share = 1.0 / (1.0 + damping)
+        shares = self.reins / (1.0 + damping)
         left_over = image + s * (right @ scaled)
         values = here.values.copy()
         values[free] += scaled / scale
         values[free] = np.where(scaled <= low, self.low[free], values[free])
         values[free] = np.where(scaled >= high, self.high[free], values[free])
         values = np.clip(values, self.low, self.high)
-        fall = image @ image - left_over @ left_over + rest * (1.0 - (1.0 - share) ** 2)
-        size = np.sqrt(scaled @ scaled + share**2 * rest)
-        return _Step(values, share, float(size), float(fall), unseen, len(scale) - len(s))
+        fall = image @ image - left_over @ left_over
+        fall += (here.rests * (1.0 - (1.0 - shares) ** 2)).sum()
+        size = np.sqrt(scaled @ scaled + (np.square(shares) * here.rests).sum())
+        shares = np.where(self.held, np.nan, shares)
+        return _Step(values, shares, float(size), float(fall), unseen, len(scale) - len(s))
 
     def moved(self, here, step):
-        point = self.problem.move(here.point, here.linearised, step.values, step.share)
+        point = self.problem.move(here.point, here.linearised, step.values, step.shares)
         return self.look(point)
 
     def descend(self, here, scale, radius):
@@ -210,6 +250,9 @@ class _Descent:
                 return here, radius, reason
             there = self.moved(here, step)
             gain = -1.0 if there is None else (here.chisqr - there.chisqr) / step.fall
+            if gain < _GOOD and self.rein(here, step):
+                here = self.place(here.point, here.linearised)
+                continue
             is_taken = gain >= _ACCEPTED
             if np.isinf(radius) and gain < _GOOD:
                 radius = np.sqrt(np.sum(np.square(scale * here.values))) or np.sqrt(here.chisqr)
@@ -219,8 +262,53 @@ class _Descent:
             elif gain > _GOOD:
                 radius = max(radius, 2.0 * step.size)
             if is_taken:
+                self.loosen(here, step)
                 return there, radius, ""
         return here, radius, "stalled"
+
+    def rein(self, here, step):
+        """Shorten the steps of single blocks if those alone are to blame that a step fails.
+
+        Blocks share nothing but the unknowns: one that its linearisation tells wrong must not
+        shorten the steps of all others.
+        """
+        is_own = ~self.held
+        if self.seen is None or is_own.sum() < _FEWEST_BLOCKS:
+            return False
+        now, foreseen, found, promised = self.blocks(here, step)
+        excess = found - foreseen
+        failed = is_own & (excess > (1.0 - _POOR) * promised)
+        failed &= promised > _OWN * np.abs(now - foreseen)
+        failed &= excess > (1.0 - _GOOD) * step.fall / is_own.sum()
+        others = is_own & ~failed
+        gained, asked = (now - found)[others].sum(), (now - foreseen)[others].sum()
+        if not failed.any() or not self.may_hold(failed) or not gained >= _POOR * asked:
+            return False
+        self.reins = np.where(failed, _REINED * self.reins, self.reins)
+        self.reins[self.reins < _LEAST_REIN] = 0.0
+        return True
+
+    def may_hold(self, failed):
+        return 0 < np.sum(failed | self.held) <= _MOST_HELD * len(self.reins)
+
+    def loosen(self, here, step):
+        """Let blocks whose own steps did what was foreseen make longer ones again."""
+        if not (self.reins < 1.0).any():
+            return
+        _, foreseen, found, promised = self.blocks(here, step)
+        is_good = found - foreseen <= (1.0 - _GOOD) * promised
+        self.reins = np.where(is_good, np.minimum(self.reins / _REINED, 1.0), self.reins)
+
+    def blocks(self, here, step):
+        """Chi-squared of every block: here, foreseen after a step, found there, own part of it."""
+        known, found = here.linearised, self.seen
+        rests, left = known.rests, np.square(1.0 - step.shares)
+        linear = known.residual + known.jacobian @ (step.values - here.values)
+        there = found.by_block(found.residual) + found.rests
+        return (
+            known.by_block(known.residual) + rests, known.by_block(linear) + rests * left,
+            np.where(np.isfinite(there), there, np.inf), rests * (1.0 - left),
+        )  # fmt: skip
 
     def polish(self, here, whole):
         """Make last whole steps while they bring the gradient down and chi-squared stays.
@@ -247,12 +335,14 @@ class _Descent:
         if code == "fall" and not (is_bound.any() or is_exact):
             has_idle = np.any(here.lengths[here.free] == 0)
             code = "flat" if has_idle or whole.n_unseen > least else code
+        if self.held.any():
+            code = "held" if code == "fall" else code
         status = "unconverged"
         if code == "fall":
             status = "at_bound" if is_bound.any() else "converged"
         undetermined = whole.unseen > 1e-6
         return Minimum(here.point, values, here.linearised, status, code, here.gradient,
-                       whole.fall, undetermined, self.n_linearised)  # fmt: skip
+                       whole.fall, undetermined, self.n_linearised, held=self.held)  # fmt: skip
 
 
 def _triangle(jacobian, residual):

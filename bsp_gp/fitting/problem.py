@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 __all__ = ["Linearised", "Minimum", "Problem", "Settings", "dense_problem"]
+
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,18 +22,37 @@ class Linearised:
         Whitened, what the local unknowns can explain projected out.
     jacobian : ndarray, shape (n, k)
         Of the residual with respect to the shared unknowns, projected in the same way.
-    rest : float
-        Sum of squares of what was projected out: chi-squared at the point is
-        ``residual @ residual + rest``, and a whole local step gains `rest`.
+    rests : ndarray, shape (B,)
+        Sums of squares of what was projected out, block by block of local unknowns: chi-squared at
+        the point is ``residual @ residual + rest``, and whole local steps gain `rest`, their sum.
+    block : ndarray of int, shape (m,)
+        Of which block the first rows of the residual are; those beyond are of none.
+    rounding : float
+        Fall of chi-squared that rounding of the local unknowns alone foresees.
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
-    rest: float = 0.0
+    rests: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    rounding: float = 0.0
+
+    @property
+    def rest(self):
+        return float(self.rests.sum())
 
     @property
     def chisqr(self):
         return float(self.residual @ self.residual) + self.rest
+
+    @property
+    def is_finite(self):
+        return all(np.isfinite(a).all() for a in (self.residual, self.jacobian, self.rests))
+
+    def by_block(self, residual):
+        """Sum of squares of the rows of every block, (B,)."""
+        squares = np.square(residual[: len(self.block)])
+        return np.bincount(self.block, squares, minlength=len(self.rests))
 
 
 class Problem(Protocol):
@@ -42,12 +62,15 @@ class Problem(Protocol):
         """Shared unknowns of a point, shape (k,)."""
 
     def linearise(self, point) -> Linearised | None:
-        """The linearisation there; None if the model is not finite."""
+        """The linearisation there; None if the model is not finite.
 
-    def move(self, point, linearised, values, share) -> Any:
+        It may tell instead that some blocks are not: with a rest that is nan.
+        """
+
+    def move(self, point, linearised, values, shares) -> Any:
         """The point with these values of the shared unknowns.
 
-        Local unknowns follow them by the linearisation, and make `share` (0 to 1) of the
+        Local unknowns follow them by the linearisation, and make `shares` (B,), 0 to 1, of the
         Gauss-Newton step that they would make if the shared unknowns stayed.
         """
 
@@ -101,6 +124,9 @@ class Minimum:
         Unknowns that the data do not determine, alone or in combination with others.
     n_linearised : int
     n_starts, n_agree : int
+    held : ndarray of bool, shape (B,)
+        Blocks that were left as they are, since no step of theirs, however short, does what the
+        linearisation foresees.
     """
 
     point: Any
@@ -114,10 +140,20 @@ class Minimum:
     n_linearised: int
     n_starts: int = 1
     n_agree: int = 1
+    held: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @property
     def chisqr(self):
         return np.inf if self.linearised is None else self.linearised.chisqr
+
+    @property
+    def kept_chisqr(self):
+        """Chi-squared without that of the blocks that are held."""
+        if self.linearised is None or not self.held.any():
+            return self.chisqr
+        by_block = self.linearised.by_block(self.residual) + self.linearised.rests
+        beyond = self.residual[len(self.linearised.block) :]
+        return float(by_block[~self.held].sum() + beyond @ beyond)
 
     @property
     def residual(self):

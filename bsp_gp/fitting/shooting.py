@@ -27,6 +27,8 @@ EXACT = 1e-3
 """Deviation of what is exact of a first state, in those of a row (and that over a span)."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
+ROUNDED = 4
+"""Last digits of a state that an integration loses."""
 ROUNDINGS = 16
 """Gaps of so many last digits of the largest coordinate are none."""
 FARTHEST = 0.5
@@ -181,8 +183,9 @@ class Shooting:
         residual : ndarray, shape (m,)
         jacobian : ndarray, shape (m, k)
             States eliminated; a step dx of the constants leaves ``residual - jacobian @ dx``.
-        rest : float
-            What of the sum of squares the initial states alone would remove.
+        rests : ndarray, shape (W,)
+            What of the sum of squares the initial states alone would remove, window by window in
+            the order of the groups; nan where a motion is not finite.
         condensed : list of Condensed
             One per group of windows, to hand to `move`.
         """
@@ -193,18 +196,24 @@ class Shooting:
         n, k = flow.n_state, flow.n_constants
         seen = sight(flow, nodes)
         # A motion without finite values is no track; its rows must not pass for unseen ones.
-        rest = 0.0 if np.isfinite(gaps).all() else np.nan
-        condensed, residuals, jacobians = [], [], []
+        is_lost = np.zeros(self.chains.times.shape, dtype=bool)
+        is_lost[flow.row, flow.chain] = ~np.isfinite(gaps).all(axis=1)
+        condensed, residuals, jacobians, rests = [], [], [], []
         for group in self.groups:
             columns = self._columns(group, transitions, gaps, self._begun(group, values, nodes))
-            rows, _ = self._rows(group, len(columns))
+            rows, inside = self._rows(group, len(columns))
             shown = seen.shown(columns, rows, self.windows.chain[group], n)
             factor = self._factor(group, shown, seen.places, nodes)
             condensed.append(Condensed(columns, shown, factor))
             residuals.append(factor[:, n:, -1].reshape(-1))
             jacobians.append(factor[:, n:, n : n + k].reshape(len(residuals[-1]), k))
-            rest += float(np.square(factor[:, :n, -1]).sum())
-        return np.concatenate(residuals), np.concatenate(jacobians), rest, condensed
+            # The interval behind the last row of a window is not its own.
+            chain = self.windows.chain[group]
+            lost = (is_lost[rows[:-1], chain] & inside[1:]).any(axis=0)
+            rests.append(np.where(lost, np.nan, np.square(factor[:, :n, -1]).sum(axis=1)))
+        return (
+            np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(rests), condensed
+        )  # fmt: skip
 
     def gaps(self, nodes, mesh):
         """How far intervals miss the next node, in places, shape (R, d, K)."""
@@ -399,7 +408,27 @@ class Shooting:
             shared[:, rows[at], chain] = places[n : n + k][:, at[0], at[1]]
         return local, shared
 
-    def move(self, nodes, condensed, step, share=1.0):
+    def rounding(self, condensed, nodes):
+        """Fall of chi-squared that the last digits of first nodes alone foresee."""
+        n, total = self.flow.n_state, 0.0
+        for group, part in zip(self.groups, condensed, strict=True):
+            lengths = np.sqrt(np.square(part.factor[:, :n, :n]).sum(axis=1))
+            first = self.windows.first[group], self.windows.chain[group]
+            state = nodes.reshape(n, *nodes.shape[3:])[:, first[0], first[1]].T
+            moved = ROUNDED * np.finfo(float).eps * lengths * state
+            total += float(np.nansum(np.square(moved)))
+        return total
+
+    @property
+    def n_blocks(self):
+        return sum(map(len, self.groups))
+
+    def chains_of(self, chosen):
+        """Chains of the windows that are chosen, (W,) in the order of the groups."""
+        order = np.concatenate(self.groups) if self.groups else np.zeros(0, dtype=int)
+        return np.unique(self.windows.chain[order[chosen]])
+
+    def move(self, nodes, condensed, step, shares=1.0):
         """The nodes after a step of the constants.
 
         Parameters
@@ -407,20 +436,24 @@ class Shooting:
         nodes : ndarray, shape (2, R, d, T, S)
         condensed : list of Condensed
         step : ndarray, shape (k,)
-        share : float
-            Part of the step that initial states and gaps make of their own.
+        shares : float or ndarray, shape (W,)
+            Part of the step that initial states and gaps make of their own, window by window in
+            the order of the groups; nan leaves a window as it is.
         """
         n, k = self.flow.n_state, self.flow.n_constants
         nodes = nodes.copy()
+        shares, first = np.broadcast_to(shares, self.n_blocks), 0
         for group, part in zip(self.groups, condensed, strict=True):
             factor = part.factor
+            share = shares[first : first + len(group), None]
+            first += len(group)
             right = share * factor[:, :n, -1] - factor[:, :n, n : n + k] @ step
             own = np.linalg.solve(factor[:, :n, :n], right[..., None])[..., 0]
             weights = np.concatenate(
-                [own, np.broadcast_to(step, (len(group), k)), np.full((len(group), 1), share)],
-                axis=1,
+                [own, np.broadcast_to(step, (len(group), k)), share], axis=1
             )
             change = np.einsum("lwij,wj->lwi", part.columns, weights)
+            change = np.where(np.isnan(share), 0.0, change)
             rows, inside = self._rows(group, len(change))
             change *= self._reined(change, inside, group, nodes)[:, None]
             shape = (*change.shape[:2], 2, *nodes.shape[1:3])

@@ -119,35 +119,40 @@ class TrackProblem:
         if not all(mesh.is_complete for mesh in self.meshes):
             return None
         constants, slopes = self.coordinates.constants(point.values)
-        residuals, jacobians, rest, condensed = [], [], 0.0, []
+        residuals, jacobians, rests, condensed, rounding = [], [], [], [], 0.0
         for shooting, mesh, nodes in zip(self.shootings, self.meshes, point.nodes, strict=True):
             residual, jacobian, own, parts = shooting.linearise(constants, nodes, mesh)
             residuals.append(residual)
             jacobians.append(jacobian)
-            rest += own
+            rests.append(own)
+            rounding += shooting.rounding(parts, nodes)
             condensed.append(parts)
-        residual = np.concatenate(residuals)
+        residual, rests = np.concatenate(residuals), np.concatenate(rests)
+        block = np.repeat(np.arange(len(rests)), len(residual) // max(len(rests), 1))
         with np.errstate(all="ignore"):  # constants that run away are refused below
             jacobian = -np.concatenate(jacobians) @ slopes  # of the residual
             if self.ridge is not None:
                 centre, pull = self.ridge
                 residual = np.concatenate([residual, pull * (point.values - centre)])
                 jacobian = np.concatenate([jacobian, np.diag(pull)])
-        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(rest)):
-            return None
-        return TrackLinearised(residual, jacobian, rest, tuple(condensed))
+        return TrackLinearised(residual, jacobian, rests, block, rounding, tuple(condensed))
 
-    def move(self, point, linearised, values, share):
+    def move(self, point, linearised, values, shares):
         """The point with these unknowns; nodes follow by the linearisation."""
         _, slopes = self.coordinates.constants(point.values)
         step = slopes @ (values - point.values)
         nodes = tuple(
-            shooting.move(own, parts, step, share)
-            for shooting, own, parts in zip(
-                self.shootings, point.nodes, linearised.condensed, strict=True
+            shooting.move(own, parts, step, some)
+            for shooting, own, parts, some in zip(
+                self.shootings, point.nodes, linearised.condensed, self.split(shares), strict=True
             )
         )
         return self.upon(values, nodes)
+
+    def split(self, blocks):
+        """What there is of all blocks (or one number) as a list per group of chains."""
+        ends = np.cumsum([shooting.n_blocks for shooting in self.shootings])
+        return np.split(np.broadcast_to(blocks, ends[-1]), ends[:-1])
 
     def upon(self, values, nodes):
         """A point with its nodes put on the constraints of the law."""
@@ -166,13 +171,14 @@ class TrackProblem:
             out.append(where(shooting.flow, own))
         return TrackPoint(values, tuple(out))
 
-    def settled(self, point, times=1):
-        """The point after steps of the initial states alone."""
+    def settled(self, point, times=1, held=()):
+        """The point after steps of the initial states alone, but of blocks that are held."""
+        shares = np.where(held, np.nan, 1.0) if len(held) else 1.0
         for _ in range(times):
             linearised = self.linearise(point)
-            if linearised is None:
+            if linearised is None or not linearised.is_finite:
                 return point
-            point = self.move(point, linearised, point.values, 1.0)
+            point = self.move(point, linearised, point.values, shares)
         return point
 
     def is_as_fine_as(self, other):

@@ -13,7 +13,7 @@ import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.scene import Dataset
+from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
@@ -154,25 +154,28 @@ def close_loop(
         "crew": Crew(workers),
     }  # fmt: skip
 
-    def look(ready, rng, **more):
+    def look(ready, rng, begun, **more):
         able = standard(
             grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude), search=search,
             budget=search_budget,
         )  # fmt: skip
-        return run_rounds(ready.hypothesis, ready.train, able, rng=rng, **settings, **more)
+        return run_rounds(
+            ready.hypothesis, ready.train, able, rng=rng, begun=begun, **settings, **more
+        )
 
+    says("fitting the declared model")
+    begun = ready.begin(starts, bounds, clock)
     if earlier is not None:
         earlier = rounds_from(
-            earlier, ready.hypothesis, ready.train, starts=starts, bounds=bounds,
-            criteria=criteria,
+            earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
         )
-    rounds = look(ready, round_rng, on_round=on_round, earlier=earlier)
+    rounds = look(ready, round_rng, begun, on_round=on_round, earlier=earlier)
     is_cut = is_swapped = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
         says("looking at what was held out")
         other = ready.swapped(rounds[0].entering.noise)
-        found = look(other, swapped_rng)
+        found = look(other, swapped_rng, other.begin(starts, bounds, clock))
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds, is_swapped = other, found, True
@@ -232,6 +235,8 @@ class _Ready:
         The declared one, with the properties that are unknown.
     far_off : str
         Rows in it that are far off their neighbours.
+    lost : tuple of str
+        Scenes that are not learned from, since no path under the declared law follows them.
     noise : NoiseEstimate
     """
 
@@ -249,12 +254,16 @@ class _Ready:
         self._learn_from(choose_split(self.dataset, rng))
 
     def _learn_from(self, split):
-        self.split, self._refitted = split, {}
+        self.split, self._refitted, self.lost = split, {}, ()
         self.train, self.far_off = training_part(self.dataset, split.learned, self.noise)
+        self.is_weeded = self.train.scenes is not split.learned
         self.before_cut = None
         if split.whole and split.test:
             self.before_cut, _ = training_part(self.dataset, split.train, self.noise)
         check_properties(stack(self.train.scenes, self.dataset.up), self.law)
+        self._declare()
+
+    def _declare(self):
         self.hypothesis = Hypothesis.from_laws(self.train, unset(self.law))
         if self.latents is not None:
             scenes = self.train.scenes
@@ -280,6 +289,22 @@ class _Ready:
             )  # fmt: skip
             other.hypothesis += TrackNoise(model)
         return other
+
+    def begin(self, starts, bounds, clock):
+        """The fit of what is declared.
+
+        A scene that it cannot follow at all, where it follows all others - the close pass of two
+        bodies, a collision - would hide what acts in these: it is not learned from, and told.
+        """
+        known = {"starts": starts, "bounds": bounds}
+        found = fit(self.hypothesis, self.train, deadline=clock.left, **known)
+        if found.lost:
+            self.lost = found.lost
+            kept = tuple(s for s in self.train.scenes if s.name not in found.lost)
+            self.train = replace(self.train, scenes=kept)
+            self._declare()
+            found = fit(self.hypothesis, self.train, deadline=clock.left, **known)
+        return found
 
     def refitted(self, found, hypothesis, bounds, clock):
         """A fit as it would be without the rows that are held out.
@@ -308,9 +333,13 @@ class _Ready:
 
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""
-        is_left_out = self.train.scenes is not self.split.learned
+        lost = (
+            f"{CHECK}no path under the declared model follows scene {', '.join(self.lost)} as it "
+            "does all others: not learned from; a close pass, or something that acts there alone",
+        )
         return (
-            *self.noise.notes, *about_outliers(found, is_left_out, self.far_off),
+            *self.noise.notes, *(lost if self.lost else ()),
+            *about_outliers(found, self.is_weeded, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
 

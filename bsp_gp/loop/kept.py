@@ -14,7 +14,6 @@ from fractions import Fraction
 import numpy as np
 
 from bsp_gp.errors import DataError
-from bsp_gp.fitting.fit import fit
 from bsp_gp.language.formula import Formula
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import Round
@@ -53,7 +52,7 @@ def joined_texts(texts):
     return json.dumps([each for text in texts if text is not None for each in json.loads(text)])
 
 
-def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None, criteria=None):
+def rounds_from(text, hypothesis, dataset, begun, *, bounds=None, criteria=None):
     """Rounds of `text_of`, their fits made again.
 
     Parameters
@@ -63,7 +62,9 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None, criteria
         The declared one.
     dataset : Dataset
         Training scenes.
-    starts, bounds : dict, optional
+    begun : Fit
+        What is declared.
+    bounds : dict, optional
     criteria : Criteria, optional
         As of `run_rounds`.
 
@@ -73,7 +74,7 @@ def rounds_from(text, hypothesis, dataset, *, starts=None, bounds=None, criteria
         If the text is none of this version.
     """
     criteria = criteria or Criteria()
-    found, rounds = fit(hypothesis, dataset, starts=starts, bounds=bounds), []
+    found, rounds = begun, []
     try:
         kept = [_unpacked(each) for each in json.loads(text)]
     except (ValueError, TypeError, KeyError, AttributeError, ImportError) as error:

@@ -104,7 +104,7 @@ class Round:
 
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
-    clock=None, on_round=None, earlier=None, progress=None, looks=1, crew=None,
+    clock=None, on_round=None, begun=None, earlier=None, progress=None, looks=1, crew=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -126,6 +126,8 @@ def run_rounds(
         Ends a round in which something must be left out; such a round adopts nothing.
     on_round : callable, optional
         ``on_round(round)`` after every round.
+    begun : Fit, optional
+        What is declared, as `begin` fits it.
     earlier : sequence of Round, optional
         That a run before this one has made; one that its time limit has cut is made again.
     progress : callable, optional
@@ -143,8 +145,9 @@ def run_rounds(
     rounds = [done for done in earlier or () if not done.left_out]
     if rounds:
         found, hypothesis = rounds[-1].after, rounds[-1].continuing
+    elif begun is not None:
+        found = begun
     else:
-        run.says("fitting the declared model")
         found = fit(hypothesis, dataset, starts=starts, bounds=bounds, deadline=run.clock.left)
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
         if number <= len(rounds):

@@ -168,7 +168,7 @@ def test_rounds_adopt_it_and_go_on_from_what_was_kept(world):
     }  # fmt: skip
     text = text_of(rounds)
     json.loads(text)
-    again = rounds_from(text, hypothesis, train)
+    again = rounds_from(text, hypothesis, train, fit(hypothesis, train))
     assert again[0].after.values == pytest.approx(rounds[0].after.values, rel=0, abs=0)
 
 

@@ -230,7 +230,7 @@ class Tracks:
         return np.array([point.rate] if self.is_shared else [])
 
     def linearise(self, point):
-        residuals, columns, steps, responses, rest = [], [], [], [], 0.0
+        residuals, columns, steps, responses, rests = [], [], [], [], []
         for target, (a, f) in zip(self.targets, point.local, strict=True):
             sine, cosine = np.sin(point.rate * X + f), np.cos(point.rate * X + f)
             residual = (target - a * sine) / self.sigma
@@ -238,18 +238,21 @@ class Tracks:
             shared = -(a * X * cosine / self.sigma)[:, None][:, : len(self.values(point))]
             basis, triangle = np.linalg.qr(local)
             along = basis.T @ residual
-            rest += float(along @ along)
+            rests.append(along @ along)
             steps.append(-np.linalg.solve(triangle, along))
             responses.append(-np.linalg.solve(triangle, basis.T @ shared))
             residuals.append(residual - basis @ along)
             columns.append(shared - basis @ (basis.T @ shared))
-        found = Linearised(np.concatenate(residuals), np.concatenate(columns), rest)
+        block = np.repeat(np.arange(len(rests)), len(X))
+        found = Linearised(
+            np.concatenate(residuals), np.concatenate(columns), np.array(rests), block
+        )
         object.__setattr__(found, "local", (np.array(steps), np.array(responses)))
         return found
 
-    def move(self, point, linearised, values, share):
+    def move(self, point, linearised, values, shares):
         steps, responses = linearised.local
-        local = point.local + share * steps + responses @ (values - self.values(point))
+        local = point.local + shares[:, None] * steps + responses @ (values - self.values(point))
         return Track(float(values[0]) if self.is_shared else point.rate, local)
 
 
@@ -302,7 +305,7 @@ def test_a_descent_that_gains_nothing_however_short_its_steps_is_given_up():
         def linearise(self, point):
             self.n_seen += 1
             rise = 1.0 + np.abs(point).sum()
-            return Linearised(np.full(3, 10.0 * rise), np.eye(3, len(point)) - 2.0, 0.0)
+            return Linearised(np.full(3, 10.0 * rise), np.eye(3, len(point)) - 2.0)
 
         def move(self, point, linearised, values, share):
             return values

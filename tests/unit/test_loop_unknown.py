@@ -242,7 +242,7 @@ def test_nothing_is_missing_where_only_masses_are_unknown():
 def test_rounds_with_unknowns_are_kept_to_the_last_bit():
     hypothesis, known = hypothesis_of(dragged(9), [WEIGHT, DRAG])
     rounds = run_rounds(hypothesis, known, [], rng=np.random.default_rng(0))
-    again = rounds_from(text_of(rounds), hypothesis, known)
+    again = rounds_from(text_of(rounds), hypothesis, known, fit(hypothesis, known))
     assert np.array_equal(again[0].entering.values, rounds[0].entering.values)
 
 
