@@ -520,7 +520,7 @@ class Climb:
             free = linearised.jacobian[:, len(constants) :]
             step = np.zeros(len(values))
             step[len(constants) :] = np.linalg.lstsq(free, -linearised.residual, rcond=None)[0]
-            point = problem.move(point, linearised, point.values + step, 1.0)
+            point = problem.move(point, linearised, point.values + step, 1.0, 1.0)
         linearised = problem.linearise(point)
         if linearised is None or not linearised.is_finite:
             return None

@@ -73,7 +73,7 @@ class _Place:
     point: Any
     values: np.ndarray
     linearised: Linearised
-    rests: np.ndarray
+    own: np.ndarray  # what own steps of the blocks do, see `Linearised.own`
     chisqr: float
     lengths: np.ndarray
     triangle: np.ndarray
@@ -92,7 +92,7 @@ class _Place:
 @dataclass(frozen=True, eq=False)
 class _Step:
     values: np.ndarray
-    shares: np.ndarray  # of their own step that blocks make; nan = held
+    share: float
     size: float
     fall: float
     unseen: np.ndarray  # part of each unknown (0 to 1) that lies where nothing is determined
@@ -178,6 +178,7 @@ class _Descent:
             residual, jacobian = residual.copy(), jacobian.copy()
             residual[rows], jacobian[rows] = 0.0, 0.0
             rests = np.where(self.held, 0.0, rests)
+        own = np.where(self.held, 0.0, linearised.own(self.reins))
         lengths = np.sqrt(np.sum(np.square(jacobian), axis=0))
         chisqr = float(residual @ residual + rests.sum())
         if not (chisqr < _HUGE**2 and np.all(lengths < _HUGE)):
@@ -191,7 +192,7 @@ class _Descent:
         cosines = np.abs(slopes[free]) / np.where(lines > 0, lines, 1.0)[free]
         gradient = float(np.max(cosines, initial=0.0))
         return _Place(
-            point, values, linearised, rests, chisqr, lengths, triangle, image, free, gradient
+            point, values, linearised, own, chisqr, lengths, triangle, image, free, gradient
         )
 
     def solve(self, here, scale, radius):
@@ -201,7 +202,7 @@ class _Descent:
         columns), so that units do not matter; the local step counts as one more direction.
         """
         free = here.free
-        rest = float((self.reins * here.rests).sum())
+        along, rest = here.own.sum(axis=1)
         scale = np.where(scale > 0, scale, 1.0)[free]
         left, s, right = np.linalg.svd(here.triangle[:, free] / scale, full_matrices=False)
         seen = s > self.settings.rank * np.max(s, initial=0.0)
@@ -220,7 +221,7 @@ class _Descent:
             scaled = np.clip(bounded.x, low, high)
             scaled = np.where(bounded.active_mask < 0, low, scaled)  # to the last bit
             scaled = np.where(bounded.active_mask > 0, high, scaled)
-        shares = self.reins / (1.0 + damping)
+        share = 1.0 / (1.0 + damping)
         left_over = image + s * (right @ scaled)
         values = here.values.copy()
         values[free] += scaled / scale
@@ -228,13 +229,14 @@ class _Descent:
         values[free] = np.where(scaled >= high, self.high[free], values[free])
         values = np.clip(values, self.low, self.high)
         fall = image @ image - left_over @ left_over
-        fall += (here.rests * (1.0 - (1.0 - shares) ** 2)).sum()
-        size = np.sqrt(scaled @ scaled + (np.square(shares) * here.rests).sum())
-        shares = np.where(self.held, np.nan, shares)
-        return _Step(values, shares, float(size), float(fall), unseen, len(scale) - len(s))
+        fall += share * (2.0 * along - share * rest)
+        size = np.sqrt(scaled @ scaled + share**2 * rest)
+        return _Step(values, share, float(size), float(fall), unseen, len(scale) - len(s))
 
     def moved(self, here, step):
-        point = self.problem.move(here.point, here.linearised, step.values, step.shares)
+        point = self.problem.move(
+            here.point, here.linearised, step.values, step.share, self.reins
+        )
         return self.look(point)
 
     def descend(self, here, scale, radius):
@@ -262,7 +264,8 @@ class _Descent:
             elif gain > _GOOD:
                 radius = max(radius, 2.0 * step.size)
             if is_taken:
-                self.loosen(here, step)
+                if self.loosen(here, step):
+                    there = self.place(there.point, there.linearised)
                 return there, radius, ""
         return here, radius, "stalled"
 
@@ -292,22 +295,31 @@ class _Descent:
         return 0 < np.sum(failed | self.held) <= _MOST_HELD * len(self.reins)
 
     def loosen(self, here, step):
-        """Let blocks whose own steps did what was foreseen make longer ones again."""
+        """Let blocks whose own steps did what was foreseen make longer ones again.
+
+        Returns
+        -------
+        bool
+            Whether there are any.
+        """
         if not (self.reins < 1.0).any():
-            return
+            return False
         _, foreseen, found, promised = self.blocks(here, step)
         is_good = found - foreseen <= (1.0 - _GOOD) * promised
         self.reins = np.where(is_good, np.minimum(self.reins / _REINED, 1.0), self.reins)
+        return bool(is_good.any())
 
     def blocks(self, here, step):
         """Chi-squared of every block: here, foreseen after a step, found there, own part of it."""
         known, found = here.linearised, self.seen
-        rests, left = known.rests, np.square(1.0 - step.shares)
+        along, size = here.own
+        promised = step.share * (2.0 * along - step.share * size)
         linear = known.residual + known.jacobian @ (step.values - here.values)
         there = found.by_block(found.residual) + found.rests
         return (
-            known.by_block(known.residual) + rests, known.by_block(linear) + rests * left,
-            np.where(np.isfinite(there), there, np.inf), rests * (1.0 - left),
+            known.by_block(known.residual) + known.rests,
+            known.by_block(linear) + known.rests - promised,
+            np.where(np.isfinite(there), there, np.inf), promised,
         )  # fmt: skip
 
     def polish(self, here, whole):

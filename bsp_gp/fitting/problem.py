@@ -45,6 +45,20 @@ class Linearised:
     def chisqr(self):
         return float(self.residual @ self.residual) + self.rest
 
+    def own(self, reins):
+        """What shortened steps of the blocks do: a part s of them takes off 2 s a - s^2 b.
+
+        Parameters
+        ----------
+        reins : ndarray, shape (B,)
+            Lengths, in those of whole Gauss-Newton steps.
+
+        Returns
+        -------
+        a, b : ndarray, shape (B,)
+        """
+        return reins * self.rests, np.square(reins) * self.rests
+
     @property
     def is_finite(self):
         return all(np.isfinite(a).all() for a in (self.residual, self.jacobian, self.rests))
@@ -67,11 +81,12 @@ class Problem(Protocol):
         It may tell instead that some blocks are not: with a rest that is nan.
         """
 
-    def move(self, point, linearised, values, shares) -> Any:
+    def move(self, point, linearised, values, share, reins) -> Any:
         """The point with these values of the shared unknowns.
 
-        Local unknowns follow them by the linearisation, and make `shares` (B,), 0 to 1, of the
-        Gauss-Newton step that they would make if the shared unknowns stayed.
+        Local unknowns follow them by the linearisation, and make `share` (0 to 1) of the step that
+        they would make if the shared unknowns stayed: the Gauss-Newton step, or of blocks with
+        `reins` (B,) below 1 one that is so much shorter; with 0 they stay as they are.
         """
 
 
@@ -182,7 +197,7 @@ class _Dense:
         jacobian = np.asarray(self.jacobian(point), dtype=float)
         return Linearised(residual, jacobian) if np.isfinite(jacobian).all() else None
 
-    def move(self, point, linearised, values, share):
+    def move(self, point, linearised, values, share, reins):
         return values
 
 

@@ -105,11 +105,11 @@ def _joined(leg, nodes, row, stop, tolerance):
     n = leg.n_state
     number = np.full(leg.chains.times.shape, -1)
     number[leg.row, leg.chain] = np.arange(leg.n_intervals)
-    before = np.inf
+    before, mesh = np.inf, None
     nodes = nodes.copy()
     for count in range(MOST_PASSES):
         with np.errstate(all="ignore"):
-            mesh = leg.mesh(nodes)
+            mesh = mesh or leg.mesh(nodes)
             if not mesh.is_complete:
                 return None
             ends, moved = leg.run(nodes, mesh)
@@ -126,8 +126,12 @@ def _joined(leg, nodes, row, stop, tolerance):
         nodes[..., row : stop + 1, :] += shaped
         nodes = leg.held(nodes)
         size = float((np.abs(shaped[0]).max(axis=(0, 1)) / tolerance).max())
-        if size <= JOINED:
-            return nodes
+        if size <= JOINED:  # with steps chosen where the tracks were before
+            finer = leg.mesh(nodes)
+            if mesh.is_as_fine_as(finer):
+                return nodes
+            mesh, before = finer, np.inf
+            continue
         if count > 2 and size > SLOWEST * before:
             # What is left is rounding, or there is no way there.
             return nodes if size <= 1.0 else None

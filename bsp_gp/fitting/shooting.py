@@ -27,6 +27,7 @@ EXACT = 1e-3
 """Deviation of what is exact of a first state, in those of a row (and that over a span)."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
+MOST_DAMPINGS = 60
 ROUNDED = 4
 """Last digits of a state that an integration loses."""
 ROUNDINGS = 16
@@ -90,6 +91,33 @@ class Condensed:
     columns: np.ndarray
     shown: np.ndarray
     factor: np.ndarray
+
+    def image(self, reins):
+        """What the step of every first node takes off the whitened residual, (W, n).
+
+        Levenberg's and Marquardt's where it is to be shorter than Gauss and Newton's: what the
+        rows determine least, and where the linearisation goes wrong first, is shortened most.
+
+        Parameters
+        ----------
+        reins : ndarray, shape (W,)
+            Lengths, in those of Gauss-Newton steps.
+        """
+        n = self.columns.shape[2]
+        image = self.factor[:, :n, -1]
+        some = np.flatnonzero(reins < 1.0)
+        if not len(some):
+            return image
+        triangle = self.factor[some, :n, :n]
+        lengths = np.sqrt(np.square(triangle).sum(axis=1))
+        scaled = triangle / np.where(lengths > 0, lengths, 1.0)[:, None]
+        is_finite = np.isfinite(scaled).all(axis=(1, 2))
+        left, s, _ = np.linalg.svd(np.where(is_finite[:, None, None], scaled, 0.0))
+        part = np.einsum("wij,wi->wj", left, np.where(is_finite[:, None], image[some], 0.0))
+        damping = _dampings(s, part, reins[some])[:, None]
+        image = image.copy()
+        image[some] = np.einsum("wij,wj->wi", left, s * s / (s * s + damping) * part)
+        return np.where(reins[:, None] > 0, image, 0.0)
 
 
 def known_states(chains, noise):
@@ -428,7 +456,7 @@ class Shooting:
         order = np.concatenate(self.groups) if self.groups else np.zeros(0, dtype=int)
         return np.unique(self.windows.chain[order[chosen]])
 
-    def move(self, nodes, condensed, step, shares=1.0):
+    def move(self, nodes, condensed, step, share=1.0, reins=1.0):
         """The nodes after a step of the constants.
 
         Parameters
@@ -436,24 +464,27 @@ class Shooting:
         nodes : ndarray, shape (2, R, d, T, S)
         condensed : list of Condensed
         step : ndarray, shape (k,)
-        shares : float or ndarray, shape (W,)
-            Part of the step that initial states and gaps make of their own, window by window in
-            the order of the groups; nan leaves a window as it is.
+        share : float
+            Part of the step that initial states and gaps make of their own.
+        reins : float or ndarray, shape (W,)
+            How long that step of initial states is, see `Condensed.image`, window by window in the
+            order of the groups; 0 leaves a window as it is.
         """
         n, k = self.flow.n_state, self.flow.n_constants
         nodes = nodes.copy()
-        shares, first = np.broadcast_to(shares, self.n_blocks), 0
+        reins, first = np.broadcast_to(reins, self.n_blocks), 0
         for group, part in zip(self.groups, condensed, strict=True):
             factor = part.factor
-            share = shares[first : first + len(group), None]
+            some = reins[first : first + len(group)]
             first += len(group)
-            right = share * factor[:, :n, -1] - factor[:, :n, n : n + k] @ step
+            right = share * part.image(some) - factor[:, :n, n : n + k] @ step
             own = np.linalg.solve(factor[:, :n, :n], right[..., None])[..., 0]
             weights = np.concatenate(
-                [own, np.broadcast_to(step, (len(group), k)), share], axis=1
+                [own, np.broadcast_to(step, (len(group), k)), np.full((len(group), 1), share)],
+                axis=1,
             )
             change = np.einsum("lwij,wj->lwi", part.columns, weights)
-            change = np.where(np.isnan(share), 0.0, change)
+            change = np.where(some[:, None] > 0, change, 0.0)
             rows, inside = self._rows(group, len(change))
             change *= self._reined(change, inside, group, nodes)[:, None]
             shape = (*change.shape[:2], 2, *nodes.shape[1:3])
@@ -470,6 +501,28 @@ def _spread(values):
     high = np.where(seen, values, -np.inf).max(axis=0)
     low = np.where(seen, values, np.inf).min(axis=0)
     return np.where(seen.any(axis=0), high - low, 0.0)
+
+
+def _dampings(s, image, shares):
+    """Dampings (W,) by which ``s / (s**2 + damping) * image`` gets so many times shorter.
+
+    Newton's method on the inverse length, from the left, to 10 %.
+    """
+    squares = s * s
+    step = image / np.where(s > 0, s, 1.0)
+    wanted = shares * np.sqrt(np.square(step).sum(axis=1))
+    damping = np.zeros(len(s))
+    for _ in range(MOST_DAMPINGS):
+        damped = squares + damping[:, None]
+        step = s / np.where(damped > 0, damped, 1.0) * image
+        length = np.sqrt(np.square(step).sum(axis=1))
+        open_ = (length > 1.1 * wanted) & (wanted > 0)
+        if not open_.any():
+            break
+        slope = (np.square(step) / np.where(damped > 0, damped, 1.0)).sum(axis=1)
+        more = (length - wanted)[open_] / wanted[open_] * np.square(length[open_]) / slope[open_]
+        damping[open_] += more
+    return damping
 
 
 def _triangles(matrices):

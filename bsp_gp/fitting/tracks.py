@@ -89,6 +89,16 @@ class TrackLinearised(Linearised):
 
     condensed: tuple = ()
 
+    def own(self, reins):
+        first, out = 0, []
+        for part in (part for parts in self.condensed for part in parts):
+            some = reins[first : first + len(part.factor)]
+            first += len(some)
+            image = part.image(some)
+            along = (image * part.image(np.ones(len(some)))).sum(axis=1)
+            out.append(np.stack([along, np.square(image).sum(axis=1)]))
+        return np.concatenate(out, axis=1)
+
 
 class TrackProblem:
     """Tracks cut into windows, for `least_squares.minimise`.
@@ -137,14 +147,14 @@ class TrackProblem:
                 jacobian = np.concatenate([jacobian, np.diag(pull)])
         return TrackLinearised(residual, jacobian, rests, block, rounding, tuple(condensed))
 
-    def move(self, point, linearised, values, shares):
+    def move(self, point, linearised, values, share, reins):
         """The point with these unknowns; nodes follow by the linearisation."""
         _, slopes = self.coordinates.constants(point.values)
         step = slopes @ (values - point.values)
         nodes = tuple(
-            shooting.move(own, parts, step, some)
+            shooting.move(own, parts, step, share, some)
             for shooting, own, parts, some in zip(
-                self.shootings, point.nodes, linearised.condensed, self.split(shares), strict=True
+                self.shootings, point.nodes, linearised.condensed, self.split(reins), strict=True
             )
         )
         return self.upon(values, nodes)
@@ -173,12 +183,12 @@ class TrackProblem:
 
     def settled(self, point, times=1, held=()):
         """The point after steps of the initial states alone, but of blocks that are held."""
-        shares = np.where(held, np.nan, 1.0) if len(held) else 1.0
+        reins = np.where(held, 0.0, 1.0) if len(held) else 1.0
         for _ in range(times):
             linearised = self.linearise(point)
             if linearised is None or not linearised.is_finite:
                 return point
-            point = self.move(point, linearised, point.values, shares)
+            point = self.move(point, linearised, point.values, 1.0, reins)
         return point
 
     def is_as_fine_as(self, other):

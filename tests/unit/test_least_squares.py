@@ -250,9 +250,9 @@ class Tracks:
         object.__setattr__(found, "local", (np.array(steps), np.array(responses)))
         return found
 
-    def move(self, point, linearised, values, shares):
+    def move(self, point, linearised, values, share, reins):
         steps, responses = linearised.local
-        local = point.local + shares[:, None] * steps + responses @ (values - self.values(point))
+        local = point.local + share * reins[:, None] * steps + responses @ (values - self.values(point))
         return Track(float(values[0]) if self.is_shared else point.rate, local)
 
 
@@ -307,7 +307,7 @@ def test_a_descent_that_gains_nothing_however_short_its_steps_is_given_up():
             rise = 1.0 + np.abs(point).sum()
             return Linearised(np.full(3, 10.0 * rise), np.eye(3, len(point)) - 2.0)
 
-        def move(self, point, linearised, values, share):
+        def move(self, point, linearised, values, share, reins):
             return values
 
     problem = Rising()
