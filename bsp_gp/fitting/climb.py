@@ -563,7 +563,7 @@ class Climb:
     # --- what a minimum is ----------------------------------------------------------------------
 
     def is_joined(self, minimum, problem=None):
-        """Whether the intervals of whole tracks join end to end; those that are held count as such."""
+        """Whether the intervals of whole tracks join end to end, but for those that are held."""
         constants, _ = self.coordinates.constants(minimum.values)
         problem = problem or self.problem
         held = problem.split(minimum.held if len(minimum.held) else False)

@@ -37,6 +37,8 @@ STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
 ONE_START = FitTolerances(most_starts=1)
 """Without constants there is nothing in which starts could differ."""
+STATES_EFFORT = 600
+"""Steps after which states are taken as they are then: no path may lead where a track goes."""
 ROUNDING = 1e-13
 """The same as a part of the largest coordinate, at least, for every row."""
 
@@ -297,7 +299,9 @@ def _fixed(law, paper_steps, noise, dataset, deadline=None):
     forces = FixedForces(law, paper_steps, own)
     more = unknown_beyond(law, dataset.scenes)
     hypothesis = Hypothesis((forces, *more, Positions(), TrackNoise(noise)))
-    return fit(hypothesis, dataset, deadline=deadline, tolerances=ONE_START)
+    return fit(
+        hypothesis, dataset, deadline=deadline, effort=STATES_EFFORT, tolerances=ONE_START
+    )
 
 
 def _stacked(chains, states, measured):

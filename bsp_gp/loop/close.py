@@ -13,15 +13,17 @@ import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.scene import CHECK, Dataset
+from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
 from bsp_gp.fitting.law_fit import (
+    about_lost,
     about_noise,
     about_outliers,
     constant_estimates,
+    followed,
     training_part,
     unset,
 )
@@ -261,13 +263,13 @@ class _Ready:
         if split.whole and split.test:
             self.before_cut, _ = training_part(self.dataset, split.train, self.noise)
         check_properties(stack(self.train.scenes, self.dataset.up), self.law)
-        self._declare()
+        self.hypothesis = self._declared(self.train)
 
-    def _declare(self):
-        self.hypothesis = Hypothesis.from_laws(self.train, unset(self.law))
+    def _declared(self, train):
+        hypothesis = Hypothesis.from_laws(train, unset(self.law))
         if self.latents is not None:
-            scenes = self.train.scenes
-            self.hypothesis += unknown_properties(self.dataset, self.latents, scenes)
+            hypothesis += unknown_properties(self.dataset, self.latents, train.scenes)
+        return hypothesis
 
     @property
     def has_more(self):
@@ -291,19 +293,14 @@ class _Ready:
         return other
 
     def begin(self, starts, bounds, clock):
-        """The fit of what is declared.
-
-        A scene that it cannot follow at all, where it follows all others - the close pass of two
-        bodies, a collision - would hide what acts in these: it is not learned from, and told.
-        """
-        known = {"starts": starts, "bounds": bounds}
-        found = fit(self.hypothesis, self.train, deadline=clock.left, **known)
-        if found.lost:
-            self.lost = found.lost
-            kept = tuple(s for s in self.train.scenes if s.name not in found.lost)
+        """The fit of what is declared; scenes that it cannot follow are not learned from."""
+        found, self.lost = followed(
+            self._declared, self.train, starts=starts, bounds=bounds, deadline=clock.left
+        )
+        if self.lost:
+            kept = tuple(s for s in self.train.scenes if s.name not in self.lost)
             self.train = replace(self.train, scenes=kept)
-            self._declare()
-            found = fit(self.hypothesis, self.train, deadline=clock.left, **known)
+            self.hypothesis = self._declared(self.train)
         return found
 
     def refitted(self, found, hypothesis, bounds, clock):
@@ -333,12 +330,8 @@ class _Ready:
 
     def notes(self, found):
         """What is known of the data beside a law that was fitted to them."""
-        lost = (
-            f"{CHECK}no path under the declared model follows scene {', '.join(self.lost)} as it "
-            "does all others: not learned from; a close pass, or something that acts there alone",
-        )
         return (
-            *self.noise.notes, *(lost if self.lost else ()),
+            *self.noise.notes, *about_lost(self.lost),
             *about_outliers(found, self.is_weeded, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip

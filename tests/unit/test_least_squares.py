@@ -1,6 +1,6 @@
 """The least-squares driver: bounds, rank, plateaus, honest endings, states that move along."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -252,7 +252,8 @@ class Tracks:
 
     def move(self, point, linearised, values, share, reins):
         steps, responses = linearised.local
-        local = point.local + share * reins[:, None] * steps + responses @ (values - self.values(point))
+        follow = responses @ (values - self.values(point))
+        local = point.local + share * reins[:, None] * steps + follow
         return Track(float(values[0]) if self.is_shared else point.rate, local)
 
 
@@ -285,6 +286,27 @@ def test_states_far_away_are_brought_in_by_shorter_steps():
     found = minimise(Tracks(TARGETS), start)
     assert found.chisqr <= Tracks(TARGETS).linearise(start).chisqr
     assert found.status == "converged" and found.linearised.rest < 1e-4
+
+
+class Misled(Tracks):
+    """The linearisation of the third track is wrong: its steps lead away from its data."""
+
+    def move(self, point, linearised, values, share, reins):
+        moved = super().move(point, linearised, values, share, reins)
+        local = moved.local.copy()
+        local[2] = point.local[2] - 3.0 * (local[2] - point.local[2])
+        return replace(moved, local=local)
+
+
+def test_a_track_whose_steps_fail_does_not_hold_back_the_others():
+    local = np.concatenate([LOCAL, LOCAL[:2] + [0.3, 0.2]])
+    targets = [a * np.sin(1.7 * X + f) + 0.01 * np.roll(NOISE, k) for k, (a, f) in enumerate(local)]
+    found = minimise(Misled(targets), Track(1.75, local + [0.3, 0.4]))
+    assert found.held.tolist() == [False, False, True, False, False]
+    assert (found.status, found.code) == ("unconverged", "held")
+    right = minimise(Tracks(targets[:2] + targets[3:]), Track(1.75, np.delete(local, 2, axis=0)))
+    assert found.values[0] == pytest.approx(right.values[0], abs=1e-6)
+    assert found.kept_chisqr == pytest.approx(right.chisqr, rel=1e-6)
 
 
 def test_states_alone_without_shared_unknowns():
