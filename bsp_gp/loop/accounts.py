@@ -65,6 +65,9 @@ class Accounts:
         Simulated copies of the scenes behind intervals; 0 = neither floor nor intervals from them.
     crew : Crew, optional
         By whom scenes are scored.
+    kept : dict, optional
+        Rows of fits on these scenes, by the identity of the fit and with it; what is missing is
+        put in.
 
     Attributes
     ----------
@@ -72,16 +75,22 @@ class Accounts:
         Of every fit, scene by scene, see `held_out_rows`.
     """
 
-    def __init__(self, fits, dataset, scenes, rng, n_copies=40, crew=None):
+    def __init__(self, fits, dataset, scenes, rng, n_copies=40, crew=None, kept=None):
         self._crew = crew or Crew()
         self.fits, self.dataset, self.scenes = fits, dataset, tuple(scenes)
         self._copies_rng, picks_rng = rng.spawn(2)
-        self.rows = self._crew.map(_rows_of, (dataset, self.scenes), fits)
+        self.rows = self._rows(fits, {} if kept is None else kept)
         n = len(self.scenes)
         self.is_parametric = n < FEWEST_SCENES
         self._picks = () if self.is_parametric else picks_rng.integers(n, size=(N_RESAMPLES, n))
         self._n_copies = self._count(n_copies)
         self._kept = {}
+
+    def _rows(self, fits, kept):
+        new = list({id(fit): fit for fit in fits if id(fit) not in kept}.values())
+        made = self._crew.map(_rows_of, (self.dataset, self.scenes), new)
+        kept.update({id(fit): (fit, rows) for fit, rows in zip(new, made, strict=True)})
+        return [kept[id(fit)][1] for fit in fits]
 
     def _count(self, wanted):
         """Copies that are made."""

@@ -181,12 +181,13 @@ def close_loop(
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds, is_swapped = other, found, True
+    foreseen = {}
     if not is_swapped:  # what acts in those scenes only foresees nothing of the others
         left = None if time_limit is None else time_limit - (time.monotonic() - began)
         until = Clock(None if left is None else left + LATE_S)
         rounds = that_foresee(
             rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-            ready.dataset, ready.split.test, foresight_rng, settings["crew"],
+            ready.dataset, ready.split.test, foresight_rng, settings["crew"], foreseen,
         )  # fmt: skip
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
@@ -197,7 +198,7 @@ def close_loop(
     asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
         ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
-        settings["crew"], late,
+        settings["crew"], late, foreseen,
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
@@ -372,7 +373,9 @@ def _asked(ready, rounds, pruned, rng, criteria):
     )
 
 
-def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew, late):
+def _written(
+    ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteria, crew, late, foreseen
+):  # fmt: skip
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
     left_out = ["intervals"] if n_copies and clock.is_over else []
@@ -384,7 +387,7 @@ def _written(ready, rounds, pruned, bounds, rng, n_copies, clock, asked, criteri
     is_late = late.is_over
     left_out += ["errors"] if is_late else []
     scenes = () if is_late else ready.split.test
-    accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew)
+    accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew, foreseen)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     records = [
         writing_up.record_of(

@@ -16,7 +16,7 @@ REFUSED = {
 }  # fmt: skip
 
 
-def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None):
+def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     """Rounds up to the first whose cause surely makes predictions of held-out rows worse.
 
     Parameters
@@ -30,12 +30,15 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None):
     rng : numpy.random.Generator
     crew : Crew, optional
         By whom scenes are scored.
+    kept : dict, optional
+        Of `Accounts`.
 
     Returns
     -------
     list of Round
         That round adopts nothing, and those after it are gone.
     """
+    kept = {} if kept is None else kept
     for k, (done, stream) in enumerate(zip(rounds, rng.spawn(len(rounds)), strict=True)):
         if not done.decision.is_adopted:
             break
@@ -44,7 +47,7 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None):
         ]  # fmt: skip
 
         def ratio(n_copies, pair=pair, stream=stream):
-            accounts = Accounts(pair, dataset, scenes, stream, n_copies, crew)
+            accounts = Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
             return accounts.ratio(0, 1)
 
         # Only where predictions are worse does it matter whether that is chance.
