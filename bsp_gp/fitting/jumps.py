@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
+__all__ = ["SIDE_ROWS", "WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
 
 SIDE_ROWS = (4, 7, 12)
 """Rows on each side of a jump that are looked at."""

@@ -106,10 +106,12 @@ def _joined(leg, nodes, row, stop, tolerance):
     number = np.full(leg.chains.times.shape, -1)
     number[leg.row, leg.chain] = np.arange(leg.n_intervals)
     before, mesh = np.inf, None
+    has_jumps = bool(leg.has_events or leg.motion.walls)  # whose instants belong to their steps
     nodes = nodes.copy()
     for count in range(MOST_PASSES):
         with np.errstate(all="ignore"):
-            mesh = mesh or leg.mesh(nodes)
+            if mesh is None or has_jumps:
+                mesh = leg.mesh(nodes)
             if not mesh.is_complete:
                 return None
             ends, moved = leg.run(nodes, mesh)
@@ -127,8 +129,8 @@ def _joined(leg, nodes, row, stop, tolerance):
         nodes = leg.held(nodes)
         size = float((np.abs(shaped[0]).max(axis=(0, 1)) / tolerance).max())
         if size <= JOINED:  # with steps chosen where the tracks were before
-            finer = leg.mesh(nodes)
-            if mesh.is_as_fine_as(finer):
+            finer = None if has_jumps else leg.mesh(nodes)
+            if has_jumps or mesh.is_as_fine_as(finer):
                 return nodes
             mesh, before = finer, np.inf
             continue

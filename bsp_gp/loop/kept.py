@@ -19,6 +19,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import Round
 from bsp_gp.loop.proposal import Family, continued
 from bsp_gp.loop.view import View
+from bsp_gp.loop.writing_up import LEAST_LIKELY
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["joined_texts", "rounds_from", "text_of"]
@@ -36,15 +37,24 @@ def text_of(rounds):
     """
     out = []
     for done in rounds:
-        best = done.decision.best
+        told = _told(done)
         kept = {
-            "hypotheses": {} if best is None else {best.id: done.hypotheses[best.id]},
-            "proposals": {} if best is None else {best.id: done.proposals[best.id]},
+            "hypotheses": {k: done.hypotheses[k] for k in told},
+            "proposals": {k: done.proposals[k] for k in told},
+            "fitted": tuple(k for k in told if k in done.fits),
             "families": tuple((f.name, f.certificate) for f in done.families),
         }
         names = [f.name for f in fields(Round) if f.name not in (*BARE, *kept)]
         out.append(_packed({**{name: getattr(done, name) for name in names}, **kept}))
     return json.dumps(out)
+
+
+def _told(done):
+    """Numbers of the hypotheses of which a report tells the law or the constants."""
+    best = done.decision.best
+    likely = (row.id for row in done.table.rows if row.probability >= LEAST_LIKELY)
+    told = dict.fromkeys((*(() if best is None else (best.id,)), *likely))
+    return [k for k in told if k in done.proposals]
 
 
 def joined_texts(texts):
@@ -84,7 +94,8 @@ def rounds_from(text, hypothesis, dataset, begun, *, bounds=None, criteria=None)
         if each["proposals"] and found.shows_tracks:
             entering = continued(hypothesis, found)
             near = View(found, entering, dataset, np.random.default_rng(0), criteria).near
-        for number, proposal in each["proposals"].items():
+        for number in each.pop("fitted"):
+            proposal = each["proposals"][number]
             fits[number] = proposal.fitted(near, dataset, criteria=criteria, bounds=bounds)
         each["hypotheses"] = {0: hypothesis, **each["hypotheses"]}
         each["families"] = tuple(Family(name, certificate=c) for name, c in each["families"])

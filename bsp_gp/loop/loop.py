@@ -422,10 +422,25 @@ class _Turn:
         elif proposal.judged is not None and not new.is_failed:
             self.judged[len(self.rows)] = best.chi2_red
         self.fits[len(self.rows)] = new
+        status = "idle" if self._is_idle(proposal, new) else new.status
         return self._add(
-            source, proposal, new.status, evidence, best.log_likelihood, best.n_free,
+            source, proposal, status, evidence, best.log_likelihood, best.n_free,
             held_out_gain(self.base, best), self._twin(source, proposal, best),
         )  # fmt: skip
+
+    def _is_idle(self, proposal, new):
+        """Whether a part that a proposal adds does nothing: none of its numbers is told.
+
+        A wall that has moved to where nothing meets it is no cause, whatever stands beside it.
+        """
+        if new.is_failed:
+            return False
+        told = {name for (name, _), e in zip(new.parameters, new.errors, strict=True)
+                if np.isfinite(e)}  # fmt: skip
+        known = self.hypotheses[0].parts
+        own = ({p.name for p in part.parameters} for part in proposal.hypothesis.parts
+               if part not in known)  # fmt: skip
+        return any(names and not names & told for names in own)
 
     def _twin(self, source, proposal, new):
         """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""

@@ -1,5 +1,7 @@
 """Floors and walls: bounces in the motion, in fits, and found in tracks."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,10 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.jumps import jumps, nodes_between
+from bsp_gp.fitting.parts.walls import read_wall
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposers.walls import Walls
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
@@ -134,15 +138,33 @@ def test_nothing_is_proposed_where_nothing_bounces():
     assert family.proposals == ()
 
 
-def test_turns_that_the_law_explains_are_no_walls():
+@pytest.mark.parametrize("damping", [0.0, 0.1], ids=["whole", "but for a damping"])
+def test_turns_that_the_law_explains_are_no_walls(damping):
     rng, times = np.random.default_rng(4), np.arange(60) * 0.05
-    places = np.stack([0.3 * np.cos(9.0 * times), np.zeros(60)], axis=1)[:, None]
+    along = 0.3 * np.exp(-damping * times) * np.cos(9.0 * times)
+    places = np.stack([along, np.zeros(60)], axis=1)[:, None]
     places[..., 0] += 0.002 * rng.standard_normal((60, 1))
     scene = Scene("1", times, places, (Entity("bob"),))
     assert len(jumps(times, places[:, 0])) > 2
     dataset = Dataset("spring", (scene,), units=SI)
     law = "k * (origin - p_i)"
     assert Walls().propose(view_of(dataset, law)).proposals == ()
+
+
+def test_a_wall_that_nothing_meets_is_no_cause():
+    data = throws(np.random.default_rng(0))
+    known = Hypothesis.from_laws(data, ["-g * m_i * e_y"])
+    turn = SimpleNamespace(hypotheses={0: known})
+    proposal = SimpleNamespace(hypothesis=known + read_wall(data, "bounce(y_i > h, e)"))
+
+    def is_idle(*errors):
+        parameters = (("g", ""), ("h", ""), ("e", ""))
+        found = SimpleNamespace(is_failed=False, parameters=parameters, errors=np.array(errors))
+        return _Turn._is_idle(turn, proposal, found)
+
+    assert is_idle(0.1, np.inf, np.inf)
+    assert not is_idle(0.1, 0.01, np.inf)
+    assert not is_idle(np.inf, 0.01, 0.1)
 
 
 def test_a_bouncing_ball_is_told_with_its_weight():

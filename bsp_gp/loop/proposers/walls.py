@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.fitting.fit import FitTolerances
 from bsp_gp.fitting.hypothesis import Forces
-from bsp_gp.fitting.jumps import WINDOW, between, jumps, scatter
+from bsp_gp.fitting.jumps import SIDE_ROWS, WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
 from bsp_gp.fitting.parts.defects import Resting
 from bsp_gp.fitting.parts.walls import count_of, places_of, wall_of
@@ -34,6 +34,8 @@ LEAST_JUMPS = 2
 ALIKE = 0.02
 """Part of the extent of tracks within which jumps of one wall lie, beside their errors."""
 ERRORS = 5.0
+FORESEEN = 0.5
+"""Part of a turn that the law as it is makes, from which it is no wall's."""
 FAR = 20.0
 """Chi-squared of forces between jumps, beyond that of the best, from which sums are not fitted; and
 the part of it that errors of the forces may make, as one over so much."""
@@ -60,7 +62,10 @@ class Walls:
         if view.is_astronomical or view.fit.paper_steps:
             return Family(self.name)
         found = {
-            (scene.name, k): jumps(scene.times, scene.positions[:, k])
+            (scene.name, k): [
+                jump for jump in jumps(scene.times, scene.positions[:, k])
+                if not _is_foreseen(jump, scene, k, view.fit)
+            ]
             for scene in view.dataset.scenes for k in scene.dynamic
         }  # fmt: skip
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
@@ -75,6 +80,31 @@ class Walls:
             self.name, proposals, best.gain, best.rank, np.zeros(1),
             n_tried=2 * view.dataset.n_dims,
         )  # fmt: skip
+
+
+def _is_foreseen(jump, scene, k, fit):
+    """Whether a body turns back there under the law as well, without a wall: at a spring's end."""
+    channels = fit.channels
+    if scene.name not in channels.scene_names or scene.names[k] not in channels.body_names:
+        return False
+    mine = channels.scene == channels.scene_names.index(scene.name)
+    mine &= channels.body == channels.body_names.index(scene.names[k])
+    left, places = fit.residual[: len(scene.times), mine], scene.positions[:, k]
+    left = np.where(np.isnan(left).all(axis=0), 0.0, left)  # axes along which nothing moves
+    seen = np.isfinite(places).all(axis=1) & np.isfinite(left).all(axis=1)
+    times, places, left = scene.times[seen], places[seen], left[seen]
+    at, rows = int(np.searchsorted(times, jump.time)), SIDE_ROWS[0]
+    if at < rows or at > len(times) - rows:
+        return False
+    before, after = slice(at - rows, at), slice(at, at + rows)
+
+    def turn(track):
+        return np.polyfit(times[after], track[after], 1)[0] - np.polyfit(
+            times[before], track[before], 1
+        )[0]  # fmt: skip
+
+    seen, foreseen = turn(places), turn(places - left)
+    return bool(seen @ foreseen > FORESEEN * (seen @ seen))
 
 
 def _walls(found, dataset):
