@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+from scipy import special
 
 from bsp_gp.loop.accounts import Accounts
 
@@ -10,6 +13,9 @@ __all__ = ["that_foresee"]
 
 N_COPIES = 40
 """Simulated copies of the held-out scenes that say whether predictions are surely worse."""
+LEVEL = 0.01
+"""At which they are: causes of which predictions hardly depend are many."""
+WIDER = special.ndtri(LEVEL) / special.ndtri(0.05)
 REFUSED = {
     "verdict": "seen, not adopted", "reason": "predictions_worse", "is_adopted": False,
     "is_fact": False,
@@ -51,7 +57,14 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
             return accounts.ratio(0, 1)
 
         # Only where predictions are worse does it matter whether that is chance.
-        if ratio(0).value > 1 and ratio(N_COPIES).low > 1:
+        if ratio(0).value > 1 and _is_surely_worse(ratio(N_COPIES)):
             refused = replace(done, decision=replace(done.decision, **REFUSED))
             return [*rounds[:k], refused]
     return list(rounds)
+
+
+def _is_surely_worse(ratio):
+    """Whether a ratio of errors is above 1 at that level; its interval goes from 5 to 95 %."""
+    if not (math.isfinite(ratio.low) and ratio.low > 0):
+        return False
+    return math.log(ratio.value) + WIDER * math.log(ratio.low / ratio.value) > 0
