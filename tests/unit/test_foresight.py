@@ -8,8 +8,9 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.decide import Decision
-from bsp_gp.loop.foresight import that_foresee
+from bsp_gp.loop.foresight import _is_surely_worse, that_foresee
 from bsp_gp.loop.loop import Round
 from tests.unit.test_response import GRAVITY, thrown
 
@@ -51,3 +52,9 @@ def test_a_cause_that_makes_them_better_stays(world):
 def test_a_cause_that_changes_nothing_stays(world):
     (done,) = looked_at(world, ([GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]))
     assert done.decision.is_adopted
+
+
+def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
+    sure, close = Ratio(1.5, 1.3, 1.7, "resampled"), Ratio(1.2, 1.01, 1.4, "resampled")
+    assert _is_surely_worse(sure) and not _is_surely_worse(close)
+    assert not _is_surely_worse(Ratio(1.5))
