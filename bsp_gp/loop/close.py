@@ -181,7 +181,7 @@ def close_loop(
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds, is_swapped = other, found, True
-    foreseen = {}
+    foreseen: dict = {}
     if not is_swapped:  # what acts in those scenes only foresees nothing of the others
         left = None if time_limit is None else time_limit - (time.monotonic() - began)
         until = Clock(None if left is None else left + LATE_S)
