@@ -327,7 +327,7 @@ class Climb:
 
     def _tell_lost(self, minimum, problem):
         """Remember the scenes of which a track was held, if those are few."""
-        if not minimum.held.any():
+        if minimum.code != "held":
             return
         held = problem.split(minimum.held)
         scenes = dict.fromkeys(
@@ -401,8 +401,8 @@ class Climb:
             )
             count += found.n_linearised
             is_lost = found.linearised is None or found.code in ("stopped", "limit")
-            is_lost = is_lost or found.chisqr > RISING * before
-            before = found.chisqr
+            is_lost = is_lost or found.kept_chisqr > RISING * before
+            before = found.kept_chisqr
             if settings is not WHOLE or is_lost:
                 break
             if found.code != "stalled" and self.is_joined(found, problem):
@@ -695,20 +695,22 @@ def _unlike(points):
 
 def _height(minimum):
     """What minima are compared by: the worse end last, those that are none behind all."""
-    return minimum.chisqr if minimum.linearised is not None else np.inf
+    is_none = minimum.linearised is None
+    return (np.inf, np.inf) if is_none else (int(minimum.held.sum()), minimum.kept_chisqr)
 
 
 def _agree(minimum, best):
     """Whether two minima are the same, as far as the noise tells."""
     return bool(
         minimum.linearised is not None
-        and minimum.chisqr - best.chisqr <= 1e-2 + 1e-6 * best.chisqr
+        and minimum.held.sum() == best.held.sum()
+        and minimum.kept_chisqr - best.kept_chisqr <= 1e-2 + 1e-6 * best.kept_chisqr
     )
 
 
 def _distinct(minima):
     """Minima that differ, the best first; those that are not finite are left out if any is."""
-    finite = [m for m in minima if m.linearised is not None and np.isfinite(m.chisqr)]
+    finite = [m for m in minima if m.linearised is not None and np.isfinite(m.kept_chisqr)]
     out = []
     for minimum in finite or minima[:1]:
         if not any(_agree(minimum, other) for other in out):

@@ -117,6 +117,7 @@ class _Descent:
         self.n_linearised = 0
         self.reins = None  # longest parts of their own steps that blocks may make; 0 = held
         self.seen = None  # what the last look showed, finite or not
+        self.was_released = False
 
     @property
     def held(self):
@@ -136,10 +137,15 @@ class _Descent:
             scale = np.maximum(scale, here.lengths)
             whole = self.solve(here, here.lengths, np.inf)
             least = min(least, whole.n_unseen)
-            if whole.fall <= self.negligible(here):
+            if whole.fall > self.negligible(here):
+                here, radius, code = self.descend(here, scale, radius)
+                continue
+            # Blocks that failed while the unknowns were far off may follow them now.
+            released = self.released(here)
+            if released is None:
                 code = "fall"
             else:
-                here, radius, code = self.descend(here, scale, radius)
+                here, radius = released, np.inf
         if code == "fall":
             here, whole = self.polish(here, whole)
         return self.finish(here, whole, code, least)
@@ -285,11 +291,24 @@ class _Descent:
         failed &= excess > (1.0 - _GOOD) * step.fall / is_own.sum()
         others = is_own & ~failed
         gained, asked = (now - found)[others].sum(), (now - foreseen)[others].sum()
-        if not failed.any() or not self.may_hold(failed) or not gained >= _POOR * asked:
+        if not failed.any() or not self.may_hold(failed):
+            return False
+        if not gained >= _POOR * asked - self.negligible(here):  # these fail as well
             return False
         self.reins = np.where(failed, _REINED * self.reins, self.reins)
         self.reins[self.reins < _LEAST_REIN] = 0.0
         return True
+
+    def released(self, here):
+        """The place with all blocks that are held once more free, once; None without such."""
+        if self.was_released or not self.held.any():
+            return None
+        self.was_released, held = True, self.held
+        self.reins[held] = 1.0
+        free = self.place(here.point, here.linearised)
+        if free is None:
+            self.reins[held] = 0.0
+        return free
 
     def may_hold(self, failed):
         return 0 < np.sum(failed | self.held) <= _MOST_HELD * len(self.reins)

@@ -1,13 +1,11 @@
 """Scenes that no path under a law follows, among others that it does."""
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_fit import about_lost, followed
-from bsp_gp.loop.close import close_loop
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 GRAVITY = "1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
@@ -60,10 +58,3 @@ def test_such_scenes_are_told():
     assert about_lost(()) == ()
     (one,), (two,) = about_lost(("s5",)), about_lost(("s5", "s6"))
     assert "follows scene s5," in one and "follows scenes s5, s6," in two
-
-
-def test_the_loop_does_not_learn_from_it():
-    report = close_loop(orbits(0.3, odd=5), [GRAVITY], rng=1, n_bootstrap=0, max_rounds=1)
-    (drag,) = report.rounds[0].effect.constants
-    assert report.rounds[0].adopted and drag.value == pytest.approx(-0.3, abs=0.01)
-    assert any("follows scene s5" in note for note in report.dataset["notes"])
