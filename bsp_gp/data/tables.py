@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.apart import recordings_apart
 from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, inputs_of, unwrapped
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
@@ -277,6 +278,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
     if conversion.system.is_angle:
@@ -292,6 +294,7 @@ def _assemble(table, roster, declaration, default_name):
         *_unused(table, inputs_of(table, declaration)),
         *units_notes,
         *rows.notes,
+        *apart,
         *(roster.notes if roster else ()),
         *idle,
         *clock,
