@@ -30,7 +30,7 @@ from bsp_gp.units import ANGLES, Unit
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
     "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored", "is_no_place",
-    "is_rate", "is_run", "number_columns", "run_of", "told",
+    "is_rate", "is_run", "number_columns", "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -67,6 +67,9 @@ _PLACE_WORDS = _set(
     "position pos coordinate coord coordinates koordinate ort lage weg location posición"
     " posizione displacement"
 )
+_AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
+"""Beside a symbol: ``x-Richtung``."""
+_UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
 _SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
 _ACCELERATION_WORDS = _set(
     "acceleration accelerometer beschleunigung accélération aceleración accelerazione acc accel"
@@ -98,6 +101,13 @@ _BODY_WORDS = _set(
     " component bob pendulum pendel palla bola balle bille carrito carrello"
 )
 """More words of bodies, where rows at one time need to be told apart."""
+_OF_WORDS = _set("der des of the du de la le del della total totale gesamt") | _BODY_WORDS
+_PROPERTY_WORDS = {
+    "mass": _set("mass masse masses masa massa gesamtmasse kugelmasse wagenmasse"),
+    "charge": _set("charge ladung carga carica"),
+}
+_WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
+"""Words that mean that property where a unit of it stands beside them."""
 IGNORE = "ignore"
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
@@ -110,7 +120,9 @@ _GUESSES = {
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
     "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
-                             " extension s"),
+                             " extension s weite wurfweite sprungweite flugweite horizontal"
+                             " horizontale orizzontale waagerecht waagerechte waagrecht"
+                             " waagrechte alcance portée gittata"),
 }  # fmt: skip
 """Words that may mean a column of ours where no plainer heading does; counting words may stand
 beside those of scenes, bodies and frames."""
@@ -201,6 +213,17 @@ def is_rate(text):
 def is_no_place(text):
     """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
     return bool(_words(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+
+
+def property_of_words(text, unit=""):
+    """The property of bodies that a heading speaks of, and its unit agrees with; or ""."""
+    words = _words(text) - {""} - _COUNT_WORDS - _OF_WORDS
+    of_unit = unit_of(unit) if unit else None
+    for name, known in _PROPERTY_WORDS.items():
+        known = known | _WITH_ITS_UNIT[name] if unit else known
+        if words and words <= known and (not unit or of_unit == PROPERTY_UNITS[name]):
+            return name
+    return ""
 
 
 def is_body(text):
@@ -303,6 +326,8 @@ def _split_unit(cell, back, is_track):
             name = _guess(stem)
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
             return stem, match[2].strip()
+        if is_track and property_of_words(stem, match[2].strip()):
+            return stem, match[2].strip()
         is_turn = is_angle_word(stem) and match[2].strip().lower() in ANGLES
         if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):
             return stem, match[2].strip()
@@ -321,7 +346,7 @@ def _our_name(name):
     if about and is_time and symbols in ([], ["t"]):
         return "t", WORD
     if about and len(symbols) == 1 and symbols != ["t"]:
-        if about <= _PLACE_WORDS:
+        if about <= _PLACE_WORDS | _AXIS_WORDS:
             return symbols[0], WORD
         if about <= _SPEED_WORDS:
             return f"v{symbols[0]}", WORD
@@ -331,6 +356,8 @@ def _our_name(name):
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
     words = {word for word in _words(name) - {""} if not _INPUT.fullmatch(word)}
+    if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
+        return "y"
     for ours, known in _GUESSES.items():
         counted = words - _COUNT_WORDS if ours in ("scene", "entity", "frame") else words
         if counted and counted <= known:

@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -28,6 +29,7 @@ from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.properties import with_properties
+from bsp_gp.data.property_columns import unread_masses, with_properties_by_words
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.several import joined
@@ -254,6 +256,7 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     if roster is None:
+        table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, is_star = read_stars(table, declaration)
@@ -321,7 +324,7 @@ def _assemble(table, roster, declaration, default_name):
         scenes=scenes,
         train=train,
         test=test,
-        units=conversion.system,
+        units=_with_remedies(conversion.system, unread_masses(table)),
         property_units={
             **latent_units, **(roster.units if roster else {}),
             **{name: unit for name, (_, unit) in rows.inputs.items()},
@@ -335,6 +338,13 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
     )
+
+
+def _with_remedies(system, of_masses):
+    """The units, and what to say where a mass turns out to be needed."""
+    if not of_masses or "mass" in system.declared:
+        return system
+    return dataclasses.replace(system, remedies=MappingProxyType({"kg": of_masses}))
 
 
 def _unused(table, inputs):

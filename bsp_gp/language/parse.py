@@ -126,10 +126,11 @@ def _number(digits, unit_text, text, units):
         raise LawError(f"law {_short(text)}: {error}") from None
     if units is not None and not units.is_calibrated(unit):
         if set(units.symbols.values()) == {"mass"}:
+            seen = units.remedies.get("kg")
             raise LawError(
                 f"law {_short(text)}: [{unit_text.strip()}] needs masses, and the data do not say "
-                "what they are; give them with --property mass=0.3[kg], or where they have masses "
-                "the unit of those with --units mass=kg"
+                f"what they are; {f'{seen}; or ' if seen else ''}give them with --property "
+                "mass=0.3[kg], or where they have masses the unit of those with --units mass=kg"
             )
         raise LawError(
             f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "

@@ -11,8 +11,8 @@ UNITS = {"length": "m", "time": "s", "mass": "kg"}
 
 def table(**spans):
     pieces = [
-        pd.DataFrame({"t": np.arange(a, b), "entity": name, "x": 1.0 * np.arange(a, b), "y": float(k)})
-        for k, (name, (a, b)) in enumerate(spans.items())
+        pd.DataFrame({"t": t, "entity": name, "x": 1.0 * t, "y": float(k)})
+        for k, (name, span) in enumerate(spans.items()) for t in [np.arange(*span)]
     ]
     return pd.concat(pieces, ignore_index=True)
 
