@@ -28,9 +28,9 @@ from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
-    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored", "is_no_place",
-    "is_rate", "is_run", "number_columns", "property_of_words", "run_of", "told",
+    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
+    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored",
+    "is_no_place", "is_rate", "is_run", "number_columns", "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -95,6 +95,11 @@ _BESIDE_WORDS = _set(
     " area size fläche"
 )
 """What is logged beside a motion, and is no place."""
+_PROCESSED_WORDS = _set(
+    "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
+    " center centre target roh geglättet origin scale old new"
+)
+"""Of one body's places a second time."""
 _BODY_WORDS = _set(
     "puck pucks ball balls kugel ball sphere disc disk scheibe glider gleiter bead particle"
     " teilchen name label bodies cell zelle fish fly mouse bird animal tier car ship boat moon"
@@ -114,7 +119,8 @@ _GUESSES = {
               " epoch time and und et"),
     "frame": _set("frame frames bild coords image slice video"),
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
-                  " wurf throw drop shot recording aufnahme repetition scene szene"),
+                  " wurf throw drop shot recording aufnahme repetition scene szene take"
+                  " durchgang durchlauf messreihe lancer lanzamiento lancio"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
@@ -426,7 +432,8 @@ def _guessed(heading, names):
 
 def _with_bodies(found):
     """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
-    if any(h.name in ("x", "y") and h.sure < GUESS for h in found):
+    found = _with_body_of_run(found)
+    if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
     axes = {}
@@ -439,6 +446,41 @@ def _with_bodies(found):
     if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
         return [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
     return out
+
+
+def _with_body_of_run(found):
+    """Beside ``blue puck X`` the one owner of ``Red puck: X`` is a body too, and no recording."""
+    runs = {h.run for h in found if h.run}
+    plain = [h for h in found if h.name in ("x", "y") and h.sure < GUESS]
+    if len(runs) != 1 or is_run(*runs) or not all(h.run for h in plain):
+        return found
+    others = {h.name for h in map(_of_body, found) if h.body}
+    if not plain or {h.name for h in plain} != others & {"x", "y", "z"}:
+        return found
+    return [replace(h, run="", body=h.run, sure=GUESS) if h.run else h for h in found]
+
+
+def bodies_beside(table_columns, units):
+    """Bodies whose places columns that are not used may be, each with its columns.
+
+    Parameters
+    ----------
+    table_columns : mapping of str to str
+        Name of a column that means nothing to us -> what the file calls it.
+    units : mapping of str to str
+        Of them.
+
+    Returns
+    -------
+    dict of str to dict of str to str
+        Body -> axis -> column of the file; of bodies with a column x and a column y.
+    """
+    out = {}
+    for name, theirs in table_columns.items():
+        h = _of_body(Heading(name, units.get(name, ""), theirs))
+        if h.body and h.name in "xyz" and not _words(h.body) & _PROCESSED_WORDS:
+            out.setdefault(h.body, {})[h.name] = theirs
+    return {body: axes for body, axes in out.items() if {"x", "y"} <= set(axes)}
 
 
 def _with_angles(found):
