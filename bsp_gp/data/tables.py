@@ -390,8 +390,6 @@ def _left_out_bodies(table, inputs):
     ]  # fmt: skip
 
 
-
-
 def _with_angles(table, declaration):
     """The declaration with the unit that angles are declared in under their own names."""
     own = {

@@ -12,7 +12,8 @@ UNITS = {"length": "m", "time": "s", "mass": "kg"}
 def table(**spans):
     pieces = [
         pd.DataFrame({"t": t, "entity": name, "x": 1.0 * t, "y": float(k)})
-        for k, (name, span) in enumerate(spans.items()) for t in [np.arange(*span)]
+        for k, (name, span) in enumerate(spans.items())
+        for t in [np.arange(*span)]
     ]
     return pd.concat(pieces, ignore_index=True)
 
