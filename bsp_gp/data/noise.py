@@ -155,8 +155,8 @@ def estimate_noise(data):
             source, how = "estimated", f"differences of order {order}"
             if steps[axis] > value:
                 notes.append(
-                    f"{label} is rounded to steps of {steps[axis] / length:.4g}{unit}: its noise is "
-                    "taken as at least the step / sqrt(12)"
+                    f"{label} is rounded to steps of {steps[axis] / length:.4g}{unit}: its noise "
+                    "is taken as at least the step / sqrt(12)"
                 )
             if value < steps[axis] / math.sqrt(12):
                 value, n_effective = steps[axis] / math.sqrt(12), math.inf
