@@ -170,6 +170,8 @@ class Told:
             "draws": (factors * np.asarray(details["draws"])).tolist(),
             "best": (factors * np.asarray(details["best"])).tolist(),
             "length_unit": self.unit(details["length_unit"])[1],
+            "epoch": details.get("epoch", 0.0) * self.factor("s"),
+            "time_unit": self.unit("s")[1],
         }  # fmt: skip
 
     def factor(self, base):

@@ -39,7 +39,7 @@ def page_of(report):
     rounds = [_round(done, report) for done in report.rounds]
     kept = (
         "dataset", "declared", "grammar", "seed", "alpha", "noise", "law_text", "law_latex",
-        "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras",
+        "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras", "left_out",
     )  # fmt: skip
     total = {**report.total, "ratio": _ratio(report.total["ratio"])}
     page = SimpleNamespace(
@@ -168,7 +168,9 @@ def _name(effect, parts, other):
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
-        value = next((c.value for c in effect.constants if is_number(c.value)), None)
+        values = [c.value for c in effect.constants if is_number(c.value)]
+        is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
+        value = values[0] if is_one_way or len(values) == 1 else None
         return describe(effect.formula, value, other, effect.exponents)
     if effect.kind == "declared_term_change":
         return effect.name

@@ -12,6 +12,7 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_value,
+    is_number,
     length_text,
 )
 from bsp_gp.report.page import page_of
@@ -106,7 +107,7 @@ def _rounds(report):
             if r.removed:
                 state = "adopted, and taken back"
             text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
-            if r.after is not None:
+            if r.after is not None and is_number(r.after.rollout_rmse):
                 sizes = (length_text(e.rollout_rmse, e.unit) for e in (r.before, r.after))
                 text += f", held-out position error {' → '.join(sizes)}"
         out.append((f"Round {r.number}: {text}", "  "))
