@@ -7,6 +7,7 @@ intervals. Words are made of this in the room of reports.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import ClassVar
@@ -269,7 +270,7 @@ class LoopReport:
     fit: object = field(default=None, repr=False)
     hypothesis: object = field(default=None, repr=False)
     extras: tuple = field(default=(), repr=False)
-    words: ClassVar = None
+    words: ClassVar[Callable | None] = None
     """What makes words of a report, lines of (found, constants, rivals): of the room of reports."""
 
     def __post_init__(self):

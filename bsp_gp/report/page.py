@@ -12,7 +12,7 @@ from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
-from bsp_gp.report.rewritings import rewritten, told_once
+from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
 
 __all__ = ["page_of"]
@@ -53,11 +53,13 @@ def page_of(report):
         ),
     )  # fmt: skip
     page = retold(page)
-    for r in page.rounds:
+    for r, done in zip(page.rounds, report.rounds, strict=True):
         if r.effect is not None:
             if r.effect.kind == "hidden_body":
                 r.effect.name = name_of(r.effect)
             law, rivals = r.effect.written or "", rivals_of(r.effect.equivalents)
+            tried = [row["law"] for row in done.hypotheses if row["status"] == "converged"]
+            r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
     return page
