@@ -48,6 +48,9 @@ _HOMES = {
 }
 """Where the public names live; they are imported when first asked for (PEP 562)."""
 
+_SPEAKING = {"LoopReport", "close_loop", "load_report"}
+"""Names that give out reports: print(report) says in words what the room of reports knows."""
+
 __all__ = [*_HOMES, "__version__"]
 
 
@@ -61,6 +64,8 @@ def __getattr__(name):
             value = "0+source"
     elif name in _HOMES:
         value = getattr(importlib.import_module(_HOMES[name]), name)
+        if name in _SPEAKING:
+            importlib.import_module("bsp_gp.report.brief")
     else:
         raise AttributeError(f"module 'bsp_gp' has no attribute {name!r}")
     globals()[name] = value

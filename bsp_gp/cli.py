@@ -311,15 +311,16 @@ def _fit(args):
 
     from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.fitting.law_fit import fit_law
+    from bsp_gp.loop.told import factors_of, fit_retold
 
     law = read_law(dataset, laws)
     _tell_masses(args, dataset, law)
-    settings = read_fit_settings(args)
+    settings = read_fit_settings(args, factors_of(law, dataset.units))
     with _Progress(args.quiet) as progress:
         progress("fitting")
         fit = fit_law(dataset, law, rng=args.seed, **settings)
     _tell_constants(args, law.names)
-    text = fit.text()
+    text = fit_retold(fit, dataset.units).text()
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
         _write_folder(args, "fit", out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})

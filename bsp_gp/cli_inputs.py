@@ -107,15 +107,13 @@ def read_laws(args):
     return (*laws, *args.constrain)
 
 
-def read_constants(pairs, option="--set"):
-    """Values of constants in SI."""
-    from bsp_gp.units import parse_unit
-
+def read_constants(pairs, option="--set", factors=None):
+    """Values of constants in SI; `factors` are those of numbers without a unit, by name."""
     values = {}
     for name, text in (_mapping(option, pairs) or {}).items():
         match = re.fullmatch(_WITH_UNIT, text)
         try:
-            value = float(match[1]) * parse_unit(match[2] or "1")[0]
+            value = float(match[1]) * _scale(name, match[2], factors)
         except (TypeError, ValueError):
             raise LawError(
                 f'{option} {name}={text}: expected a number, as in "c1=3 [g/s]"'
@@ -126,13 +124,18 @@ def read_constants(pairs, option="--set"):
     return values
 
 
+def _scale(name, unit, factors):
+    """Of a number with a unit, or without one in that in which the constant is told."""
+    from bsp_gp.units import parse_unit
+
+    return parse_unit(unit)[0] if unit else (factors or {}).get(name, 1.0)
+
+
 _WITH_UNIT = r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?"
 
 
-def _read_bounds(pairs):
+def _read_bounds(pairs, factors=None):
     """Values of --bounds in SI, (low, high); an end that is not given is open."""
-    from bsp_gp.units import parse_unit
-
     bounds = {}
     for name, text in (_mapping("--bounds", pairs) or {}).items():
         match = re.fullmatch(_WITH_UNIT, text)
@@ -146,16 +149,23 @@ def _read_bounds(pairs):
                 f'--bounds {name}={text}: expected LOW..HIGH, as in n=-4..0, c1=0.. or "k=1..3 '
                 '[g/s]"'
             )
-        scale = parse_unit(match[2] or "1")[0]
+        scale = _scale(name, match[2], factors)
         bounds[name] = (ends[0] * scale, ends[1] * scale)
     return bounds
 
 
-def read_fit_settings(args):
-    """--start, --bounds and --time-limit as the settings of `fit_law`."""
+def read_fit_settings(args, factors=None):
+    """--start, --bounds and --time-limit as the settings of `fit_law`.
+
+    Parameters
+    ----------
+    args : Namespace
+    factors : mapping of str to float, optional
+        Constant -> what a unit of it, as it is told, is in SI.
+    """
     return {
-        "starts": read_constants(args.start, "--start") or None,
-        "bounds": _read_bounds(args.bounds) or None,
+        "starts": read_constants(args.start, "--start", factors) or None,
+        "bounds": _read_bounds(args.bounds, factors) or None,
         "time_limit": args.time_limit,
     }
 

@@ -278,10 +278,16 @@ class UnitSystem:
     symbols : mapping of str to str
         Base unit -> what to print in its place where the data are not calibrated
         (``{"m": "px"}``); numbers of such a kind are kept as they are.
+    remedies : mapping of str to str
+        Base unit -> what the data hold that may say it, and the option (a column that looks like
+        a mass and is not used), for complaints.
     """
 
     declared: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
     symbols: MappingProxyType = field(default_factory=lambda: MappingProxyType({}))
+    remedies: MappingProxyType = field(
+        default_factory=lambda: MappingProxyType({}), compare=False, repr=False
+    )
 
     def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
         return (UnitSystem.from_declared, (dict(self.declared),))

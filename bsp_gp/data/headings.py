@@ -28,9 +28,9 @@ from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
-    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "has_place", "headings", "is_acceleration",
-    "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored", "is_no_place",
-    "is_rate", "is_run", "number_columns", "run_of", "told",
+    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
+    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored",
+    "is_no_place", "is_rate", "is_run", "number_columns", "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -67,6 +67,9 @@ _PLACE_WORDS = _set(
     "position pos coordinate coord coordinates koordinate ort lage weg location posición"
     " posizione displacement"
 )
+_AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
+"""Beside a symbol: ``x-Richtung``."""
+_UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
 _SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
 _ACCELERATION_WORDS = _set(
     "acceleration accelerometer beschleunigung accélération aceleración accelerazione acc accel"
@@ -92,25 +95,40 @@ _BESIDE_WORDS = _set(
     " area size fläche"
 )
 """What is logged beside a motion, and is no place."""
+_PROCESSED_WORDS = _set(
+    "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
+    " center centre target roh geglättet origin scale old new"
+)
+"""Of one body's places a second time."""
 _BODY_WORDS = _set(
     "puck pucks ball balls kugel ball sphere disc disk scheibe glider gleiter bead particle"
     " teilchen name label bodies cell zelle fish fly mouse bird animal tier car ship boat moon"
     " component bob pendulum pendel palla bola balle bille carrito carrello"
 )
 """More words of bodies, where rows at one time need to be told apart."""
+_OF_WORDS = _set("der des of the du de la le del della total totale gesamt") | _BODY_WORDS
+_PROPERTY_WORDS = {
+    "mass": _set("mass masse masses masa massa gesamtmasse kugelmasse wagenmasse"),
+    "charge": _set("charge ladung carga carica"),
+}
+_WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
+"""Words that mean that property where a unit of it stands beside them."""
 IGNORE = "ignore"
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
               " epoch time and und et"),
     "frame": _set("frame frames bild coords image slice video"),
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
-                  " wurf throw drop shot recording aufnahme repetition scene szene"),
+                  " wurf throw drop shot recording aufnahme repetition scene szene take"
+                  " durchgang durchlauf messreihe lancer lanzamiento lancio"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
     "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
-                             " extension s"),
+                             " extension s weite wurfweite sprungweite flugweite horizontal"
+                             " horizontale orizzontale waagerecht waagerechte waagrecht"
+                             " waagrechte alcance portée gittata"),
 }  # fmt: skip
 """Words that may mean a column of ours where no plainer heading does; counting words may stand
 beside those of scenes, bodies and frames."""
@@ -201,6 +219,17 @@ def is_rate(text):
 def is_no_place(text):
     """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
     return bool(_words(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+
+
+def property_of_words(text, unit=""):
+    """The property of bodies that a heading speaks of, and its unit agrees with; or ""."""
+    words = _words(text) - {""} - _COUNT_WORDS - _OF_WORDS
+    of_unit = unit_of(unit) if unit else None
+    for name, known in _PROPERTY_WORDS.items():
+        known = known | _WITH_ITS_UNIT[name] if unit else known
+        if words and words <= known and (not unit or of_unit == PROPERTY_UNITS[name]):
+            return name
+    return ""
 
 
 def is_body(text):
@@ -303,6 +332,8 @@ def _split_unit(cell, back, is_track):
             name = _guess(stem)
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
             return stem, match[2].strip()
+        if is_track and property_of_words(stem, match[2].strip()):
+            return stem, match[2].strip()
         is_turn = is_angle_word(stem) and match[2].strip().lower() in ANGLES
         if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):
             return stem, match[2].strip()
@@ -321,7 +352,7 @@ def _our_name(name):
     if about and is_time and symbols in ([], ["t"]):
         return "t", WORD
     if about and len(symbols) == 1 and symbols != ["t"]:
-        if about <= _PLACE_WORDS:
+        if about <= _PLACE_WORDS | _AXIS_WORDS:
             return symbols[0], WORD
         if about <= _SPEED_WORDS:
             return f"v{symbols[0]}", WORD
@@ -331,6 +362,8 @@ def _our_name(name):
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
     words = {word for word in _words(name) - {""} if not _INPUT.fullmatch(word)}
+    if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
+        return "y"
     for ours, known in _GUESSES.items():
         counted = words - _COUNT_WORDS if ours in ("scene", "entity", "frame") else words
         if counted and counted <= known:
@@ -399,7 +432,8 @@ def _guessed(heading, names):
 
 def _with_bodies(found):
     """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
-    if any(h.name in ("x", "y") and h.sure < GUESS for h in found):
+    found = _with_body_of_run(found)
+    if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
     axes = {}
@@ -412,6 +446,41 @@ def _with_bodies(found):
     if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
         return [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
     return out
+
+
+def _with_body_of_run(found):
+    """Beside ``blue puck X`` the one owner of ``Red puck: X`` is a body too, and no recording."""
+    runs = {h.run for h in found if h.run}
+    plain = [h for h in found if h.name in ("x", "y") and h.sure < GUESS]
+    if len(runs) != 1 or is_run(*runs) or not all(h.run for h in plain):
+        return found
+    others = {h.name for h in map(_of_body, found) if h.body}
+    if not plain or {h.name for h in plain} != others & {"x", "y", "z"}:
+        return found
+    return [replace(h, run="", body=h.run, sure=GUESS) if h.run else h for h in found]
+
+
+def bodies_beside(table_columns, units):
+    """Bodies whose places columns that are not used may be, each with its columns.
+
+    Parameters
+    ----------
+    table_columns : mapping of str to str
+        Name of a column that means nothing to us -> what the file calls it.
+    units : mapping of str to str
+        Of them.
+
+    Returns
+    -------
+    dict of str to dict of str to str
+        Body -> axis -> column of the file; of bodies with a column x and a column y.
+    """
+    out = {}
+    for name, theirs in table_columns.items():
+        h = _of_body(Heading(name, units.get(name, ""), theirs))
+        if h.body and h.name in "xyz" and not _words(h.body) & _PROCESSED_WORDS:
+            out.setdefault(h.body, {})[h.name] = theirs
+    return {body: axes for body, axes in out.items() if {"x", "y"} <= set(axes)}
 
 
 def _with_angles(found):

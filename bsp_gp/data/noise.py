@@ -9,7 +9,7 @@ import numpy as np
 
 from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError, SettingsError
-from bsp_gp.units import Unit
+from bsp_gp.units import Unit, parse_unit
 
 __all__ = [
     "FLOOR", "NoiseEstimate", "checked_noise", "declare_noise", "estimate_noise", "finest_noise",
@@ -139,7 +139,7 @@ def estimate_noise(data):
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
     steps = _grid_steps(tracks)
     sigma, sources, degrees, methods, notes = [], [], [], [], []
-    unit = f" {data.units.text(Unit.of(m=1))}" if is_dataset else ""
+    length, unit = _length_told(data) if is_dataset else (1.0, "")
     for axis in range(n_dims):
         if not is_active[axis]:
             sigma.append(math.nan)
@@ -155,12 +155,12 @@ def estimate_noise(data):
             source, how = "estimated", f"differences of order {order}"
             if steps[axis] > value:
                 notes.append(
-                    f"{label} is rounded to steps of {steps[axis]:.4g}{unit}: its noise is taken "
-                    "as at least the step / sqrt(12)"
+                    f"{label} is rounded to steps of {steps[axis] / length:.4g}{unit}: its noise "
+                    "is taken as at least the step / sqrt(12)"
                 )
             if value < steps[axis] / math.sqrt(12):
                 value, n_effective = steps[axis] / math.sqrt(12), math.inf
-                how = f"step of {steps[axis]:.4g}{unit} / sqrt(12)"
+                how = f"step of {steps[axis] / length:.4g}{unit} / sqrt(12)"
         sigma.append(max(float(value), FLOOR * span[axis]))
         sources.append(source)
         degrees.append(n_effective)
@@ -215,6 +215,14 @@ def _quoted(scenes, axis):
     values = np.concatenate(values) if values else np.empty(0)
     values = values[np.isfinite(values)]
     return math.sqrt(float(np.mean(values**2))) if len(values) else None
+
+
+def _length_told(data):
+    """The unit in which lengths of a data set are told, behind a blank, and its size in SI."""
+    text, metre = data.units.declared.get("length", "").strip(), Unit.of(m=1)
+    if text and not text[0].isdigit() and data.units.is_calibrated(metre):
+        return parse_unit(text)[0], f" {text}"
+    return 1.0, f" {data.units.text(metre)}"
 
 
 def _from_differences(tracks):

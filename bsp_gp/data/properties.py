@@ -9,15 +9,17 @@ from dataclasses import replace
 
 from bsp_gp.data.conversion import Conversion
 from bsp_gp.data.roster import OWN_COLUMNS, STATE_NAMES
-from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import UnitSystem, parse_unit
 
-__all__ = ["read_properties", "with_properties"]
+__all__ = ["LEFT_OUT", "read_properties", "with_properties"]
 
 _VALUE = re.compile(
     r"(?:(?P<body>.+?)\s*:)?\s*(?P<number>[^:\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?"
 )
+LEFT_OUT = f"{CHECK}columns that are not used look like places of another body: "
+"""How a note of such columns begins."""
 _KINDS = {"mass": "kg", "charge": "C"}
 """Kinds of unit that are called like a property, and the one of SI."""
 
@@ -94,9 +96,11 @@ def with_properties(dataset, said):
     declared = dict(dataset.units.declared)
     for name, of_bodies in found.items():
         for body in (b for b in of_bodies if b is not None and b not in bodies):
+            left_out = [n.removeprefix(CHECK) for n in dataset.notes if n.startswith(LEFT_OUT)]
             raise DataError(
                 f"{name} is given for {body!r}, and there is no such body; present are "
-                f"{', '.join(bodies[:20])}", column=name, remedy="correct the name",
+                f"{', '.join(bodies[:20])}", column=name,
+                remedy="; ".join(["correct the name", *left_out]),
             )  # fmt: skip
         own = next((unit for _, unit in of_bodies.values() if unit), "")
         if name in _KINDS and own and name not in declared:

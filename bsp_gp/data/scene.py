@@ -457,11 +457,14 @@ class Dataset:
         Parameters
         ----------
         frames : DataFrame or mapping of str to DataFrame
-            Long tables with the columns of ``trajectories.csv``, or those of trackpy; a mapping
-            gives the names of the scenes.
+            Long tables with the columns of ``trajectories.csv``, or those of trackpy; or bodies
+            side by side, ``red_x, red_y, blue_x, blue_y``; a mapping gives the names of the scenes.
         entities : DataFrame or sequence of Entity, optional
         **settings
             name, units, columns, properties, fps, dt, train, test, up, noise, provenance.
+            ``columns={"red_x": "P1", "red_y": "P2", "blue_x": ...}`` names bodies side by side
+            whose headings do not; ``properties={"mass": {"red": 69.3, "blue": 127.9}}`` says what
+            no column does.
         """
         from bsp_gp.data.tables import dataset_from_frames  # tables import the nouns
 

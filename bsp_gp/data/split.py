@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bsp_gp.data.scene import Scene
-from bsp_gp.errors import DataError
+from bsp_gp.errors import DataError, in_python
 
 __all__ = ["Split", "choose_split"]
 
@@ -19,6 +19,8 @@ MAX_GAP = 0.1
 MEMORIES = 3.0
 """Correlation times of the noise that a gap is long at least."""
 MIN_ROWS = 3
+MAX_NAMES = 5
+"""Held-out scenes that are named."""
 
 
 class Split(NamedTuple):
@@ -94,7 +96,8 @@ def _declared(dataset):
     if not test:
         raise DataError(
             "every scene is declared as train, so nothing is held out",
-            remedy="name fewer scenes in train",
+            remedy="name fewer scenes in train; to fit as much as there is, hold out the one that "
+            "says least, with --test",
         )
     note = f"declared split: {len(train)} scenes to train on, {len(test)} held out"
     return Split(dataset.select(train), dataset.select(test), note)
@@ -106,7 +109,12 @@ def _random(dataset, rng):
     held_out = set(rng.permutation(n_scenes)[:n_test].tolist())
     test = tuple(scene for k, scene in enumerate(dataset.scenes) if k in held_out)
     train = tuple(scene for k, scene in enumerate(dataset.scenes) if k not in held_out)
-    note = f"no split declared: {n_test} of {n_scenes} scenes held out at random"
+    names = ", ".join(scene.name for scene in test[:MAX_NAMES])
+    names += ", …" if n_test > MAX_NAMES else ""
+    note = in_python(
+        f"no split declared: {n_test} of {n_scenes} scenes held out at random ({names}) and not "
+        "fitted, --test chooses others"
+    )
     return Split(train, test, note)
 
 

@@ -14,19 +14,22 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.apart import recordings_apart
 from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, inputs_of, unwrapped
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
-from bsp_gp.data.headings import headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
-from bsp_gp.data.properties import with_properties
+from bsp_gp.data.properties import LEFT_OUT, with_properties
+from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.several import joined
@@ -34,7 +37,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
-from bsp_gp.errors import DataError, MissingDependencyError
+from bsp_gp.errors import DataError, MissingDependencyError, in_python
 from bsp_gp.output.mark import read_mark
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
@@ -62,7 +65,8 @@ def load_dataset(
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
     columns : mapping of str to str, optional
-        Our name of a column -> its name in the file, e.g. ``{"x": "X_cm"}``; and
+        Our name of a column -> its name in the file, e.g. ``{"x": "X_cm"}``; of bodies side by
+        side ``{"red_x": "X1", "red_y": "Y1", "blue_x": "X2", ...}``; and
         ``velocity="measured"`` if the velocity columns are data in their own right.
     fps, dt : float, optional
         Frames per second, or time per frame in the unit of time, where the file counts frames.
@@ -192,17 +196,31 @@ def dataset_from_frames(
     Parameters
     ----------
     frames : DataFrame or mapping of str to DataFrame
-        Long tables (those of trackpy too); a mapping gives the names of the scenes.
+        Long tables (those of trackpy too), or tables with bodies side by side (``red_x, red_y,
+        blue_x, blue_y``); a mapping gives the names of the scenes.
     entities : DataFrame or sequence of Entity, optional
         The content of ``entities.csv``.
     name, up, noise, provenance
         As in ``dataset.toml``.
     units, columns, fps, dt, train, test, properties
-        As for `load_dataset`.
+        As for `load_dataset`. Where headings do not say which column is the place of which body,
+        ``columns`` does, as ``BODY_x`` and ``BODY_y`` with names of your own.
 
     Returns
     -------
     Dataset
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> df = pd.DataFrame({"t": [0, 1, 2], "P1": [0, 1, 2], "P2": [0, 0, 0], "Q1": [9, 8, 7],
+    ...                    "Q2": [5, 5, 5]})
+    >>> dataset_from_frames(
+    ...     df, columns={"red_x": "P1", "red_y": "P2", "blue_x": "Q1", "blue_y": "Q2"},
+    ...     units={"length": "cm", "time": "s", "mass": "g"},
+    ...     properties={"mass": {"red": 69.3, "blue": 127.9}},
+    ... ).scenes[0].names
+    ('red', 'blue')
     """
     noise = noise.tolist() if hasattr(noise, "tolist") else noise  # of numpy
     declaration = Declaration(
@@ -253,6 +271,7 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     if roster is None:
+        table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, is_star = read_stars(table, declaration)
@@ -277,6 +296,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
     if conversion.system.is_angle:
@@ -292,6 +312,7 @@ def _assemble(table, roster, declaration, default_name):
         *_unused(table, inputs_of(table, declaration)),
         *units_notes,
         *rows.notes,
+        *apart,
         *(roster.notes if roster else ()),
         *idle,
         *clock,
@@ -318,7 +339,7 @@ def _assemble(table, roster, declaration, default_name):
         scenes=scenes,
         train=train,
         test=test,
-        units=conversion.system,
+        units=_with_remedies(conversion.system, unread_masses(table)),
         property_units={
             **latent_units, **(roster.units if roster else {}),
             **{name: unit for name, (_, unit) in rows.inputs.items()},
@@ -334,11 +355,39 @@ def _assemble(table, roster, declaration, default_name):
     )
 
 
+def _with_remedies(system, of_masses):
+    """The units, and what to say where a mass turns out to be needed."""
+    if not of_masses or "mass" in system.declared:
+        return system
+    return dataclasses.replace(system, remedies=MappingProxyType({"kg": of_masses}))
+
+
 def _unused(table, inputs):
     """A note of what is not read of a table."""
     names = [theirs for name, theirs in table.unused.items() if name not in inputs]
     more = f" and {len(names) - MAX_COLUMNS} more" if len(names) > MAX_COLUMNS else ""
-    return [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
+    note = [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
+    return note + _left_out_bodies(table, inputs)
+
+
+def _left_out_bodies(table, inputs):
+    """A note of columns that are not used and look like the places of more bodies, and the remedy.
+
+    It is one of those that `with_properties` tells again where a body is missed.
+    """
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in inputs}
+    found = bodies_beside(unused, table.units) if "entity" not in table.frame.columns else {}
+    if not found:
+        return []
+    columns = [column for axes in found.values() for column in axes.values()][:MAX_COLUMNS]
+    own = {axis: table.theirs.get(axis, axis) for axis in "xyz" if axis in table.frame.columns}
+    sides = {"ONE": own, "OTHER": next(iter(found.values()))}
+    options = " ".join(f"{body}_{axis}={quoted(column)}" for body, axes in sides.items()
+                       for axis, column in sorted(axes.items()))  # fmt: skip
+    return [
+        in_python(f"{LEFT_OUT}{', '.join(map(repr, columns))}; bodies side by side are named "
+                  f"--columns {options}, with names of yours for ONE and OTHER")
+    ]  # fmt: skip
 
 
 def _with_angles(table, declaration):

@@ -3,12 +3,13 @@
 ``c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)``; a number may carry its unit in
 brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[body]`` and
 ``c[scene]`` constants of which every receiver or scene has its own. ``x_i`` and ``vx_i`` are
-components of place and velocity.
+components of place and velocity; ``pi`` is the number.
 """
 
 from __future__ import annotations
 
 import ast
+import math
 import re
 from collections.abc import Mapping
 
@@ -16,7 +17,7 @@ from bsp_gp.errors import LawError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
-from bsp_gp.units import parse_unit
+from bsp_gp.units import DIMENSIONLESS, parse_unit
 
 __all__ = ["parse_formula"]
 
@@ -126,10 +127,11 @@ def _number(digits, unit_text, text, units):
         raise LawError(f"law {_short(text)}: {error}") from None
     if units is not None and not units.is_calibrated(unit):
         if set(units.symbols.values()) == {"mass"}:
+            seen = units.remedies.get("kg")
             raise LawError(
                 f"law {_short(text)}: [{unit_text.strip()}] needs masses, and the data do not say "
-                "what they are; give them with --property mass=0.3[kg], or where they have masses "
-                "the unit of those with --units mass=kg"
+                f"what they are; {f'{seen}; or ' if seen else ''}give them with --property "
+                "mass=0.3[kg], or where they have masses the unit of those with --units mass=kg"
             )
         raise LawError(
             f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "
@@ -194,12 +196,21 @@ class _Builder:
     def binary(self, operator, node):
         left, right = self.build(node.left), self.build(node.right)
         if operator == "pow":
+            self.require_bare_exponent(right)
             if isinstance(right, Number) and right.value == 2:
                 return self.call("square", left)
             if isinstance(right, Number) and abs(right.value) > MAX_EXPONENT:
                 self.fail(f"an exponent must be at most {MAX_EXPONENT}, got {right.value:g}")
             return self.call("pow", left, right)
         return self.call(self.operators.get(operator, operator), left, right)
+
+    def require_bare_exponent(self, exponent):
+        if isinstance(exponent, Number) and exponent.type.unit != DIMENSIONLESS:
+            number, _, unit = exponent.text.partition(" ")
+            self.fail(
+                f"the exponent {exponent.text} has a unit; write the unit after another number of "
+                f"the product, as in 4 {unit} * pi^{number}"
+            )
 
     def function(self, name, args):
         operator = self.operators.get(name, _CONVENIENCE.get(name, name))
@@ -224,6 +235,8 @@ class _Builder:
             return Constant(f"{name}[{index}]")
         if name in self.types:
             return Input(name, self.types[name])
+        if name == "pi":
+            return Number(math.pi, text="pi")
         component = _COMPONENT.fullmatch(name)
         if component and {f"p_{component[3]}", f"e_{component[2]}"} <= self.types.keys():
             return self.component(*component.groups())

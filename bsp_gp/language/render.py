@@ -219,6 +219,8 @@ def _latex_name(name):
 
 
 def _latex_number(text):
+    if text.removeprefix("-") == "pi":
+        return text.replace("pi", r"\pi")
     number, _, unit = text.partition(" [")
     mantissa, e, exponent = number.lower().partition("e")
     out = rf"{mantissa}\times 10^{{{int(exponent)}}}" if e else mantissa
@@ -251,6 +253,8 @@ class _Sympy:
     def convert(self, node):
         sp = self.sympy
         if isinstance(node, Number):
+            if node.text == "pi":
+                return sp.pi
             whole = node.value == int(node.value)
             return sp.Integer(int(node.value)) if whole else sp.Float(node.value)
         if isinstance(node, Constant):

@@ -7,8 +7,10 @@ intervals. Words are made of this in the room of reports.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from html import escape
+from typing import ClassVar
 
 import numpy as np
 
@@ -268,6 +270,8 @@ class LoopReport:
     fit: object = field(default=None, repr=False)
     hypothesis: object = field(default=None, repr=False)
     extras: tuple = field(default=(), repr=False)
+    words: ClassVar[Callable | None] = None
+    """What makes words of a report, lines of (found, constants, rivals): of the room of reports."""
 
     def __post_init__(self):
         if isinstance(self.law, ForceLaw):
@@ -278,22 +282,33 @@ class LoopReport:
         before, after, floor = (
             units.errors(self.total[name]) for name in ("before", "after", "floor")
         )
-        errors = [e.rollout_rmse for e in (before, after, floor) if e is not None]
-        told = " -> ".join(f"{e:.4g}" for e in errors[:2])
-        n, bound = len(self.equivalents), self.hidden_bound
+        known = [e.rollout_rmse for e in (before, after) if e is not None]
+        told = " -> ".join(f"{e:.4g}" for e in known if not math.isnan(e)) + f" {before.unit}"
+        if len(known) > 1 and math.isnan(known[1]):
+            told += " under the declared model, none is known under the adopted law"
+        if floor is not None and not math.isnan(floor.rollout_rmse):
+            told += f"; noise floor {floor.rollout_rmse:.4g}"
+        bound = self.hidden_bound
         hidden = []
         if bound is not None and math.isfinite(bound["force"] or math.nan):
             factor, unit = units.force(bound["unit"])
             size = f"{factor * bound['force']:.2g} {'N' if unit == FORCE.text() else unit}"
             hidden = [f"  a constant force of up to {size} is not excluded (95 %)"]
-        ties = [f"  these data do not tell it from {n} other form{'s' * (n > 1)}"] if n else []
+        found, constants, rivals = self.words() if self.words else self._without_words()
         return "\n".join([
             f"LoopReport of {self.dataset.get('name')!r}: {self.verdict}",
+            *(f"  {line}" for line in found),
             f"  law: F_i = {units.text(self.law_text)}",
-            f"  held-out position error: {told} {before.unit}; noise floor {errors[-1]:.4g}",
-            *ties, *hidden,
+            *(f"  {line}" for line in constants),
+            f"  held-out position error: {told}",
+            *(f"  {line}" for line in rivals), *hidden,
             f"  rounds: {len(self.rounds)}, fits: {self.n_fits}; in full: bsp_gp.write_report",
         ])  # fmt: skip
+
+    def _without_words(self):
+        n = len(self.equivalents)
+        ties = [f"these data do not tell it from {n} other form{'s' * (n > 1)}"] if n else []
+        return [], [], ties
 
     def _repr_html_(self):
         """For a notebook, which typesets the law."""

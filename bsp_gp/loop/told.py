@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.errors import UnitError
+from bsp_gp.physics.force import constant_units
 from bsp_gp.units import BASE, FORCE, Unit, parse_unit
 
-__all__ = ["Told", "retold"]
+__all__ = ["Told", "factors_of", "fit_retold", "retold"]
 
 _ASTRONOMICAL = 1e10
 """Metres of a unit of length from which on kilograms are told as masses of the Sun."""
 _SUN = "Msun"
 _LEAST_TIME = 60.0
 """Seconds of a unit of time that rates are told in: nobody reads metres per square millisecond."""
+_WITHOUT_UNIT = "a constant without a unit is a pure number, or it is in SI"
 _KINDS = {"m": "length", "s": "time", "kg": "mass"}
 _NUMBER = re.compile(r"(?<![\w.])([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?) \[([^\]]*)\]")
 _FACTOR = re.compile(r"([^\s^/()]+)(?:\^(?:(-?\d+)|\((-?\d+(?:/\d+)?)\)))?")
@@ -168,6 +170,8 @@ class Told:
             "draws": (factors * np.asarray(details["draws"])).tolist(),
             "best": (factors * np.asarray(details["best"])).tolist(),
             "length_unit": self.unit(details["length_unit"])[1],
+            "epoch": details.get("epoch", 0.0) * self.factor("s"),
+            "time_unit": self.unit("s")[1],
         }  # fmt: skip
 
     def factor(self, base):
@@ -210,6 +214,44 @@ def _read(text, base):
     except UnitError:
         return None
     return (scale, text) if unit == Unit.of(**{base: 1}) and scale != 1.0 else None
+
+
+def fit_retold(found, units):
+    """A fitted law as people read it, in the units of the data.
+
+    Parameters
+    ----------
+    found : LawFit
+    units : UnitSystem
+
+    Returns
+    -------
+    LawFit
+    """
+    told = Told(units.declared, units.symbols)
+    is_open = bool(told.own) and any(not constant.unit for constant in found.constants)
+    return replace(
+        found, notes=(*found.notes, _WITHOUT_UNIT) if is_open else found.notes,
+        constants=tuple(map(told.constant, found.constants)),
+        errors=told.errors(found.errors), noise=told.noise(found.noise),
+    )  # fmt: skip
+
+
+def factors_of(law, units):
+    """What one unit of a constant of a law, as it is told, is in SI, by name.
+
+    Parameters
+    ----------
+    law : ForceLaw
+    units : UnitSystem
+
+    Returns
+    -------
+    dict of str to float
+    """
+    told = Told(units.declared, units.symbols)
+    found = {name: unit for term in law.terms for name, unit in constant_units(term).items()}
+    return {name: 1.0 / told.unit(units.text(unit))[0] for name, unit in found.items()}
 
 
 def retold(report):

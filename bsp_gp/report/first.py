@@ -82,6 +82,7 @@ def else_sentence(report):
     elif out:
         doubt = "" if effect.is_fact else "; that its form is the true one is not shown"
         out.append(f"Nothing else that was tried does as well{doubt}.")
+    out += [effect.dependence] if rounds[-1].adopted and effect.dependence else []
     return " ".join(out)
 
 

@@ -176,10 +176,13 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if total == 0:
             return f"{'friction' if brakes else kind} of constant size{where}"
         return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
-    if text.startswith("perp(normalize(v_i") or text.startswith("cross("):
+    if text.startswith("perp(normalize(v_i") or text.startswith("cross(") or text == "perp(v_i)":
+        across = f"force across the velocity{_side(text, powers, value)}"
         if has_own and not radial:
-            return f"force across the velocity{_scaling(powers)}{where}"
-        return f"force across the velocity, speed^{speed:g} (magnetic or Magnus){where}"
+            return f"{across}{_scaling(powers)}{where}"
+        rest = {name: p for name, p in powers.items() if name not in _SPEEDS}
+        size = "" if is_loose else f", {_in_speed(speed + (text == 'perp(v_i)'))}"
+        return f"{across}{size}{_scaling(rest)} (magnetic or Magnus){where}"
     if text in ("e_x", "e_y", "e_z"):
         return f"uniform push along {text[-1]}" + _scaling(powers) + where
     if text.startswith("normalize(p_i - p"):
@@ -199,7 +202,21 @@ def _phrase(direction, condition, powers, value, is_loose=False):
     return f"force along the {along}" + _scaling(powers) + where
 
 
-_WORDS = {"norm(p_i - p_j)": "distance", "norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
+def _in_speed(power):
+    return f"{_POWERS.get(power, f'power {power:g}')} in speed" if power else "of constant size"
+
+
+def _side(text, powers, value):
+    """To which side of the velocity a force across it points, where its sign alone tells."""
+    signed = {word for name in powers for word in _input_names(name) if property_of(word)}
+    is_flat = text.startswith("perp(") and not (signed - {"m_i", "m_j", "mass_i", "mass_j"})
+    if value is None or not is_flat:
+        return ""
+    return f", to its {'left' if value > 0 else 'right'}"
+
+
+_SPEEDS = {"norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
+_WORDS = {"norm(p_i - p_j)": "distance", **_SPEEDS}
 
 
 def _scaling(powers):

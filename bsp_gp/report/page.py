@@ -12,7 +12,7 @@ from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
 from bsp_gp.report.naming import constant_distance, describe
 from bsp_gp.report.numbers import format_number, format_value, is_number
-from bsp_gp.report.rewritings import rewritten, told_once
+from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
 
 __all__ = ["page_of"]
@@ -39,7 +39,7 @@ def page_of(report):
     rounds = [_round(done, report) for done in report.rounds]
     kept = (
         "dataset", "declared", "grammar", "seed", "alpha", "noise", "law_text", "law_latex",
-        "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras",
+        "constants", "verdict", "versions", "wall_s", "overlays", "residuals", "extras", "left_out",
     )  # fmt: skip
     total = {**report.total, "ratio": _ratio(report.total["ratio"])}
     page = SimpleNamespace(
@@ -53,11 +53,13 @@ def page_of(report):
         ),
     )  # fmt: skip
     page = retold(page)
-    for r in page.rounds:
+    for r, done in zip(page.rounds, report.rounds, strict=True):
         if r.effect is not None:
             if r.effect.kind == "hidden_body":
                 r.effect.name = name_of(r.effect)
             law, rivals = r.effect.written or "", rivals_of(r.effect.equivalents)
+            tried = [row["law"] for row in done.hypotheses if row["status"] == "converged"]
+            r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
     return page
@@ -168,7 +170,9 @@ def _name(effect, parts, other):
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
-        value = next((c.value for c in effect.constants if is_number(c.value)), None)
+        values = [c.value for c in effect.constants if is_number(c.value)]
+        is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
+        value = values[0] if is_one_way or len(values) == 1 else None
         return describe(effect.formula, value, other, effect.exponents)
     if effect.kind == "declared_term_change":
         return effect.name

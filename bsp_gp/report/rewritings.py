@@ -6,7 +6,7 @@ import re
 
 from bsp_gp.language.inputs import SHORT
 
-__all__ = ["rewritten", "told_once"]
+__all__ = ["dependence", "rewritten", "told_once"]
 
 _TERM = re.compile(r"[A-Za-z]\w*(?:\[\w+\])? \* (.+)")
 """A constant, and what it multiplies."""
@@ -61,6 +61,65 @@ def rewritten(n_same, why):
         return ""
     ways = "1 other that is" if n_same == 1 else f"{n_same} others that are"
     return f"{ways} the same on these data{f' ({why})' if why else ''}"
+
+
+def dependence(law, others, tried, dataset):
+    """Whether the data tell how a law depends on a property of which there are several values.
+
+    Parameters
+    ----------
+    law : str
+        Of one term.
+    others : sequence of str
+        What is not told apart from it.
+    tried : sequence of str
+        All that was fitted beside it.
+    dataset : mapping
+        What a report says of its data: ``properties`` whose ``is_constant`` is false.
+
+    Returns
+    -------
+    str
+        Sentences; "" where no law with another power of a property was tried.
+    """
+    if not law or len(_split(law, " + ", " - ")) > 1:
+        return ""
+    properties = dataset.get("properties") or {}
+    several = [name for name, known in properties.items() if known.get("is_constant") is False]
+    out = []
+    for name in several:
+        symbols = [f"{short}_i" for short in _spellings(name)]
+        rivals, beaten = (
+            [text for text in texts if _key(text, symbols, ()) == _key(law, symbols, ())
+             and _power(text, symbols) != _power(law, symbols)] for texts in (others, tried)
+        )  # fmt: skip
+        if rivals:
+            out.append(
+                f"How the force depends on the {name} these data do not tell: {rivals[0]} does as "
+                "well."
+            )
+        elif beaten:
+            out.append(
+                f"That the force {_grows(name, _power(law, symbols))} is told by these data: "
+                f"{beaten[0]}, say, does worse."
+            )
+    return " ".join(out)
+
+
+def _power(law, symbols):
+    """The power of a property in a law of one term."""
+    power = 0
+    for factor in _factors(law, (), ()):
+        match = re.fullmatch(r"(inverse\()?(\w+)(?:\^(-?\d+))?\)?", factor)
+        if match and match[2] in symbols:
+            power += (-1 if match[1] else 1) * int(match[3] or 1)
+    return power
+
+
+def _grows(name, power):
+    if power == 0:
+        return f"does not depend on the {name}"
+    return f"is proportional to the {name}" + (f" to the {power}" if power != 1 else "")
 
 
 def _spellings(name):

@@ -318,7 +318,8 @@ def headline(report):
     before, after, floor = (report.total.get(k) for k in ("before", "after", "floor"))
     known = [m for m in _METRICS if before is not None and is_number(getattr(before, m[0]))]
     metric, label = (known or _METRICS)[0]
-    has_after = after is not None and bool(adopted_rounds(report))
+    is_adopted = after is not None and bool(adopted_rounds(report))
+    has_after = is_adopted and is_number(getattr(after, metric))
 
     def size(errors):
         if errors is None:
@@ -344,10 +345,24 @@ def headline(report):
             text += f", ratio {out['ratio']}"
     else:
         text += " under the declared model"
+        text += f", and {_without_error(report)}" if is_adopted else ""
     if out["floor"] != NOT_KNOWN:
         text += f"; noise floor {out['floor']}"
     out["text"] = text
     return out
+
+
+def _without_error(report):
+    """Why there is no error of the adopted law on what is held out."""
+    after = report.total["after"]
+    if after.rollout_rmse == math.inf:
+        return "none under the adopted law: its tracks run away on what is held out"
+    if "errors" in report.left_out:
+        return "none under the adopted law: the time was up before"
+    return (
+        "none under the adopted law: fitted without what is held out, its constants or tracks "
+        "were not found"
+    )
 
 
 def ratio_caution(report):

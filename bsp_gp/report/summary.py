@@ -12,10 +12,12 @@ from bsp_gp.report.numbers import (
     format_number,
     format_p,
     format_value,
+    is_number,
     length_text,
 )
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import (
+    adopted_rounds,
     caveats,
     constant_groups,
     group_range,
@@ -65,7 +67,7 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
         paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
     paragraphs += [("Law: F = " + report.law_text, "     "), *_constants(report)]
     paragraphs += [*_rounds(report), *_traced(report)]
-    paragraphs += [*_powers(report), *_ties(report), *_noise(report)]
+    paragraphs += [*_powers(report), *_ties(report), *_dependence(report), *_noise(report)]
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
@@ -106,7 +108,7 @@ def _rounds(report):
             if r.removed:
                 state = "adopted, and taken back"
             text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
-            if r.after is not None:
+            if r.after is not None and is_number(r.after.rollout_rmse):
                 sizes = (length_text(e.rollout_rmse, e.unit) for e in (r.before, r.after))
                 text += f", held-out position error {' → '.join(sizes)}"
         out.append((f"Round {r.number}: {text}", "  "))
@@ -131,6 +133,11 @@ def _powers(report):
     """Of the last two laws that were adopted."""
     kept = [r for r in report.rounds if r.adopted and not r.removed]
     return [(powers_sentence(r), "  ") for r in kept[-2:]]
+
+
+def _dependence(report):
+    """Whether the data tell how what was adopted depends on masses and the like."""
+    return [(r.effect.dependence, "  ") for r in adopted_rounds(report)[-2:]]
 
 
 def _ties(report):

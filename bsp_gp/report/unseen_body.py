@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bsp_gp.report.numbers import format_value, is_number, rounded, with_unit
+from bsp_gp.report.numbers import format_value, with_unit
 
 __all__ = ["name_of", "rivals_of"]
 
@@ -10,6 +10,10 @@ _MOTIONS = {
     "at rest": "an unseen body at rest", "moving": "an unseen body that moves straight on",
     "under the law": "an unseen body that the law moves with the others",
     "on a circle": "an unseen body on a circle",
+}  # fmt: skip
+_MOVES = {
+    "at rest": "at rest", "moving": "moving straight on",
+    "under the law": "moved by the law as the others are", "on a circle": "moving on a circle",
 }  # fmt: skip
 
 
@@ -32,29 +36,25 @@ def name_of(effect):
     strength, places = known[names[-1]], [known[name] for name in names[:n_dims]]
     size = format_value(strength.value, strength.low, strength.high, strength.unit)
     what = f"of {size}" if details.get("property") == "mass" else f"of strength {size}"
-    coordinates = ", ".join(map(_coordinate, places))
-    when = "" if details["motion"] == "at rest" else " then"
-    return (
-        f"an unseen body {what} at {with_unit(f'({coordinates})', places[0].unit)}{when}, "
-        f"{_motion(effect)}"
-    )
+    coordinates = ", ".join(format_value(place.value, place.low, place.high) for place in places)
+    where = f"at {with_unit(f'({coordinates})', places[0].unit)}"
+    if details["motion"] != "at rest":
+        where += f" at t = {_time(details)}"
+    return f"an unseen body {what} {where}, {_motion(effect)}"
 
 
-def _coordinate(place):
-    value, low, high, power = rounded(place.value, place.low, place.high)
-    if not is_number(place.low) or power:
-        return f"{value}{power}"
-    half = (place.high - place.low) / 2
-    decimals = len(value.partition(".")[2])
-    return f"{value} ± {half:.{decimals}f}"
+def _time(details):
+    """When the place holds."""
+    return with_unit(f"{details.get('epoch', 0.0):.6g}", details.get("time_unit", "s"))
 
 
 def _motion(effect):
-    others = {text.partition(":")[0] for text in effect.equivalents} & set(_MOTIONS)
+    others = {text.partition(":")[0] for text in effect.equivalents} & set(_MOVES)
     own = effect.details["motion"]
     if others - {own}:
-        return f"its motion undetermined ({own} fits, and so does {' or '.join(sorted(others))})"
-    return own if own == "at rest" else {"moving": "moving straight on"}.get(own, own)
+        rivals = " and ".join(_MOVES[other] for other in sorted(others - {own}))
+        return f"{_MOVES[own]} (how it moves is not told by these data: {rivals} fits as well)"
+    return _MOVES.get(own, own)
 
 
 def rivals_of(equivalents):

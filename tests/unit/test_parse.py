@@ -382,3 +382,18 @@ def test_components_are_written_as_they_are_typed():
     law = parse_formula("-K * (x_i - X) * e_x - c * vy_i * e_y", TYPES)
     assert parse_formula(to_text(law), TYPES) == law and "(x_i - X)" in to_text(law)
     assert "vy_i" in to_text(law) and "v_{y,i}" in to_latex(law) and "x_i" in to_latex(law)
+
+
+def test_pi_is_a_number_that_is_written_so():
+    formula = parse("4 [m^3/kg/s^2] * pi^2 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)")
+    assert formula.type.unit == FORCE and formula.is_constant_free
+    assert "pi^2" in to_text(formula) and r"\pi^{2}" in to_latex(formula)
+    assert parse(to_text(formula)) == formula
+    assert evaluate(parse("-pi * sin(pi / 2)"), {}) == pytest.approx(-np.pi)
+    assert to_latex(parse("-pi")) == r"-\pi"
+
+
+def test_a_unit_after_an_exponent_is_refused_with_a_remedy():
+    message = rejected("4*pi^2 [au^3/Msun/yr^2] * m_i * m_j / norm(p_i - p_j)^2 * e_x")
+    assert "4 [au^3/Msun/yr^2] * pi^2" in message
+    assert "has a unit" in rejected("norm(v_i)^2 [m] * e_x")

@@ -10,7 +10,7 @@ import bsp_gp
 from bsp_gp.loop.writing_up import about_data
 from bsp_gp.report.page import page_of
 from bsp_gp.report.recording import data_text
-from bsp_gp.report.rewritings import rewritten, told_once
+from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.summary import summary_text
 from tests.unit.report_sample import adopted
 
@@ -98,3 +98,26 @@ def test_what_check_says_and_the_report_are_in_the_units_of_the_data():
     assert "force of up to 6.8e+21 N is" in repr(near)
     for told in (repr(report), " ".join(summary_text(report).split())):
         assert "of up to" in told and "Msun" in told and " N " not in told
+
+
+SEVERAL = {"properties": {"mass": {"is_constant": False}, "q": {"is_constant": True}}}
+ACROSS = "c1 * (norm(v_i) * perp(normalize(v_i)))"
+PER_MASS = "c1 * (inverse(m_i) * norm(v_i) * perp(normalize(v_i)))"
+TIMES_MASS = "c1 * (m_i^2 * norm(v_i) * perp(normalize(v_i)))"
+
+
+@pytest.mark.parametrize(
+    ("law", "others", "tried", "words"),
+    [
+        (ACROSS, [], [ACROSS, PER_MASS], "the force does not depend on the mass is told"),
+        (TIMES_MASS, [], [PER_MASS], "the force is proportional to the mass to the 2 is told"),
+        (ACROSS, [PER_MASS], [PER_MASS], f"these data do not tell: {PER_MASS} does as well"),
+        (ACROSS, [], [ACROSS, "c1 * perp(normalize(v_i))", "t = (1 + clock) T"], ""),
+        ("c1 * v_i + c2 * e_x", [], ["c1 * m_i * v_i + c2 * e_x"], ""),
+        ("", [], [PER_MASS], ""),
+    ],
+)  # fmt: skip
+def test_whether_the_data_tell_how_a_force_depends_on_the_mass(law, others, tried, words):
+    told = dependence(law, others, tried, SEVERAL)
+    assert words in told and bool(told) == bool(words)
+    assert not dependence(law, others, tried, {"properties": {"mass": {"is_constant": True}}})

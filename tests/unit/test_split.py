@@ -42,6 +42,13 @@ def test_random_quarter(n_scenes, n_test):
     assert len(others) > 1
 
 
+def test_what_is_held_out_at_random_is_named():
+    split = choose_split(Dataset("d", scenes(5)), np.random.default_rng(1))
+    assert f"({', '.join(names(split.test))}) and not fitted" in split.told
+    many = choose_split(Dataset("d", scenes(40)), np.random.default_rng(1))
+    assert many.told.partition("(")[2].partition(")")[0].endswith(", …")
+
+
 def test_few_scenes_are_cut_in_time():
     dataset = Dataset("d", scenes(2))
     split = choose_split(dataset, np.random.default_rng(1))

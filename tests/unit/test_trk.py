@@ -80,6 +80,21 @@ def changed(path, old, new, count=1):
     return path
 
 
+def test_point_masses_that_are_never_seen_together_are_scenes(tmp_path):
+    path = write(tmp_path / "hall.trk")
+    steps = "".join(STEP.format(k=k, x=x, y=200) for k, x in ((8, 150), (10, 200), (12, 250)))
+    item = f"""<property name="item" type="object"><object class="cabrillo.tracker.PointMass">
+<property name="name" type="string">second</property>
+<property name="framedata" type="array" class="[L">{steps}</property></object></property>"""
+    tracks = '<property name="tracks" type="collection" class="java.util.ArrayList">'
+    path.write_text(path.read_text("utf-8").replace(tracks, tracks + item), "utf-8")
+    dataset = load_dataset(path)
+    assert [(s.name, s.names, len(s.times)) for s in dataset.scenes] == [
+        ("ball", ("ball",), 3), ("second", ("second",), 3),
+    ]  # fmt: skip
+    assert "2 bodies that are never seen at the same time: 2 scenes (ball, second)" in dataset.notes
+
+
 def test_steps_after_the_end_of_the_clip_are_left_out(tmp_path):
     start = '<property name="startframe"'
     ends = '<property name="stepcount" type="int">2</property>' + start

@@ -51,7 +51,7 @@ def test_it_is_found_and_told_in_the_units_of_the_data():
     mass = next(c for c in page.constants if c.name == "M1")
     assert mass.unit == "Msun" and mass.low < MASS < mass.high
     assert "an unseen body of 2." in verdict_sentence(page).lower().replace("1.9", "2.")
-    assert "its motion undetermined" in verdict_sentence(page)
+    assert "how it moves is not told by these data" in verdict_sentence(page)
     metres = close_loop(dataset(unit="m"), "nothing", rng=0, n_bootstrap=0)
     assert metres.verdict == report.verdict
     assert [c.value for c in metres.constants] == [c.value for c in report.constants]

@@ -1,0 +1,80 @@
+"""The few lines of words in what ``print(report)`` says.
+
+Reports are of the loop, words of this room: whoever imports this module teaches reports to speak.
+The package itself does, where it hands out `close_loop` and `load_report`.
+"""
+
+from __future__ import annotations
+
+from bsp_gp.loop.outcome import LoopReport
+from bsp_gp.report.numbers import format_constant, format_number, is_number
+from bsp_gp.report.page import page_of
+from bsp_gp.report.sentences import adopted_rounds, constant_groups, group_range
+
+__all__ = ["brief_lines"]
+
+MAX_CONSTANTS = 3
+MAX_RIVALS = 2
+LONGEST = 150
+"""Letters of a line, at most."""
+
+
+def brief_lines(report):
+    """Lines on what was found, its constants and what is not told apart from it.
+
+    Parameters
+    ----------
+    report : LoopReport
+
+    Returns
+    -------
+    found, constants, rivals : list of str
+        At most one, `MAX_CONSTANTS` and one.
+    """
+    page = page_of(report)
+    return _found(page), _constants(page), _rivals(page)
+
+
+def _found(page):
+    seen = [r for r in page.rounds if r.effect is not None]
+    rounds = adopted_rounds(page)
+    names = [_named(r.effect) for r in rounds or seen[-1:]]
+    if not names:
+        return []
+    return [_short(f"{'found' if rounds else 'seen, not adopted'}{'; '.join(names)}")]
+
+
+def _named(effect):
+    name = ": ".join(filter(None, (effect.name, " and ".join(effect.parts))))
+    if not is_number(effect.probability):
+        return f": {name}"
+    return f" (probability {format_number(100 * effect.probability, 2)} %): {name}"
+
+
+def _constants(page):
+    shared, own = constant_groups(page.constants)
+    lines = [f"{c.name} = {format_constant(c)}" for c in shared]
+    lines += [group_range(*group) for group in own]
+    if len(lines) > MAX_CONSTANTS:
+        n_left = len(lines) - MAX_CONSTANTS + 1
+        lines = [*lines[: MAX_CONSTANTS - 1], f"and {n_left} more constants"]
+    return [f"  {_short(line)}" for line in lines]
+
+
+def _rivals(page):
+    effects = [r.effect for r in reversed(adopted_rounds(page))]
+    effect = next((e for e in effects if e.equivalents or e.rewritten), None)
+    if effect is None:
+        return []
+    others = effect.equivalents
+    told = [_short(other, LONGEST // MAX_RIVALS - 20) for other in others[:MAX_RIVALS]]
+    told += [f"{len(others) - MAX_RIVALS} more"] if len(others) > MAX_RIVALS else []
+    told += [effect.rewritten] if effect.rewritten else []
+    return [f"these data do not tell it from {'; '.join(told)}"]
+
+
+def _short(text, most=LONGEST):
+    return text if len(text) <= most else text[: most - 2] + " …"
+
+
+LoopReport.words = brief_lines
