@@ -10,7 +10,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.numbers import format_number, pretty_unit, with_unit
 
-__all__ = ["constant_distance", "describe"]
+__all__ = ["constant_distance", "describe", "is_untold"]
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -43,13 +43,26 @@ def describe(formula, value=None, other="the other body", exponents=()):
     return pretty_unit(phrase).replace("the other body", other)
 
 
+WIDEST = 3.0
+"""Width of the interval of a power up to which its best value is told: friction, linear and quadratic
+drag lie within it."""
+
+
 def _bases(exponents):
     return {e["of"] for e in exponents}
 
 
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
-    return f"{_WORDS.get(e['of'], e['of'])} to the {value} ({low} to {high})"
+    word = _WORDS.get(e["of"], e["of"])
+    if is_untold(e):
+        return f"its power of {word} not told by these data"
+    return f"{word} to the {value} ({low} to {high})"
+
+
+def is_untold(exponent):
+    """Whether the data leave a power so open that its best value says nothing."""
+    return not exponent["high"] - exponent["low"] <= WIDEST
 
 
 _WHOLE = (

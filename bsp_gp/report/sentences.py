@@ -8,6 +8,7 @@ import re
 import numpy as np
 
 from bsp_gp.report.codes import FINDINGS, VARIABLES
+from bsp_gp.report.naming import is_untold
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -188,6 +189,9 @@ def powers_sentence(round_):
             continue  # what a law rightly lacks is not told
         size = _SIZES.get(e["of"], e["of"])
         text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
+        if is_untold(e):
+            low, high = (format_number(e[key], 2) for key in ("low", "high"))
+            text = f"{size} to any power from {low} to {high}"
         if e["stated"] == 0:
             text = f"a further {text}, which the law has not"
         elif is_number(e["stated"]):

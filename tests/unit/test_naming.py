@@ -1,5 +1,7 @@
 """Terms in plain words, and laws that are not told apart from themselves."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import describe
+from bsp_gp.report.sentences import powers_sentence
 from tests.worlds import WEIGHT, flights, linear_drag
 
 TYPES = input_types(PROPERTY_UNITS, up="y") | {"wind": input_types(PROPERTY_UNITS)["v_i"]}
@@ -143,3 +146,15 @@ def test_a_power_whose_neighbours_are_not_excluded_is_told_with_its_interval():
     # What a law rightly lacks is not told.
     absent = {**speed, "stated": 0.0, "low": -2.0, "is_told": False}
     assert describe(pull, -1.0, exponents=[absent]) == describe(pull, -1.0)
+
+
+def test_a_power_that_the_data_leave_open_is_not_told_as_a_number():
+    speed = {"of": "norm(v_i)", "stated": 2.0, "value": 7.6, "low": 0.15, "high": 15.0,
+             "is_told": False, "term": "c1 * norm(v_i)^2 * normalize(v_i)"}  # fmt: skip
+    told = describe(formula("c1 * norm(v_i)^2 * normalize(v_i)"), -1.0, exponents=[speed])
+    assert told == "drag, its power of speed not told by these data"
+    effect = SimpleNamespace(exponents=[speed], varies_with=())
+    said = powers_sentence(SimpleNamespace(effect=effect))
+    assert said == (
+        "Powers that the data allow (90 %): speed to any power from 0.15 to 15, written as 2."
+    )
