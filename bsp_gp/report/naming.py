@@ -44,8 +44,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
 
 
 WIDEST = 3.0
-"""Width of the interval of a power up to which its best value is told: friction, linear and quadratic
-drag lie within it."""
+"""Width of the interval of a power up to which its best value is told: friction, linear and
+quadratic drag lie within it."""
 
 
 def _bases(exponents):
