@@ -311,6 +311,7 @@ class _Descent:
         return free
 
     def may_hold(self, failed):
+        """Whether these blocks and those that are held are few enough to be to blame."""
         return 0 < np.sum(failed | self.held) <= _MOST_HELD * len(self.reins)
 
     def loosen(self, here, step):

@@ -449,6 +449,7 @@ class Shooting:
 
     @property
     def n_blocks(self):
+        """Windows in all groups."""
         return sum(map(len, self.groups))
 
     def chains_of(self, chosen):
