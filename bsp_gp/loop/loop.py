@@ -435,12 +435,15 @@ class _Turn:
         """
         if new.is_failed:
             return False
-        told = {name for (name, _), e in zip(new.parameters, new.errors, strict=True)
-                if np.isfinite(e)}  # fmt: skip
+        is_told = {}  # of what is fitted: numbers of the noise are none of it
+        for (name, _), error in zip(new.parameters, new.errors, strict=True):
+            is_told[name] = is_told.get(name, False) or bool(np.isfinite(error))
         known = self.hypotheses[0].parts
-        own = ({p.name for p in part.parameters} for part in proposal.hypothesis.parts
-               if part not in known)  # fmt: skip
-        return any(names and not names & told for names in own)
+        for part in proposal.hypothesis.parts:
+            own = [is_told[p.name] for p in part.parameters if p.name in is_told]
+            if part not in known and own and not any(own):
+                return True
+        return False
 
     def _twin(self, source, proposal, new):
         """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""

@@ -83,7 +83,7 @@ def test_report_json_has_the_contracts_keys_and_closed_codes(report):
         for row in done["hypotheses"]:
             assert set(row) == HYPOTHESIS
             assert row["code"] in ("base", *CAUSES)
-            assert row["status"] in ("scored", "linearised", *STATUSES)
+            assert row["status"] in ("scored", "linearised", "idle", *STATUSES)
             assert set(row["held_out"]) == {"gain", "se", "promised"}
 
 

@@ -157,7 +157,7 @@ def test_a_wall_that_nothing_meets_is_no_cause():
     turn = SimpleNamespace(hypotheses={0: known})
     proposal = SimpleNamespace(hypothesis=known + read_wall(data, "bounce(y_i > h, e)"))
 
-    def is_idle(*errors):
+    def is_idle(*errors, proposal=proposal):
         parameters = (("g", ""), ("h", ""), ("e", ""))
         found = SimpleNamespace(is_failed=False, parameters=parameters, errors=np.array(errors))
         return _Turn._is_idle(turn, proposal, found)
@@ -165,6 +165,9 @@ def test_a_wall_that_nothing_meets_is_no_cause():
     assert is_idle(0.1, np.inf, np.inf)
     assert not is_idle(0.1, 0.01, np.inf)
     assert not is_idle(np.inf, 0.01, 0.1)
+    memory = SimpleNamespace(parameters=(SimpleNamespace(name="memory"),))
+    noise = SimpleNamespace(hypothesis=SimpleNamespace(parts=(*known.parts, memory)))
+    assert not is_idle(0.1, 0.1, 0.1, proposal=noise)  # its numbers are none of the fit's
 
 
 def test_a_bouncing_ball_is_told_with_its_weight():
