@@ -127,7 +127,7 @@ def run_rounds(
     on_round : callable, optional
         ``on_round(round)`` after every round.
     begun : Fit, optional
-        What is declared, as `begin` fits it.
+        Of what is declared; it is fitted here where none is given.
     earlier : sequence of Round, optional
         That a run before this one has made; one that its time limit has cut is made again.
     progress : callable, optional

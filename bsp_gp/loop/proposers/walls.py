@@ -99,12 +99,11 @@ def _is_foreseen(jump, scene, k, fit):
     before, after = slice(at - rows, at), slice(at, at + rows)
 
     def turn(track):
-        return np.polyfit(times[after], track[after], 1)[0] - np.polyfit(
-            times[before], track[before], 1
-        )[0]  # fmt: skip
+        late, early = (np.polyfit(times[rows], track[rows], 1)[0] for rows in (after, before))
+        return late - early
 
-    seen, foreseen = turn(places), turn(places - left)
-    return bool(seen @ foreseen > FORESEEN * (seen @ seen))
+    found, foreseen = turn(places), turn(places - left)
+    return bool(found @ foreseen > FORESEEN * (found @ found))
 
 
 def _walls(found, dataset):

@@ -91,7 +91,7 @@ class _Curves:
     """
 
     def __init__(self, curves, shape):
-        self.number = np.full(shape, -1)
+        self.number, self._count = np.full(shape, -1), len(curves)
         for n, key in enumerate(curves):
             self.number[key] = n
         if not curves:
@@ -111,7 +111,7 @@ class _Curves:
             first += n
 
     def __bool__(self):
-        return bool((self.number >= 0).any())
+        return self._count > 0
 
     def _keys(self, times, number):
         begin, end = self.begin[number], self.end[number]
