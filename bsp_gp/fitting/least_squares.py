@@ -83,10 +83,9 @@ class _Place:
 
     @property
     def rounding(self):
-        """Fall of chi-squared that rounding errors alone foresee."""
+        """Fall of chi-squared that rounding of the residuals and the unknowns alone foresees."""
         terms = np.sum(np.square(self.lengths * self.values))
-        own = (4 * _EPS) ** 2 * (self.chisqr + terms) if np.isfinite(terms) else 0.0
-        return max(own, self.linearised.rounding)
+        return (4 * _EPS) ** 2 * (self.chisqr + terms) if np.isfinite(terms) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +146,7 @@ class _Descent:
             else:
                 here, radius = released, np.inf
         if code == "fall":
-            here, whole = self.polish(here, whole)
+            here, whole = self.polish(here, self.solve(here, here.lengths, np.inf))
         return self.finish(here, whole, code, least)
 
     def negligible(self, here):
@@ -258,6 +257,10 @@ class _Descent:
                 return here, radius, reason
             there = self.moved(here, step)
             gain = -1.0 if there is None else (here.chisqr - there.chisqr) / step.fall
+            if gain < _GOOD and step.fall <= here.linearised.rounding:
+                # The last digits of the local unknowns may be all that is left, and are not
+                # always: states that grow fast gain much more than their bound lets expect.
+                return (there if gain > 0 else here), radius, "fall"
             if gain < _GOOD and self.rein(here, step):
                 here = self.place(here.point, here.linearised)
                 continue

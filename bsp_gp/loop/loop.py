@@ -438,10 +438,11 @@ class _Turn:
         is_told = {}  # of what is fitted: numbers of the noise are none of it
         for (name, _), error in zip(new.parameters, new.errors, strict=True):
             is_told[name] = is_told.get(name, False) or bool(np.isfinite(error))
-        known = self.hypotheses[0].parts
+        for parameter in self.hypotheses[0].parameters:  # not told under the base either
+            is_told.pop(parameter.name, None)
         for part in proposal.hypothesis.parts:
             own = [is_told[p.name] for p in part.parameters if p.name in is_told]
-            if part not in known and own and not any(own):
+            if own and not any(own):
                 return True
         return False
 

@@ -315,6 +315,30 @@ def test_states_alone_without_shared_unknowns():
     np.testing.assert_allclose(found.point.local, LOCAL, atol=0.05)
 
 
+@pytest.mark.parametrize("gains", [True, False])
+def test_a_fall_within_rounding_is_tried(gains):
+    """The bound of what the last digits do is far too wide for some states, and right for others."""
+
+    class Rounded:
+        def values(self, point):
+            return np.zeros(0)
+
+        def linearise(self, point):
+            rests = np.array([0.1**point if gains else 1.0 + point, 0.0])
+            block = np.array([0, 0, 1])
+            return Linearised(np.full(3, 1e3), np.zeros((3, 0)), rests, block, rounding=1e6)
+
+        def move(self, point, linearised, values, share, reins):
+            return point + 1
+
+    found = minimise(Rounded(), 0)
+    assert found.code == "fall"
+    if gains:
+        assert found.linearised.rest < 1e-3
+    else:
+        assert found.point == 0 and found.n_linearised <= 3
+
+
 def test_a_descent_that_gains_nothing_however_short_its_steps_is_given_up():
     class Rising:
         """Its linearisation foresees a fall where chi-squared rises."""
