@@ -317,7 +317,7 @@ def test_states_alone_without_shared_unknowns():
 
 @pytest.mark.parametrize("gains", [True, False])
 def test_a_fall_within_rounding_is_tried(gains):
-    """The bound of what the last digits do is far too wide for some states, and right for others."""
+    """The bound of what the last digits do is far too wide for some states."""
 
     class Rounded:
         def values(self, point):
