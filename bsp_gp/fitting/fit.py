@@ -19,7 +19,7 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
-from bsp_gp.fitting.noise_estimate import estimate
+from bsp_gp.fitting.noise_estimate import estimate, estimate_beside
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.starts import roles_of, scales_of
@@ -436,10 +436,10 @@ class _Run:
             if tracks is not None:
                 n_own = len(self.parameters)
                 # What a force does may differ from scene to scene, and is no noise either.
-                local = np.concatenate([tracks.local, tracks.shared[n_own:]])
-                return estimate(
-                    model, tracks.channels, tracks.residual, tracks.shared[:n_own], local
-                )
+                return estimate_beside(
+                    model, tracks.channels, tracks.residual, tracks.shared[:n_own],
+                    tracks.local, tracks.shared[n_own:],
+                )  # fmt: skip
         return self.estimated(climb, minimum, model)
 
     def tracks_beside(self, climb, minimum, model):
@@ -468,9 +468,10 @@ class _Run:
         if self.probed_motions:
             columns = climb.probe_columns(minimum, self.probed_motions, len(local))
             local = np.nan_to_num(join(columns))
-        return estimate(
-            model, tracks.channels, tracks.residual, tracks.shared, local, adopt=adopt
-        )
+        n_own, known = len(tracks.local), (model, tracks.channels, tracks.residual, tracks.shared)
+        if adopt and len(local) > n_own:
+            return estimate_beside(*known, local[:n_own], local[n_own:])
+        return estimate(*known, local, adopt=adopt)
 
     @cached_property
     def motions(self):

@@ -11,22 +11,27 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtrc
 
 from bsp_gp.fitting.noise_model import NoiseFinding
 from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
 from bsp_gp.fitting.student import fit_student
 
-__all__ = ["estimate"]
+__all__ = ["estimate", "estimate_beside"]
 
+PARTS = ("correlation", "scenes", "bodies", "speed", "tails")
 _N_TIMES = 6
 NORMAL = 100.0
 """Degrees of freedom from which on Student's t is the normal distribution."""
 _PROMISE = 0.5
 """A part is estimated where screening promises this much of the gain that it needs."""
+_NEEDED = 0.01
+"""Chance of what probes take off, below which a law lacks something that they stand for."""
 
 
-def estimate(model, channels, residual, columns=None, local=None, tolerances=None, adopt=True):
+def estimate(
+    model, channels, residual, columns=None, local=None, tolerances=None, adopt=True, parts=PARTS
+):  # fmt: skip
     """Estimate what is free of the noise from the residual of a fit.
 
     Parameters
@@ -42,6 +47,8 @@ def estimate(model, channels, residual, columns=None, local=None, tolerances=Non
     tolerances : NoiseTolerances, optional
     adopt : bool
         Whether parts are chosen anew; otherwise those of `model` are estimated again.
+    parts : collection of str
+        Those that may be chosen.
 
     Returns
     -------
@@ -60,7 +67,7 @@ def estimate(model, channels, residual, columns=None, local=None, tolerances=Non
     if not adopt:
         return task.refit(model)
     model = task.refit(task.start)
-    findings, parts = [], _parts(task, model)
+    findings, parts = [], [part for part in _parts(task, model) if part in parts]
     while parts:
         tried = {part: _with_part(task, part, model) for part in parts}
         needed = {part: _needed(task, part) for part in parts}
@@ -76,6 +83,53 @@ def estimate(model, channels, residual, columns=None, local=None, tolerances=Non
     if NORMAL < model.degrees < math.inf:  # further parts have taken over what was told by tails
         model = task.refit(replace(model, degrees=math.inf))
     return replace(model, findings=tuple(findings))
+
+
+def estimate_beside(model, channels, residual, columns, local, probes):
+    """The noise beside probes, columns for whatever the fit's law may lack.
+
+    Where the probes take off no more than chance would, rows that they happen to follow may show
+    parts of the noise that the law itself does not bear out: both must show them then.
+
+    Parameters
+    ----------
+    model, channels, residual, columns, local
+        As `estimate` takes them.
+    probes : ndarray, shape (q, T, C)
+        Further columns of every chain.
+
+    Returns
+    -------
+    NoiseModel
+    """
+    both = np.concatenate([local, probes])
+    beside = estimate(model, channels, residual, columns, both)
+    adopted = _adopted(beside)
+    if not adopted or _chance(model, channels, residual, columns, local, both) < _NEEDED:
+        return beside
+    parts = adopted & _adopted(estimate(model, channels, residual, columns, local))
+    if parts == adopted:
+        return beside
+    return estimate(model, channels, residual, columns, both, parts=parts)
+
+
+def _adopted(model):
+    return {finding.part for finding in model.findings if finding.is_adopted}
+
+
+def _chance(model, channels, residual, columns, local, both):
+    """Of what the probes take off the squares of white noise: an F test."""
+    tasks = [
+        NoiseTask(model.plain(), channels, residual, columns, c, NoiseTolerances())
+        for c in (both, local)
+    ]
+    whitener = tasks[0].refit(tasks[0].start).whitener(channels)
+    squares = [np.square(t.restricted.pure_error(whitener).whitened).sum() for t in tasks]
+    n_more = tasks[1].n_left - tasks[0].n_left
+    if n_more <= 0 or not squares[0] > 0:
+        return 1.0
+    ratio = (squares[1] - squares[0]) / n_more / (squares[0] / tasks[0].n_left)
+    return float(fdtrc(n_more, tasks[0].n_left, max(ratio, 0.0)))
 
 
 def _parts(task, model):

@@ -10,7 +10,7 @@ from scipy import stats
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import FitError
 from bsp_gp.fitting.channels import Channels, join
-from bsp_gp.fitting.noise_estimate import estimate
+from bsp_gp.fitting.noise_estimate import estimate, estimate_beside
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.noise_task import NoiseTolerances
 from bsp_gp.fitting.restricted import Restricted
@@ -123,6 +123,25 @@ def test_memory_is_recovered_beside_white_noise_and_local_columns():
     assert np.all(errors < [0.06, 0.06, 0.1, 0.35])
     expected = [*np.log(truth.levels), 0.7, math.log(0.5)]
     assert np.all(np.abs(seen.mean(axis=0) - expected) < 4 * errors / math.sqrt(10))
+
+
+@pytest.mark.parametrize(("strength", "expected"), [(0.0, []), (1.0, ["speed"])])
+def test_what_shows_beside_probes_alone_must_need_the_probes(strength, expected):
+    """Rows that probes follow by chance leave a rest that seems to grow with the speed."""
+    found = channels(40)
+    found = replace(found, speed=np.ones((40, 2)) * np.abs(np.arange(40) - 12.0)[:, None])
+    every = polynomials(found, 20)
+    is_own = np.arange(len(every)) % 21 < 2
+    basis = np.linalg.qr(every.reshape(len(every), -1).T)[0]
+    rng = np.random.default_rng(4)
+    white, grown = rng.standard_normal((2, 80)) * [[0.022], [0.02]]
+    grown *= found.speed.ravel() / np.sqrt(np.mean(np.square(found.speed)))
+    errors = basis @ (basis.T @ white) + grown - basis @ (basis.T @ grown)
+    lacks = strength * np.sin(5.0 * found.times / found.times.max())
+    known = (free_model(), found, errors.reshape(40, 2) + lacks)
+    assert adopted(estimate(*known, local=every)) == ["speed"]
+    model = estimate_beside(*known, None, every[is_own], every[~is_own])
+    assert adopted(model) == expected
 
 
 def test_white_noise_is_not_said_to_have_parts():
