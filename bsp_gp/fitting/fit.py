@@ -461,11 +461,11 @@ class _Run:
     def estimated(self, climb, minimum, model, adopt=True):
         """The noise of the residual, what probes could explain of it taken out.
 
-        With `adopt` further parts than those of the model are asked for.
+        Nothing is taken out where all that the law leaves is said to be noise. With `adopt` further parts than those of the model are asked for.
         """
         tracks = _tracks_of(self, climb, minimum)
         local = tracks.local
-        if self.probed_motions:
+        if self.probed_motions and not self.hypothesis.leaves_noise:
             columns = climb.probe_columns(minimum, self.probed_motions, len(local))
             local = np.nan_to_num(join(columns))
         n_own, known = len(tracks.local), (model, tracks.channels, tracks.residual, tracks.shared)

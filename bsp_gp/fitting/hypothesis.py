@@ -174,10 +174,14 @@ class TrackNoise(Part):
         What is known of them; the rest is estimated under the hypothesis.
     is_given : bool
         Whether the noise has the parts of the model and no others; their sizes are estimated.
+    is_all : bool
+        Whether all that the laws leave is noise: it is then told from that alone, and not beside
+        forces that know no physics.
     """
 
     model: NoiseModel
     is_given: bool = False
+    is_all: bool = False
     kind = "noise"
 
     @property
@@ -263,6 +267,11 @@ class Hypothesis:
     def has_given_noise(self):
         """Whether the parts of the noise are given."""
         return any(part.is_given for part in self.parts if isinstance(part, TrackNoise))
+
+    @property
+    def leaves_noise(self):
+        """Whether all that its laws leave is noise."""
+        return any(part.is_all for part in self.parts if isinstance(part, TrackNoise))
 
     @property
     def parameters(self):

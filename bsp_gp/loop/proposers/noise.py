@@ -50,7 +50,7 @@ class Noise:
         best = int(np.argmax(gains))
         if gains[best] <= 0:
             return Family(self.name)
-        noise = TrackNoise(models[best], is_given=True)
+        noise = TrackNoise(models[best], is_given=True, is_all=True)
         proposal = Proposal(
             "noise", "a memory of the noise", view.hypothesis + noise, 0.0, gains[best], 2,
             kind="noise",
