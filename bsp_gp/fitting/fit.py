@@ -461,7 +461,8 @@ class _Run:
     def estimated(self, climb, minimum, model, adopt=True):
         """The noise of the residual, what probes could explain of it taken out.
 
-        Nothing is taken out where all that the law leaves is said to be noise. With `adopt` further parts than those of the model are asked for.
+        Nothing is taken out where all that the law leaves is said to be noise. With `adopt` further
+        parts than those of the model are asked for.
         """
         tracks = _tracks_of(self, climb, minimum)
         local = tracks.local
