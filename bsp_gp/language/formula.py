@@ -237,21 +237,22 @@ def _forward(node, inputs, constants, names):
     return value, tangents
 
 
-def factors(formula):
+def factors(formula, is_whole=lambda formula: False):
     """Flatten a product: ``(numerator, denominator)`` lists of formulas that are no products.
 
     ``a * (b / c) * d`` gives ``([a, b, d], [c])``. Guarded divisions are kept whole, since
-    a / (b / c) is not a * c / b where the guard acts.
+    a / (b / c) is not a * c / b where the guard acts, and so is what the caller says.
     """
-    if isinstance(formula, Call) and formula.operator in ("mul", "div"):
-        above, below = factors(formula.args[0])
-        more_above, more_below = factors(formula.args[1])
-        if formula.operator == "div":
-            more_above, more_below = more_below, more_above
-        return above + more_above, below + more_below
-    if isinstance(formula, Call) and formula.operator == "neg":
-        above, below = factors(formula.args[0])
-        return [Number(-1.0), *above], below
+    if isinstance(formula, Call) and not is_whole(formula):
+        if formula.operator in ("mul", "div"):
+            above, below = factors(formula.args[0], is_whole)
+            more_above, more_below = factors(formula.args[1], is_whole)
+            if formula.operator == "div":
+                more_above, more_below = more_below, more_above
+            return above + more_above, below + more_below
+        if formula.operator == "neg":
+            above, below = factors(formula.args[0], is_whole)
+            return [Number(-1.0), *above], below
     return [formula], []
 
 

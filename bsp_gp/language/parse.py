@@ -15,6 +15,7 @@ from collections.abc import Mapping
 
 from bsp_gp.errors import LawError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.units import DIMENSIONLESS, parse_unit
@@ -37,6 +38,7 @@ _TOKEN = re.compile(
 _COMPONENT = re.compile(r"(v?)([xyz])_([ij])")
 _BINARY = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
 _CONVENIENCE = {"unit": "normalize", "magnitude": "norm"}
+_IMPULSE = "impulse(t - 0.5 [s], 0.001 [s])"
 
 
 def parse_formula(text, types: Mapping, *, operators: Mapping | None = None, units=None):
@@ -213,6 +215,8 @@ class _Builder:
             )
 
     def function(self, name, args):
+        if name == "impulse":
+            return self.impulse(args)
         operator = self.operators.get(name, _CONVENIENCE.get(name, name))
         if operator not in OPERATORS:
             near = _nearest(name, (*OPERATORS, *_CONVENIENCE))
@@ -224,6 +228,14 @@ class _Builder:
         if len(args) != OPERATORS[operator].arity:
             self.fail(f"{name} takes {OPERATORS[operator].arity} argument(s), got {len(args)}")
         return self.call(operator, *args)
+
+    def impulse(self, args):
+        if len(args) != 2:
+            self.fail(f"impulse takes when and how long, as in {_IMPULSE}, got {len(args)}")
+        try:
+            return impulse(*args)
+        except UnitError as error:
+            self.fail(f"{error}, as in {_IMPULSE}")
 
     def name(self, name):
         if name in self.numbers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
+from bsp_gp.language.impulse import impulse_of
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 
@@ -70,6 +71,8 @@ def _text(node, values, units):
         return text, _NEGATIVE if text.startswith("-") else _ATOM
     if component := _component(node):
         return "{}{}_{}".format(*component), _ATOM
+    if brief := impulse_of(node):
+        return f"impulse({_text(brief[0], values, units)[0]}, {brief[1]!r} [s])", _ATOM
     parts = [_text(arg, values, units) for arg in node.args]
     if node.operator in _INFIX:
         sign, level = _INFIX[node.operator]
@@ -111,6 +114,8 @@ def _latex(node, values, units, level):
     if component := _component(node):
         speed, axis, role = component
         return rf"v_{{{axis},{role}}}" if speed else rf"{axis}_{role}"
+    if brief := impulse_of(node):
+        return rf"\delta\left({_latex(brief[0], values, units, 0)}\right)"
     if node.operator in ("mul", "div", "div_guarded"):
         return _latex_product(node, values, units)
     if node.operator in ("add", "sub"):
@@ -153,7 +158,7 @@ def _latex_product(node, values, units):
     if node.operator == "div_guarded":
         above, below = [node.args[0]], [node.args[1]]
     else:
-        above, below = factors(node)
+        above, below = factors(node, impulse_of)
     sign = ""
     kept = []
     for factor in above:

@@ -10,7 +10,7 @@ from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
-from bsp_gp.report.naming import constant_distance, describe
+from bsp_gp.report.naming import constant_distance, describe, kick
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
@@ -153,6 +153,8 @@ def _noise(finding):
 
 def _parts(effect, law, other):
     """Each of several forces that were found as one, in plain words."""
+    if effect.code == "contact":  # one force along every axis
+        return ()
     added = {c.name: c.value for c in effect.constants}
     terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
     if effect.formula is not None or not effect.law or len(terms) < 2:
@@ -165,6 +167,8 @@ def _name(effect, parts, other):
     """What was found, in plain words; `other` is the body that acts."""
     if effect.code == "kicks":
         return effect.name
+    if effect.code == "contact":
+        return kick(effect)
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:

@@ -397,3 +397,16 @@ def test_a_unit_after_an_exponent_is_refused_with_a_remedy():
     message = rejected("4*pi^2 [au^3/Msun/yr^2] * m_i * m_j / norm(p_i - p_j)^2 * e_x")
     assert "4 [au^3/Msun/yr^2] * pi^2" in message
     assert "has a unit" in rejected("norm(v_i)^2 [m] * e_x")
+
+
+def test_an_impulse_is_one_function_of_unit_integral():
+    law = parse("0.3 [m/s] * m_i * impulse(t - t1, 0.25 [s]) * e_x")
+    assert law.type.unit == FORCE and law.constants == ("t1",)
+    assert "impulse(t - t1, 0.25 [s])" in to_text(law) and parse(to_text(law)) == law
+    assert to_latex(law).count(r"\delta\left(t - t_{1}\right)") == 1
+    t = np.linspace(0.0, 2.0, 2001) + 1e-7
+    strength = [evaluate(parse("impulse(t - 0.7 [s], 0.25 [s])"), {"t": x}) for x in t]
+    assert np.trapezoid(strength, t) == pytest.approx(1.0, rel=1e-3)
+    assert "above zero" in rejected("impulse(t, 0 [s]) * m_i * v_i")
+    assert "duration in s" in rejected("impulse(t, c1) * m_i * v_i")
+    assert "when and how long" in rejected("impulse(t) * m_i * v_i")

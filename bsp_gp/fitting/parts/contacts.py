@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import ForceLaw, Term
@@ -56,11 +57,7 @@ class Kick(Forces):
         """
         time = Input("t", STATE_INPUTS["t"])
         since = Call("sub", time, Constant(instant))
-        half, second = Number(duration / 2, SECOND), Number(1.0, SECOND)
-        edges = [
-            Call("sign", Call("div", Call(way, since, half), second)) for way in ("add", "sub")
-        ]
-        rate = Call("div", Call("sub", *edges), Number(2 * duration, SECOND))
+        rate = impulse(since, Number(float(f"{duration:.3g}"), SECOND))
         mass = Input("m_i", Type("scalar", KILOGRAM))
         own = Call("mul", mass, Input(f"{mark}_i", Type("scalar")))
         terms = []

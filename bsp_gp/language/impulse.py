@@ -1,0 +1,63 @@
+"""The impulse: a brief push of unit integral, one function to write and two thresholds within."""
+
+from __future__ import annotations
+
+from bsp_gp.errors import UnitError
+from bsp_gp.language.formula import Call, Number
+from bsp_gp.units import Unit
+
+__all__ = ["impulse", "impulse_of"]
+
+_SECOND = Unit.of(s=1)
+
+
+def impulse(since, duration):
+    """``impulse(since, duration)``: 1 / duration while |since| < duration / 2, otherwise nothing.
+
+    Times a velocity and the mass it is a kick, a jump of the velocity by that much.
+
+    Parameters
+    ----------
+    since : Formula, s
+        Time since its middle.
+    duration : Number, s
+
+    Returns
+    -------
+    Formula, 1/s
+
+    Raises
+    ------
+    UnitError
+        If the duration is no number of seconds above zero.
+    """
+    is_time = isinstance(duration, Number) and duration.type.unit == _SECOND
+    if not (is_time and duration.value > 0):
+        raise UnitError("impulse(when, duration) takes a duration in s above zero, a number")
+    half, second = Number(duration.value / 2, _SECOND), Number(1.0, _SECOND)
+    edges = [Call("sign", Call("div", Call(way, since, half), second)) for way in ("add", "sub")]
+    return Call("div", Call("sub", *edges), Number(2 * duration.value, _SECOND))
+
+
+def impulse_of(node):
+    """What an impulse was made of, (since, duration in s); None if a node is none.
+
+    Parameters
+    ----------
+    node : Formula
+    """
+    match node:
+        case Call(
+            operator="div",
+            args=(
+                Call(
+                    operator="sub",
+                    args=(Call(operator="sign", args=(Call(args=(Call(args=(since, _)), _)),)), _),
+                ),
+                Number(value=twice),
+            ),
+        ):
+            duration = Number(twice / 2, _SECOND)
+            is_one = twice > 0 and impulse(since, duration) == node
+            return (since, duration.value) if is_one else None
+    return None
