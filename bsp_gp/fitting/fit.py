@@ -19,7 +19,7 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
-from bsp_gp.fitting.noise_estimate import estimate, estimate_beside
+from bsp_gp.fitting.noise_estimate import estimate, estimate_beside, needs
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.starts import roles_of, scales_of
@@ -461,18 +461,23 @@ class _Run:
     def estimated(self, climb, minimum, model, adopt=True):
         """The noise of the residual, what probes could explain of it taken out.
 
-        Nothing is taken out where all that the law leaves is said to be noise. With `adopt` further
-        parts than those of the model are asked for.
+        Nothing is taken out where all that the law leaves is said to be noise and may be. With
+        `adopt` further parts than those of the model are asked for.
         """
         tracks = _tracks_of(self, climb, minimum)
         local = tracks.local
-        if self.probed_motions and not self.hypothesis.leaves_noise:
-            columns = climb.probe_columns(minimum, self.probed_motions, len(local))
-            local = np.nan_to_num(join(columns))
-        n_own, known = len(tracks.local), (model, tracks.channels, tracks.residual, tracks.shared)
-        if adopt and len(local) > n_own:
-            return estimate_beside(*known, local[:n_own], local[n_own:])
-        return estimate(*known, local, adopt=adopt)
+        known = model, tracks.channels, tracks.residual, tracks.shared
+        if not self.probed_motions:
+            return estimate(*known, local, adopt=adopt)
+        columns = climb.probe_columns(minimum, self.probed_motions, len(local))
+        probes = np.nan_to_num(join(columns))[len(local) :]
+        if self.hypothesis.leaves_noise:
+            alone = estimate(*known, local, adopt=adopt)
+            if not needs(alone, *known[1:], local, probes):
+                return alone  # noise of that kind looks no larger where probes are taken out
+        if adopt:
+            return estimate_beside(*known, local, probes)
+        return estimate(*known, np.concatenate([local, probes]), adopt=False)
 
     @cached_property
     def motions(self):

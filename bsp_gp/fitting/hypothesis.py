@@ -176,7 +176,7 @@ class TrackNoise(Part):
         Whether the noise has the parts of the model and no others; their sizes are estimated.
     is_all : bool
         Whether all that the laws leave is noise: it is then told from that alone, and not beside
-        forces that know no physics.
+        forces that know no physics, unless these take off more than that noise lets expect.
     """
 
     model: NoiseModel

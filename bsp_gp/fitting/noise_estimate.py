@@ -17,7 +17,7 @@ from bsp_gp.fitting.noise_model import NoiseFinding
 from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
 from bsp_gp.fitting.student import fit_student
 
-__all__ = ["estimate", "estimate_beside"]
+__all__ = ["estimate", "estimate_beside", "needs"]
 
 PARTS = ("correlation", "scenes", "bodies", "speed", "tails")
 _N_TIMES = 6
@@ -105,7 +105,7 @@ def estimate_beside(model, channels, residual, columns, local, probes):
     both = np.concatenate([local, probes])
     beside = estimate(model, channels, residual, columns, both)
     adopted = _adopted(beside)
-    if not adopted or _chance(model, channels, residual, columns, local, both) < _NEEDED:
+    if not adopted or needs(model.plain(), channels, residual, columns, local, probes):
         return beside
     parts = adopted & _adopted(estimate(model, channels, residual, columns, local))
     if parts == adopted:
@@ -117,19 +117,33 @@ def _adopted(model):
     return {finding.part for finding in model.findings if finding.is_adopted}
 
 
-def _chance(model, channels, residual, columns, local, both):
-    """Of what the probes take off the squares of white noise: an F test."""
-    tasks = [
-        NoiseTask(model.plain(), channels, residual, columns, c, NoiseTolerances())
-        for c in (both, local)
-    ]
-    whitener = tasks[0].refit(tasks[0].start).whitener(channels)
-    squares = [np.square(t.restricted.pure_error(whitener).whitened).sum() for t in tasks]
-    n_more = tasks[1].n_left - tasks[0].n_left
-    if n_more <= 0 or not squares[0] > 0:
-        return 1.0
-    ratio = (squares[1] - squares[0]) / n_more / (squares[0] / tasks[0].n_left)
-    return float(fdtrc(n_more, tasks[0].n_left, max(ratio, 0.0)))
+def needs(model, channels, residual, columns, local, probes):
+    """Whether probes take off more than chance of what a fit leaves under a noise: an F test.
+
+    Memory is as the noise has it; free levels are told beside the probes.
+
+    Parameters
+    ----------
+    model, channels, residual, columns, local, probes
+        As `estimate_beside` takes them.
+
+    Returns
+    -------
+    bool
+    """
+    both = np.concatenate([local, probes])
+    wide, plain = (
+        NoiseTask(model, channels, residual, columns, c, NoiseTolerances()) for c in (both, local)
+    )
+    whitener = wide.rescale(wide.start)[0].whitener(channels)
+    most, least = (
+        np.square(t.restricted.pure_error(whitener).whitened).sum() for t in (plain, wide)
+    )
+    n_more = plain.n_left - wide.n_left
+    if n_more <= 0 or not least > 0:
+        return False
+    ratio = (most - least) / n_more / (least / wide.n_left)
+    return float(fdtrc(n_more, wide.n_left, max(ratio, 0.0))) < _NEEDED
 
 
 def _parts(task, model):

@@ -91,26 +91,31 @@ def _inner_phrase(direction, formula, powers):
         if found:
             return phrase.format(*found.groups())
     above, below = factors(rest)
-    inner = [to_text(f) for f in (*above, *below) if f.constants and f.type.shape != "vector"]
+    inside = [f for f in (*above, *below) if f.constants and f.type.shape != "vector"]
+    of_bodies = [f for f in inside if all(map(property_of, f.inputs))]
+    inner = [to_text(f) for f in inside if f not in of_bodies]
     text = to_text(direction)
     is_place = "centre_" in text
     powers = {
         "norm(p_i - p_j)" if "centre_" in name else name: power
         for name, power in powers.items() if "centre_" in name or name not in inner
     }  # fmt: skip
-    words = [
-        next(word for mark, word in _INNER if mark in each).format(
-            "speed" if "v_" in each else "distance"
-        )
-        for each in inner if "centre_" not in each
-    ]  # fmt: skip
+    words = [_inner_word(each) for each in inner if "centre_" not in each]
     bare = text.removeprefix("normalize(").removesuffix(")")
     if is_place and not powers and not inner:
         return "spring to a rest point"
     along = "to a point" if is_place else f"along the {_DIRECTIONS.get(bare, bare)}"
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
+    if of_bodies:
+        words.append("times " + " ".join(map(to_text, of_bodies)))
     return ", ".join(dict.fromkeys([f"force {along}{_scaling(powers)}", *words]))
+
+
+def _inner_word(text):
+    """What a factor with a constant inside does."""
+    word = next(word for mark, word in _INNER if mark in text)
+    return word.format("speed" if "v_" in text else "distance")
 
 
 def constant_distance(effect):

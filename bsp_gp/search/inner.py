@@ -15,8 +15,8 @@ from itertools import product as every
 import numpy as np
 
 from bsp_gp.errors import BspError, GrammarError
-from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute
-from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute, walk
+from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, law_inputs
@@ -31,6 +31,8 @@ BEYOND = 4.0
 """Times that a length may be shorter than the shortest in the data, or longer than the longest."""
 COARSE = 2
 """Times as coarse that grids are for laws that are drawn, of which there are many."""
+FEWEST_VALUES = 4
+"""Values of a property from which a power of it is fitted: two tell it, two more check it."""
 MOST_INNER = 3
 """Inner constants of a law that was drawn; coordinates of a place count each."""
 FARTHEST = 30.0
@@ -184,11 +186,25 @@ def read_forms(grammar, dataset, properties, available):
                 formula = parse_formula(each.removeprefix("1 * "), types, units=dataset.units)
             except BspError:  # it names what these data do not have
                 continue
-            if formula.inputs <= available:
+            if formula.inputs <= available and _are_told(formula, dataset):
                 _check(formula, each, table.get("ranges", {}))
                 own[formula] = None
         forms += [Form(Term(f, kind_of(f)), float(np.log(len(own)))) for f in own]
     return forms
+
+
+def _are_told(formula, dataset):
+    """Whether the properties of which it has fitted powers have values enough to tell these."""
+    for node in walk(formula):
+        if isinstance(node, Call) and node.operator == "pow" and node.args[1].constants:
+            for name in map(property_of, node.args[0].inputs):
+                column = name[0] if name else ""
+                values = {
+                    e.properties.get(column) for s in dataset.scenes for e in s.entities
+                } - {None, 0.0}
+                if column and len(values) < FEWEST_VALUES:
+                    return False
+    return True
 
 
 def _check(formula, text, ranges):

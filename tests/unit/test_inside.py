@@ -11,6 +11,7 @@ from bsp_gp.errors import GrammarError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
@@ -98,6 +99,29 @@ def test_a_drag_between_the_powers_of_the_grammar_leads():
     best, found = proposed(pushed(push))
     assert best.text == "c1 * (norm(v_i)^n1 * normalize(v_i))"
     assert is_within(found, n=1.5)
+
+
+@pytest.mark.parametrize(("n_scenes", "n_forms"), [(6, 1), (3, 0)])
+def test_a_power_of_the_mass_is_fitted_where_there_are_masses_enough(n_scenes, n_forms):
+    rng, scenes = np.random.default_rng(0), []
+    for k in range(n_scenes):
+        mass, start = 1.0 + 0.8 * k, np.array([0.0, 0.0, *rng.uniform(2.0, 4.0, 2)])
+
+        def rate(t, y, mass=mass):
+            return np.concatenate([y[2:], -0.5 * mass**-0.3 * np.linalg.norm(y[2:]) ** 0.5 * y[2:]])
+
+        places = solve_ivp(rate, (0.0, TIMES[-1]), start, t_eval=TIMES, rtol=1e-9).y[:2].T
+        places += SIGMA * rng.standard_normal(places.shape)
+        scenes.append(scene_of(TIMES, (body("ball", mass=mass),), places[:, None], name=f"s{k}"))
+    data = dataset_of(scenes, noise=(SIGMA, SIGMA))
+    laws = Laws(load_grammar("physics"), data, max_levels=4)
+    forms = [to_text(form.term.formula) for form in Inside(laws, data).forms]
+    assert forms.count("m_i^a * norm(v_i)^n * normalize(v_i)") == n_forms
+    if n_forms:
+        best, found = proposed(data)
+        assert is_within(found, a1=0.7, n1=1.5)
+        told = describe(best.formulas[0], -0.5)
+        assert told == "force along the velocity, to a fitted power of speed, times m_i^a1"
 
 
 def test_inner_constants_stay_in_the_ranges_that_the_data_give_them():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
 from bsp_gp.loop.close import _Ready, close_loop
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.questions import noise_findings
@@ -112,6 +112,30 @@ def test_a_memory_of_the_noise_is_not_taken_for_forces_however_many_tracks_there
     view = view_of(replace(throws(rng, n_scenes=5, n_rows=20, n_bodies=4, noise=slow), noise=None))
     assert view.fit.noise.correlated > 0.5
     assert not view.is_memory_doubted
+
+
+@pytest.mark.parametrize("lacks", [False, True])
+def test_a_memory_is_told_from_all_that_is_left_unless_forces_do_more_than_chance(lacks):
+    """Forces that know no physics take most of a slow noise off, and all of what a law lacks."""
+    rng = np.random.default_rng(0)
+
+    def slow(s, shape):
+        return SIGMA * with_memory(rng, shape, 0.8)
+
+    def move(t, mass):
+        return np.outer(0.4 * np.sin(6 * t), [1.0, 0.0])
+
+    changes = {"move": move} if lacks else {"noise": slow}
+    data = replace(throws(rng, n_scenes=2, n_rows=40, **changes), noise=None)
+    law = Hypothesis.from_laws(data, GRAVITY)
+    noise = replace(fit(law, data).noise.plain(), correlated=0.9, correlation_time=0.1)
+    beside = fit(law + TrackNoise(noise, is_given=True), data).noise
+    alone = fit(law + TrackNoise(noise, is_given=True, is_all=True), data).noise
+    if lacks:
+        assert alone == beside
+    else:
+        assert alone != beside
+        assert alone.levels == pytest.approx((SIGMA, SIGMA), rel=0.4)
 
 
 @pytest.mark.parametrize("seed", [2, 4])
