@@ -28,7 +28,7 @@ from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
-from bsp_gp.planning.rivals import Rival, rivals_of
+from bsp_gp.planning.rivals import Rival, in_common, rivals_of
 from bsp_gp.randomness import generator
 
 __all__ = ["Discovery", "calm", "discover"]
@@ -473,7 +473,9 @@ def _fitted(rival, found):
 
 def _final(report):
     """The law that a report ends with, as a rival."""
-    return _fitted(Rival(report.law.text(digits=False), report.law, 1.0), report.fit)
+    law = in_common(report.law)
+    rival = Rival(law.text(digits=False), law, 1.0)
+    return _fitted(rival, report.fit) if law is report.law else rival
 
 
 def _rival(record, dataset):

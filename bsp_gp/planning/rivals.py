@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.errors import SettingsError
+from bsp_gp.language.formula import rename_constants
 from bsp_gp.loop.stored import law_of
-from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Rival", "rivals_of"]
+__all__ = ["Rival", "in_common", "rivals_of"]
 
 LEAST = 1e-3
 """Less likely rivals are left out."""
@@ -61,6 +62,31 @@ class Rival:
             for name, move in zip(self.names, moves.T, strict=True):
                 values[name] = values[name] + move
         return values
+
+
+def in_common(law):
+    """A law whose constants by scene or body are one for all, their median: it foretells.
+
+    Parameters
+    ----------
+    law : ForceLaw
+
+    Returns
+    -------
+    ForceLaw
+        The law itself where it has none.
+    """
+    names, values = {}, {}
+    for name, value in law.constants.items():
+        if isinstance(value, Mapping) and value:
+            stem = name.partition("[")[0]
+            names[name] = fresh_name(law, stem) if stem in law.constants else stem
+            values[names[name]] = float(np.median(list(value.values())))
+    if not names:
+        return law
+    kept = {name: value for name, value in law.constants.items() if name not in names}
+    terms = tuple(replace(t, formula=rename_constants(t.formula, names)) for t in law.terms)
+    return replace(law, terms=terms, constants={**kept, **values})
 
 
 def rivals_of(report):

@@ -14,7 +14,7 @@ from bsp_gp.planning.apparatus import Command, recording_of
 from bsp_gp.planning.discover import calm, discover
 from bsp_gp.planning.means import Experiment, Range, load_means, means_from
 from bsp_gp.planning.plan import information, normals, plan, weights_of
-from bsp_gp.planning.rivals import Rival
+from bsp_gp.planning.rivals import Rival, in_common
 from tests.snippets import ROOT, blocks
 
 MEANS = {
@@ -344,3 +344,16 @@ def test_the_share_of_a_constant_that_stays_at_zero_is_a_number(means):
     number = SimpleNamespace(name="k", prior=None)
     share = _log_share(found, SimpleNamespace(parameters=(number,)), Criteria())
     assert np.isfinite(share)
+
+
+def test_a_law_with_a_constant_of_each_scene_foretells_with_their_median(means):
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    law = read_law(dataset, ["c1[scene] * m_i * e_x", "-c2 * v_i"])
+    law = law.with_constants({"c1[scene]": {"a": 1.0, "b": 2.0, "c": 9.0}, "c2": 0.5})
+    found = in_common(law)
+    assert set(found.names) == {"c1", "c2"}
+    assert dict(found.constants) == {"c1": 2.0, "c2": 0.5}
+    assert in_common(found) is found
+    Rival("", found, 1.0)
+    with pytest.raises(SettingsError, match="no value for a new experiment"):
+        Rival("", law, 1.0)
