@@ -14,6 +14,7 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.proposal import continued
 from bsp_gp.loop.proposers.measurement import Measurement, kinds_of
 from bsp_gp.loop.view import View, selected
+from bsp_gp.physics.force import Term
 from tests.fitted_tracks import body, dataset_of, law_of, reference, scene_of
 
 WEIGHT = "9.81 [m/s^2] * m_i * down"
@@ -135,3 +136,13 @@ def test_scale_and_clock_do_the_same_to_a_fall():
     told = {row.code: row.log_posterior for row in (decision.best, *decision.rivals)}
     assert {"clock", "scale"} <= set(told) and not decision.is_fact
     assert abs(told["clock"] - told["scale"]) < 0.1
+
+
+def test_a_camera_is_turned_against_directions_that_are_declared_alone():
+    """What was found to act along an axis turns with the camera: nothing else tells the turn."""
+    view = viewed(throws(1))
+    isotropic = replace(view.fit, law=law_of("-c1 * v_i").with_constants({"c1": 0.1}))
+    added = replace(isotropic, law=isotropic.law.plus(Term(law_of("c2 * e_x").terms[0].formula)))
+    for found, count in ((view.fit, 1), (isotropic, 0), (added, 0)):
+        codes = [part.code for part in kinds_of(view.dataset, found)]
+        assert codes.count("tilt") == count

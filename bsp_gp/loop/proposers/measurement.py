@@ -95,7 +95,13 @@ def kinds_of(dataset, fit):
     out = [Instrument("scale"), Instrument("clock"), drift]
     out.append(Instrument("exposure", (), (FRAMES * step) ** 2))
     if len(axes) > 1:
-        out += [Instrument("tilt", plane) for plane in combinations(axes, 2)]
+        # A camera is turned against what was declared; what was found since turns with it.
+        named = {n for t in fit.law.terms if t.is_declared for n in t.formula.inputs}
+        if named & {"up", "down"}:
+            named.add(f"e_{dataset.up[-1]}")
+        for plane in combinations(axes, 2):
+            if named & {f"e_{'xyz'[k]}" for k in plane}:
+                out.append(Instrument("tilt", plane))
         for k in axes:
             out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
         out.append(Instrument("lens", axes, **picture))
