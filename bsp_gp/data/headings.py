@@ -113,6 +113,11 @@ _PROPERTY_WORDS = {
 }
 _WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
 """Words that mean that property where a unit of it stands beside them."""
+_CLOCK_UNITS = {
+    "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
+    "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s",
+}  # fmt: skip
+"""Columns of loggers that are called by their unit alone, and are the time."""
 IGNORE = "ignore"
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
@@ -426,6 +431,9 @@ def _guessed(heading, names):
     """A heading nothing plainer stands for, by its words; a distance beside an angle stays one."""
     if heading.sure != UNKNOWN or (heading.name.lower() == "distance" and "angle" in names):
         return heading
+    unit = _CLOCK_UNITS.get(heading.name.lower())
+    if unit and not heading.unit and "t" not in names:
+        return replace(heading, name="t", unit=unit, sure=GUESS)
     ours = _guess(heading.name)
     return heading if ours is None else replace(heading, name=ours, sure=GUESS)
 

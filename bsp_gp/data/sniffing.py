@@ -95,9 +95,17 @@ def sniff(head, rename, marks, path):
 
 
 def _is_even(head, number, delimiter, cells):
-    """Whether blanks tell cells apart: the line below has as many, and no quotes hold blanks."""
-    below = head[number + 1].split() if number + 1 < len(head) else ()
+    """Whether blanks tell cells apart: the rows below have as many, and no quotes hold blanks."""
+    below = _below(head, number).split()
     return delimiter is not None or not below or len(below) == len(cells)
+
+
+def _below(head, number):
+    """The first line below one that is no comment, if that is one; else the next line."""
+    lines = head[number + 1 :]
+    if _COMMENT.match(head[number]):
+        lines = [line for line in lines if not _COMMENT.match(line)]
+    return lines[0] if lines else ""
 
 
 def _header_cells(line, delimiter):
@@ -108,7 +116,8 @@ def _likely_header(head):
     """Number and delimiter of the line above the first row of numbers, else of the first line."""
     for number, line in enumerate(head[:-1]):
         for delimiter in _DELIMITERS:
-            cells, row = (split_line(text, delimiter) for text in (line, head[number + 1]))
+            cells = _header_cells(line, delimiter)
+            row = split_line(_below(head, number), delimiter)
             is_row = len(row) == len(cells) > 1 and all(map(_is_number, row))
             if is_row and not any(map(_is_number, cells)):
                 return number, delimiter
@@ -120,17 +129,22 @@ def _likely_header(head):
 
 def _finish(head, number, delimiter, found):
     units = [h.unit for h in found]
-    data_line = number + 1
+    names, data_line = [h.name for h in found], number + 1
     # Below the names there may be others (symbols; a program's own words) and the units.
-    for line in range(number + 1, number + 4):
-        row = split_line(head[line], delimiter) if line < len(head) else ()
+    for line in range(number + 1, min(number + 4, len(head))):
+        row = _header_cells(head[line], delimiter)
+        if len(row) != len(found) and delimiter is None and _COMMENT.match(head[line]):
+            row = _under(head[number], head[line])
         row = tuple(cell.strip("()[] ") for cell in row)
-        if _is_unit_row(row, [h.name for h in found]):
+        if _is_unit_row(row, names):
             units = [cell or unit for cell, unit in zip(row, units, strict=True)]
             data_line = line + 1
             break
         if len(row) != len(found) or any(map(_is_number, row)):
             break
+    if _COMMENT.match(head[number]):  # the names stand in a comment, and more may follow
+        while data_line < len(head) and _COMMENT.match(head[data_line]):
+            data_line += 1
     below = split_line(head[data_line], delimiter) if data_line < len(head) else ()
     if below and all(re.fullmatch("-{2,}", cell) for cell in below):  # a rule under the header
         data_line += 1
@@ -139,6 +153,18 @@ def _finish(head, number, delimiter, found):
         title = ()
     decimal = _decimal(head[data_line:], delimiter)
     return Layout(delimiter, found, tuple(units), number, data_line, decimal, title)
+
+
+def _under(names, units):
+    """Cells of a line that has not one for every name above it: each is below the nearest name."""
+    above, below = (
+        [(m.start() + m.end(), m[0]) for m in re.finditer(r"[^\s#%]+", line)]
+        for line in (names, units)
+    )
+    row = [""] * len(above)
+    for middle, cell in below:
+        row[min(range(len(above)), key=lambda k: abs(above[k][0] - middle))] = cell
+    return tuple(row)
 
 
 def _decimal(lines, delimiter):

@@ -130,7 +130,8 @@ def answers_of(pair, mode):
             asked = np.linspace(0.0, last, MOST_ROWS[mode]).tolist()
             pair.observe_row(asked, len(asked))
         table = pair.row_wise_results.df.astype(float)
-    length, clock = UNITS.get(pair.units_string, ("m", "s"))
+    # The observation tool shows rows of the simulation's own file, in SI whatever the prompt says.
+    length, clock = UNITS.get(pair.units_string, ("m", "s")) if mode == "full" else ("m", "s")
     frames = [
         table[["time", *(f"{star}_{a}" for a in "xyz")]]
         .set_axis(["t", "x", "y", "z"], axis=1)

@@ -228,3 +228,27 @@ def test_gyroscopes_and_fields_are_no_bodies(tmp_path):
     path.write_text("Time (s)," + ",".join(names) + "\n" + "0,1,2,3,4,5,6\n" * 3, "utf-8")
     with pytest.raises(DataError, match="angular velocities"):
         load_dataset(path)
+
+
+def test_names_and_units_in_comments_above_a_table_of_blanks(tmp_path):
+    """As tables of astronomers have them: units stand below their names, not one for each."""
+    path = tmp_path / "orbit.dat"
+    path.write_text(
+        "# places of B with respect to A, J2000\n"
+        "# time      x      y    note\n"
+        "# (yr)    (mm)   (mm)\n"
+        "2001.25   1.5     2.0   a\n2001.50   2.5     3.0   a\n2001.75   3.5     4.5   b\n",
+        encoding="utf-8",
+    )
+    scene = load_dataset(path).scenes[0]
+    np.testing.assert_allclose(scene.positions[:, 0, 0], [1.5e-3, 2.5e-3, 3.5e-3])
+
+
+@pytest.mark.parametrize(("name", "second"), [("ms", 1e-3), ("millis", 1e-3), ("sec", 1.0)])
+def test_a_column_that_is_called_by_a_unit_of_time_is_the_time(tmp_path, name, second):
+    path = tmp_path / "log.csv"
+    path.write_text(f"{name},x (m),y (m)\n0,0,1\n500,1.5,2\n1000,4.25,3\n", encoding="utf-8")
+    times = load_dataset(path).scenes[0].times
+    np.testing.assert_allclose(times, np.array([0.0, 500.0, 1000.0]) * second)
+    path.write_text(f"t,{name},x (m),y (m)\n0,9,0,1\n1,8,1.5,2\n2,7,4.25,3\n", encoding="utf-8")
+    assert load_dataset(path, units={"time": "s"}).scenes[0].times.tolist() == [0.0, 1.0, 2.0]
