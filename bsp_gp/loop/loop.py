@@ -9,15 +9,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.fitting.fit import fit
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposal import FAULTS, PATIENT, continued
+from bsp_gp.loop.proposal import FAULTS, PATIENT, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
+from bsp_gp.physics.force import split_linear
 from bsp_gp.workers import Crew
 
 __all__ = ["Round", "run_rounds"]
@@ -36,6 +38,10 @@ MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
+
+
+WEAK = 3.0
+"""Standard errors of its strength below which a term of a sum may be one too many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +336,37 @@ class _Turn:
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
                 highest[source] = max(highest.get(source, -math.inf), proposal.promise)
+        self._prune()
         self._tell_near(every, above, highest)
+
+    def _prune(self):
+        """Leave terms out of the likeliest sum of laws while that makes it likelier.
+
+        Sums are found by their size: of one that is larger than it need be no part was tried.
+        """
+        while not self.note_time("fits"):
+            row = max((r for r in self.rows if r.is_fit), key=lambda r: r.log_posterior)
+            proposal, found = self.proposals.get(row.id), self.fits[row.id]
+            if proposal is None or proposal.judged is not None or len(proposal.formulas) < 2:
+                return
+            shares = {}
+            for (name, entity), value, error in zip(
+                found.parameters, found.values, found.errors, strict=True
+            ):
+                if not entity and error > 0:
+                    shares[name] = abs(value) / error
+            weak = {f: shares.get(split_linear(f)[0], math.inf) for f in proposal.formulas}
+            weakest = min(weak, key=weak.get)
+            if not weak[weakest] < WEAK:
+                return
+            smaller = _without(proposal, weakest, found, self.run.criteria)
+            if smaller.key in {r.key for r in self.rows if r.is_fit}:
+                return
+            self.run.says(f"fit without the weakest term: {smaller.text}")
+            shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
+            new = self._fitted(row.source, smaller, _fit_of(shared, (row.source, smaller)))
+            if not (new.is_fit and new.log_posterior > row.log_posterior):
+                return
 
     def _is_behind(self, proposal, measures, is_again):
         """Whether a proposal promises too little beside what was found to be worth a fit.
@@ -490,6 +526,24 @@ def _fit_of(shared, job):
     except FAULTS:
         return None
     return new, best, evidence
+
+
+def _without(proposal, formula, found, criteria):
+    """A sum of laws with one less, from where a fit of all of them is."""
+    formulas = tuple(f for f in proposal.formulas if f != formula)
+    hypothesis = without_term(proposal.hypothesis, formula)
+    names = {p.name for p in hypothesis.parameters}
+    starts = {
+        name: float(value)
+        for (name, entity), value in zip(found.parameters, found.values, strict=True)
+        if name in names and not entity
+    }
+    return replace(
+        proposal, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
+        bounds={name: b for name, b in proposal.bounds.items() if name in names},
+        formulas=formulas, ties=(), rank=proposal.rank - 1,
+        log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0), patience=1,
+    )  # fmt: skip
 
 
 def _chosen(every, clear, criteria):

@@ -15,7 +15,8 @@ from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "continued", "with_term", "with_term_at"]
+__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "continued", "with_term", "with_term_at",
+           "without_term"]  # fmt: skip
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
@@ -210,5 +211,20 @@ def with_term_at(hypothesis, index, formula, constants):
                 known = {name: value for name, value in law.constants.items() if name in law.names}
                 part = replace(part, law=ForceLaw(law.terms, known))
             seen += len(terms)
+        parts.append(part)
+    return Hypothesis(tuple(parts))
+
+
+def without_term(hypothesis, formula):
+    """The hypothesis without the terms of a formula."""
+    parts = []
+    for part in hypothesis.parts:
+        if isinstance(part, Forces) and any(t.formula == formula for t in part.law.terms):
+            terms = tuple(t for t in part.law.terms if t.formula != formula)
+            if not terms:
+                continue
+            law = replace(part.law, terms=terms)
+            known = {n: value for n, value in law.constants.items() if n in law.names}
+            part = replace(part, law=replace(law, constants=known))
         parts.append(part)
     return Hypothesis(tuple(parts))
