@@ -187,7 +187,10 @@ def parse_unit(text):
     if (plain := _plain_unit(clean)) is not None:
         return plain
     if re.search(r"\b(px|pixels?)\b", clean):
-        raise UnitError("a pixel has no length in SI; give the length of one, such as '0.17 um'")
+        raise UnitError(
+            "a pixel has no length in SI; give the length of one as the unit of length, as in "
+            '--units "length=2.43 mm" (in dataset.toml, [units] length = "2.43 mm")'
+        )
     base = _in_base_units(clean)
     if not 0 < float(base.magnitude) < float("inf"):
         raise UnitError(f"unit {clean!r} is too large or too small to be used")

@@ -220,7 +220,9 @@ def axes_of(table, declaration):
             f"the header has no column {other!r}; present are {', '.join(columns)}",
             file=table.file, column=other,
             remedy=f"if {theirs[0]!r} is that, --columns {other}={names[0]} (in dataset.toml under "
-            f"[columns]); if all motion is along {axes[0]}, --columns {ignored}",
+            f"[columns]); if it drives the motion (a support, a thrust), its unit, --units "
+            f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {axes[0]}, "
+            f"--columns {ignored}",
         )  # fmt: skip
     note = () if is_angle(angle) else (
         f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",

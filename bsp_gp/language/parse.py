@@ -139,7 +139,8 @@ def _number(digits, unit_text, text, units):
             f"law {_short(text)}: [{unit_text.strip()}] cannot be compared with the data, which do "
             f"not say what their {' and '.join(sorted(set(units.symbols.values())))} are in SI; "
             "declare them under [units] in dataset.toml, or with --units length=m time=s (or au, "
-            "yr); a mass is given with --property mass=0.3[kg] (or Msun)"
+            'yr; of pixels the length of one, "length=2.43 mm"); a mass is given with --property '
+            "mass=0.3[kg] (or Msun)"
         )
     return Number(_finite(value * scale, digits, text), unit, f"{digits} [{unit_text.strip()}]")
 
