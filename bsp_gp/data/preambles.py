@@ -41,7 +41,8 @@ def _long(rows, time, owners, unit, path):
             f"the header must name markers, each once, got {names[:6]}", file=path,
             remedy="export markers with labels, or a table with columns t, entity, x, y, z",
         )  # fmt: skip
-    lines = ["\t".join(["entity", "t (s)", *(f"{a.lower()} ({unit})" for a in _AXES)])]
+    behind = f" ({unit})" if unit else ""
+    lines = ["\t".join(["entity", "t (s)", *(f"{a.lower()}{behind}" for a in _AXES)])]
     for row in rows:
         for start, name in owners:
             place = [*row[start : start + 3], "", "", ""][:3]
@@ -62,7 +63,7 @@ def _trc(text, path):
 def _motive(text, path):
     lines = text.splitlines()
     about = _cells(lines[0], ",")
-    unit = about[about.index("Length Units") + 1].lower()
+    unit = about[about.index("Length Units") + 1].lower() if "Length Units" in about else ""
     start = next(k for k, line in enumerate(lines) if line.startswith("Frame,Time"))
     above = [_cells(line, ",") for line in lines[1:start]]
     kinds = next(row for row in above if "Position" in row)

@@ -115,7 +115,9 @@ def verdict_parts(report):
         text = _findings(adopted)
         if not report.declared:
             text = text.replace("the declared model lacks", "the motion shows")
-        return text[:1].upper() + text[1:] + ".", ""
+        is_force = any(r.effect.kind not in ("measurement", "noise") for r in adopted)
+        is_all = not is_force and last.verdict == "nothing missing"
+        return text[:1].upper() + text[1:] + ".", "No force is missing beside it." if is_all else ""
     if report.verdict == "effective law" and adopted:
         names = _joined(_counted(map(_either, adopted)))
         text = f"On these tracks the motion is as if there were {names}."

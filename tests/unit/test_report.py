@@ -490,6 +490,12 @@ def test_sentences_match_the_verdict():
     effect = replace(full.rounds[0].effect, kind="hidden_body", code="hidden_body", formula=None)
     hidden = replace(full, rounds=(replace(full.rounds[0], effect=effect),))
     assert verdict_sentence(page_of(hidden)) == "An unseen body acts on these."
+    tilt = replace(effect, kind="measurement", code="tilt")
+    tilted = replace(full, rounds=(replace(full.rounds[0], effect=tilt), full.rounds[-1]))
+    assert verdict_sentence(page_of(tilted)) == (
+        "The measurement distorts the motion (a camera that is turned). No force is missing beside "
+        "it."
+    )
     assert "nothing was good enough" in verdict_sentence(page_of(sample.seen_not_adopted()))
     assert headline(page_of(sample.nothing_missing()))["ratio"] == "–"
     said = missing_sentence(page_of(full).rounds[0], 0.01).lower()
