@@ -38,8 +38,6 @@ MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
-
-
 WEAK = 3.0
 """Standard errors of its strength below which a term of a sum may be one too many."""
 
@@ -344,10 +342,13 @@ class _Turn:
 
         Sums are found by their size: of one that is larger than it need be no part was tried.
         """
-        while not self.note_time("fits"):
-            row = max((r for r in self.rows if r.is_fit), key=lambda r: r.log_posterior)
-            proposal, found = self.proposals.get(row.id), self.fits[row.id]
-            if proposal is None or proposal.judged is not None or len(proposal.formulas) < 2:
+        while not self.run.clock.is_over:
+            fitted = (r for r in self.rows if r.is_fit and r.id in self.proposals)
+            row = max(fitted, key=lambda r: r.log_posterior, default=None)
+            if row is None or not row.log_posterior > self.rows[0].log_posterior:
+                return
+            proposal, found = self.proposals[row.id], self.fits[row.id]
+            if proposal.judged is not None or len(proposal.formulas) < 2:
                 return
             shares = {}
             for (name, entity), value, error in zip(
