@@ -150,7 +150,8 @@ def test_a_body_that_was_somewhere_else_makes_it_a_gap():
     clock = jumping(TIMES, 20, 1.0)
     jumped = falling(TIMES, rng=rng)
     still = np.ones((40, 2)) + 1e-3 * rng.standard_normal((40, 2))
-    assert len(table_of(clock, a=jumped, b=still).notes) == 1
+    said = [note for note in table_of(clock, a=jumped, b=still).notes if "clock" in note]
+    assert len(said) == 1
     assert table_of(clock, a=jumped, b=1 + orbiting(clock)).notes == ()
 
 
