@@ -47,8 +47,8 @@ def held_still(scenes):
         return tuple(scenes), ()
     told = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
     note = (
-        f"{CHECK}{told} never moves: taken as held fast at its mean place; a column dynamic of "
-        "entities.csv (1: forces move it, 0: held) says what holds"
+        f"{CHECK}{told} never {'moves' if len(names) == 1 else 'move'}: taken as held fast at the "
+        "mean place; a column dynamic of entities.csv (1: moved by forces, 0: held) says what holds"
     )
     return tuple(_with_held(scene, set(names)) for scene in scenes), (note,)
 

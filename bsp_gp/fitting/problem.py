@@ -11,7 +11,6 @@ import numpy as np
 __all__ = ["Linearised", "Minimum", "Problem", "Settings", "dense_problem"]
 
 
-
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """A problem linearised at a point; a problem may add fields that its `move` needs.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.fit import fit
@@ -11,8 +12,8 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposal import FAULTS, continued
+from bsp_gp.loop.evidence import log_evidence, significance
+from bsp_gp.loop.proposal import FAULTS, continued, without_term
 from bsp_gp.physics.force import split_linear
 
 __all__ = ["Pruned", "prune"]
@@ -111,7 +112,7 @@ class _Pruning:
         kept = [done for done in self.adopted if done.number not in self.removed]
         for formula in [t.formula for t in self.first.law.terms] if kept else ():
             is_asked = self._asked_for(formula) and not self._is_needed(formula)
-            smaller = is_asked and _without_term(self.hypothesis, formula)
+            smaller = is_asked and without_term(self.hypothesis, formula)
             fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
             if fitted and fitted[2] <= 0.0:
                 self.found, self.hypothesis, _ = fitted
@@ -135,9 +136,8 @@ class _Pruning:
         What could take its place would leave it open; a fit without it would only lose its way.
         """
         name, _ = split_linear(formula)
-        numbers = zip(self.found.parameters, self.found.values, self.found.errors, strict=True)
-        own = [abs(value) > NEEDED * error for (n, _), value, error in numbers if n == name]
-        return bool(own) and all(own)
+        own = significance(self.found, name)
+        return len(own) > 0 and bool(np.all(own > NEEDED))
 
     def fitted(self, smaller, text):
         """A smaller hypothesis fitted: (fit, hypothesis, evidence that is lost), or None."""
@@ -160,19 +160,6 @@ class _Pruning:
             for f, h in ((self.found, self.hypothesis), (other, smaller))
         )
         return other, smaller, whole - theirs
-
-
-def _without_term(hypothesis, formula):
-    """The hypothesis without a declared term; None where it has none such, or no other force."""
-    for k, part in enumerate(hypothesis.parts):
-        terms = part.law.terms if isinstance(part, Forces) else ()
-        at = [i for i, term in enumerate(terms) if term.is_declared and term.formula == formula]
-        if at:
-            less = [replace(part, law=part.law.without(at[0]))] if len(terms) > 1 else []
-            parts = (*hypothesis.parts[:k], *less, *hypothesis.parts[k + 1 :])
-            has_forces = any(isinstance(part, Forces) for part in parts)
-            return Hypothesis(parts) if has_forces else None
-    return None
 
 
 def _without(hypothesis, done):

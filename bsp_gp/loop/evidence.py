@@ -14,7 +14,7 @@ import numpy as np
 from bsp_gp.fitting.starts import roles_of
 from bsp_gp.loop.criteria import Criteria
 
-__all__ = ["log_evidence"]
+__all__ = ["log_evidence", "significance"]
 
 LEAST = 2.0
 """Strengths are no likelier below so many standard errors."""
@@ -122,3 +122,17 @@ def _log_prior(role, value, error, criteria):
         return -math.log(max(TURN, error))
     # Log-uniform, both signs.
     return -math.log(2.0 * criteria.decades * math.log(10.0) * max(value, LEAST * error))
+
+
+def significance(fit, name):
+    """Values of a constant in their standard errors, one or those of every entity, (k,).
+
+    Parameters
+    ----------
+    fit : Fit
+    name : str or None
+        Empty where the fit has none of that name.
+    """
+    own = [k for k, (each, _) in enumerate(fit.parameters) if each == name]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(np.asarray(fit.values)[own]) / np.asarray(fit.errors)[own]

@@ -13,7 +13,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
-from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.evidence import log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
@@ -350,18 +350,8 @@ class _Turn:
             proposal, found = self.proposals[row.id], self.fits[row.id]
             if proposal.judged is not None or len(proposal.formulas) < 2:
                 return
-            shares = {}
-            for (name, entity), value, error in zip(
-                found.parameters, found.values, found.errors, strict=True
-            ):
-                if not entity and error > 0:
-                    shares[name] = abs(value) / error
-            weak = {f: shares.get(split_linear(f)[0], math.inf) for f in proposal.formulas}
-            weakest = min(weak, key=weak.get)
-            if not weak[weakest] < WEAK:
-                return
-            smaller = _without(proposal, weakest, found, self.run.criteria)
-            if smaller.key in {r.key for r in self.rows if r.is_fit}:
+            smaller = _without_weakest(proposal, found, self.run.criteria)
+            if smaller is None or smaller.key in {r.key for r in self.rows if r.is_fit}:
                 return
             self.run.says(f"fit without the weakest term: {smaller.text}")
             shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
@@ -529,21 +519,24 @@ def _fit_of(shared, job):
     return new, best, evidence
 
 
-def _without(proposal, formula, found, criteria):
-    """A sum of laws with one less, from where a fit of all of them is."""
-    formulas = tuple(f for f in proposal.formulas if f != formula)
-    hypothesis = without_term(proposal.hypothesis, formula)
-    names = {p.name for p in hypothesis.parameters}
-    starts = {
-        name: float(value)
-        for (name, entity), value in zip(found.parameters, found.values, strict=True)
-        if name in names and not entity
-    }
+def _without_weakest(proposal, found, criteria):
+    """A sum of laws without its weakest term, from where its fit is; None if all are strong."""
+    strengths = {}
+    for formula in proposal.formulas:
+        own = significance(found, split_linear(formula)[0])
+        strengths[formula] = own[0] if len(own) == 1 and own[0] >= 0 else math.inf
+    weakest = min(strengths, key=strengths.get)
+    hypothesis = without_term(proposal.hypothesis, weakest)
+    if hypothesis is None or not strengths[weakest] < WEAK:
+        return None
+    formulas = tuple(f for f in proposal.formulas if f != weakest)
+    known = hypothesis.own(found.law.constants).items()
     return replace(
-        proposal, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
-        bounds={name: b for name, b in proposal.bounds.items() if name in names},
-        formulas=formulas, ties=(), rank=proposal.rank - 1,
-        log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0), patience=1,
+        proposal, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis,
+        starts={name: value for name, value in known if isinstance(value, float)},
+        bounds=hypothesis.own(proposal.bounds), formulas=formulas, ties=(),
+        rank=proposal.rank - 1, log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0),
+        patience=1,
     )  # fmt: skip
 
 

@@ -216,15 +216,13 @@ def with_term_at(hypothesis, index, formula, constants):
 
 
 def without_term(hypothesis, formula):
-    """The hypothesis without the terms of a formula."""
-    parts = []
-    for part in hypothesis.parts:
-        if isinstance(part, Forces) and any(t.formula == formula for t in part.law.terms):
-            terms = tuple(t for t in part.law.terms if t.formula != formula)
-            if not terms:
-                continue
-            law = replace(part.law, terms=terms)
-            known = {n: value for n, value in law.constants.items() if n in law.names}
-            part = replace(part, law=replace(law, constants=known))
-        parts.append(part)
-    return Hypothesis(tuple(parts))
+    """The hypothesis without a term; None where it has none such, or no other force."""
+    for k, part in enumerate(hypothesis.parts):
+        terms = part.law.terms if isinstance(part, Forces) else ()
+        at = [i for i, term in enumerate(terms) if term.formula == formula]
+        if at:
+            less = [replace(part, law=part.law.without(at[0]))] if len(terms) > 1 else []
+            parts = (*hypothesis.parts[:k], *less, *hypothesis.parts[k + 1 :])
+            has_forces = any(isinstance(part, Forces) for part in parts)
+            return Hypothesis(parts) if has_forces else None
+    return None

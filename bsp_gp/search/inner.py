@@ -197,14 +197,17 @@ def _are_told(formula, dataset):
     """Whether the properties of which it has fitted powers have values enough to tell these."""
     for node in walk(formula):
         if isinstance(node, Call) and node.operator == "pow" and node.args[1].constants:
-            for name in map(property_of, node.args[0].inputs):
-                column = name[0] if name else ""
-                values = {
-                    e.properties.get(column) for s in dataset.scenes for e in s.entities
-                } - {None, 0.0}
-                if column and len(values) < FEWEST_VALUES:
-                    return False
+            columns = {name[0] for name in map(property_of, node.args[0].inputs) if name}
+            if any(_n_values(dataset, column) < FEWEST_VALUES for column in columns):
+                return False
     return True
+
+
+def _n_values(dataset, column):
+    """Values of a property that are known and not zero; a vector is none."""
+    found = (e.properties.get(column) for s in dataset.scenes for e in s.entities)
+    known = {value for value in found if isinstance(value, (int, float)) and np.isfinite(value)}
+    return len(known - {0.0})
 
 
 def _check(formula, text, ranges):

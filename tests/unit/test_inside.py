@@ -11,6 +11,8 @@ from bsp_gp.errors import GrammarError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.language.inputs import input_types
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.inside import Inside
@@ -18,7 +20,8 @@ from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
 from bsp_gp.report.naming import describe
 from bsp_gp.report.sentences import parting_sentence
-from bsp_gp.search.inner import Axis, expanded
+from bsp_gp.search.inner import Axis, _are_told, expanded
+from bsp_gp.units import Unit
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.unit.test_decide import decided, row
 
@@ -99,6 +102,20 @@ def test_a_drag_between_the_powers_of_the_grammar_leads():
     best, found = proposed(pushed(push))
     assert best.text == "c1 * (norm(v_i)^n1 * normalize(v_i))"
     assert is_within(found, n=1.5)
+
+
+@pytest.mark.parametrize("size", [math.nan, 0.0, 2.0])
+def test_no_power_is_fitted_of_a_property_that_is_unknown_or_the_same_everywhere(size):
+    scenes = []
+    for k in range(6):
+        ball = body("ball", mass=1.0 + k, properties={"size": size + 0.0 * k})
+        places = np.outer(TIMES, [1.0 + k, 2.0])[:, None]
+        scenes.append(scene_of(TIMES, (ball,), places, name=f"s{k}"))
+    data = dataset_of(scenes, noise=(SIGMA, SIGMA))
+    formula = parse_formula("size_i^a * v_i", input_types({"size": Unit.of(m=1)}))
+    assert not _are_told(formula, data)
+    formula = parse_formula("m_i^a * v_i", input_types({"mass": Unit.of(kg=1)}))
+    assert _are_told(formula, data)
 
 
 @pytest.mark.parametrize(("n_scenes", "n_forms"), [(6, 1), (3, 0)])
