@@ -15,6 +15,8 @@ __all__ = ["Scales", "candidates", "first_nodes", "scales_of", "stepped_nodes"]
 
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
+HURRIED = 0.3
+"""Part of the median time from row to row from which rows tell a velocity."""
 EXPONENTS = (-2.0, 1.0, -1.0, 2.0, -3.0, 0.5, 3.0, 0.0, -4.0, 4.0)
 DECADES = (1.0, 0.1, 10.0, 0.01, 100.0)
 
@@ -68,6 +70,34 @@ def stepped_nodes(chains, nodes):
 
 
 def _slope(times, x, is_coarse):
+    """Slope of a curve through places; through means of rows that are hurried together.
+
+    Two rows in one night tell nothing of a year's motion: what noise they differ by, over so short
+    a time, would be a wild velocity.
+    """
+    if len(x) < 2:
+        return np.zeros(len(x))
+    rows = _together(times)
+    if len(rows) < len(x):
+        count = np.diff(np.append(rows, len(x)))
+        when, where = (np.add.reduceat(v, rows) / count for v in (times, x))
+        return np.interp(times, when, _slope_of(when, where, is_coarse))
+    return _slope_of(times, x, is_coarse)
+
+
+def _together(times):
+    """First rows of groups of rows that are much closer to each other than rows usually are."""
+    steps = np.diff(times)
+    if np.all(steps >= HURRIED * np.median(steps)):
+        return np.arange(len(times))
+    least, first = HURRIED * np.median(steps), [0]
+    for k in range(1, len(times)):
+        if times[k] - times[first[-1]] >= least:
+            first.append(k)
+    return np.array(first)
+
+
+def _slope_of(times, x, is_coarse):
     if len(x) < 2:
         return np.zeros(len(x))
     if is_coarse and len(x) > 3:

@@ -18,7 +18,7 @@ from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.units import Unit
+from bsp_gp.units import OF_THE_SKY, Unit
 
 __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
 
@@ -147,6 +147,21 @@ class View:
         ]
         is_known = self.dataset.units.is_calibrated(Unit.of(m=1, s=1))
         return bool(is_known and np.max(sizes) > ASTRONOMICAL)
+
+    @cached_property
+    def reference(self):
+        """The body of the sky from which places count, so that what pulls it is not seen; or "".
+
+        No measured place is exactly zero: these coordinates are ways from that body.
+        """
+        if not self.is_astronomical and self.dataset.units.symbols.get("m") not in OF_THE_SKY:
+            return ""
+        still = [
+            {e.name for e, track in zip(s.entities, np.swapaxes(s.positions, 0, 1), strict=True)
+             if e.is_static and not np.any(track)}
+            for s in self.dataset.scenes
+        ]  # fmt: skip
+        return min(set.intersection(*still), default="")
 
     @property
     def free_gain(self):

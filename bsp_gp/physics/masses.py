@@ -12,8 +12,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
 from bsp_gp.units import Unit
 
-__all__ = ["NO_MASS", "ONE_KILOGRAM", "check_properties", "has_masses", "with_unit_masses",
-           "with_usable_masses", "without_masses"]  # fmt: skip
+__all__ = ["NO_MASS", "ONE_KILOGRAM", "are_units", "check_properties", "has_masses",
+           "with_unit_masses", "with_usable_masses", "without_masses"]  # fmt: skip
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set without any mass."""
@@ -25,6 +25,11 @@ _KILOGRAM = Unit.of(kg=1)
 def has_masses(dataset):
     """Whether any body that moves has a mass."""
     return any(np.isfinite(e.mass) for s in dataset.scenes for e in s.entities if not e.is_static)
+
+
+def are_units(dataset):
+    """Whether every body that moves has a mass of one: constants are per unit mass."""
+    return all(e.mass == 1.0 for s in dataset.scenes for e in s.entities if not e.is_static)
 
 
 def without_masses(dataset):

@@ -18,9 +18,12 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["HiddenBody", "HiddenSource", "body_pull", "pull_of", "unit_pull"]
+__all__ = ["HiddenBody", "HiddenSource", "beside_origin", "body_pulls", "pull_of", "unit_pull"]
 
 SECOND = Unit.of(s=1)
+P_I, P_J, V_I, V_J, ORIGIN = (
+    Input(name, STATE_INPUTS[name]) for name in ("p_i", "p_j", "v_i", "v_j", "origin")
+)
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,17 @@ def unit_pull(term, strength):
     return substitute(term.formula, {own: Constant(strength)}), property_of(own.name)[0]
 
 
-def pull_of(term, strength, places, speeds=(), epoch=0.0):
+def beside_origin(pull):
+    """A pull as it is seen from a body at the origin, which the source pulls as well, a formula.
+
+    Places in a table of a companion are those from its primary, and the frame of a primary that is
+    pulled is accelerated: a companion moves by the difference. The pull has to be as heavy as its
+    receiver is (gravity), since of what the primary is nothing is asked.
+    """
+    return Call("sub", pull, substitute(pull, {P_I: ORIGIN, V_I: _still()}))
+
+
+def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
     """A pair term as it acts from one unseen source; None if it cannot.
 
     Parameters
@@ -149,6 +162,8 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0):
     places, speeds : sequence of str
         Names of the coordinates at `epoch`, and of the components of the velocity.
     epoch : float, s
+    is_relative : bool
+        Whether places are those from a body that is pulled too, see `beside_origin`.
 
     Returns
     -------
@@ -158,23 +173,46 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0):
     found = unit_pull(term, strength)
     if found is None:
         return None
-    place, velocity = _vector(places), _vector(speeds) if speeds else _still(len(places))
+    place, velocity = _vector(places), _vector(speeds) if speeds else _still()
     if speeds:
         late = Call("sub", Input("t", STATE_INPUTS["t"]), Number(epoch, SECOND))
         place = Call("add", place, Call("mul", late, velocity))
-    origin = Input("origin", STATE_INPUTS["origin"])
-    replaced = {
-        Input("p_j", STATE_INPUTS["p_j"]): Call("add", origin, place),
-        Input("v_j", STATE_INPUTS["v_j"]): velocity,
-    }
-    return Term(substitute(found[0], replaced), "field")
+    pull = beside_origin(found[0]) if is_relative else found[0]
+    return Term(substitute(pull, {P_J: Call("add", ORIGIN, place), V_J: velocity}), "field")
 
 
-def body_pull(term, strength):
-    """What an unseen body of this strength pulls beyond what the term has it pull, a pair term."""
-    pull, _ = unit_pull(term, strength)
-    mark = Input(f"{MARK}_j", Type("scalar"))
-    return Term(Call("mul", mark, Call("sub", pull, term.formula)), "pair")
+def body_pulls(term, strength, is_declared=True, is_relative=False):
+    """What an unseen body of this strength brings beyond the term, tuple of Term.
+
+    Parameters
+    ----------
+    term : Term
+        A pair term.
+    strength : str
+    is_declared : bool
+        Whether bodies pull each other by the term, the unseen one as if it were like the others.
+    is_relative : bool
+        Whether places are those from a body at rest at the origin that is pulled too: the unseen
+        body then goes round both, and where no property tells how much bodies pull, only the one
+        at the origin pulls it (companions are taken to be light).
+    """
+    pull, column = unit_pull(term, strength)
+    acts, feels = (Input(f"{MARK}_{role}", Type("scalar")) for role in "ji")
+    seen = pull
+    if is_relative:
+        # Of the body at the origin itself this would be 0/0, where it does not act.
+        still = Call("mul", Call("sub", Number(1.0, DIMENSIONLESS), acts), Call("sub", P_I, ORIGIN))
+        there = {P_I: ORIGIN, V_I: _still(), P_J: Call("add", P_J, still)}
+        seen = Call("sub", pull, substitute(pull, there))
+    pair = Call("mul", acts, Call("sub", seen, term.formula) if is_declared else seen)
+    if not is_relative:
+        return (Term(pair, "pair"),)
+    about = {P_J: ORIGIN, V_J: _still()}
+    own = Call("neg", substitute(pull, {P_I: ORIGIN, V_I: _still(), P_J: P_I, V_J: V_I}))
+    if is_declared and not column:
+        pair = Call("sub", pair, Call("mul", feels, term.formula))
+        own = Call("add", own, substitute(term.formula, about))
+    return Term(pair, "pair"), Term(Call("mul", feels, own), "field")
 
 
 def _role(name):
@@ -194,6 +232,6 @@ def _vector(names):
     return total
 
 
-def _still(n_dims):
+def _still():
     speed = Number(0.0, STATE_INPUTS["v_j"].unit)
     return Call("mul", speed, Input("e_x", Type("vector")))

@@ -7,7 +7,6 @@ the pull along the track that the visible bodies give a body of no weight.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
 
@@ -15,15 +14,24 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from bsp_gp.data.scene import Entity, Scene
-from bsp_gp.fitting.parts.hidden import HiddenBody, body_pull
+from bsp_gp.fitting.parts.hidden import HiddenBody, body_pulls
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, pulls_of, still
+from bsp_gp.loop.proposers.hidden import (
+    Sources,
+    Stage,
+    apart,
+    attraction,
+    pulls_of,
+    pulls_of_column,
+    still,
+)
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
 from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
+from bsp_gp.physics.masses import are_units
 
 __all__ = ["Companions", "Orbits"]
 
@@ -51,11 +59,11 @@ class Companions(Sources):
         view : View
         """
         is_angle = view.dataset.units.is_angle
-        if is_angle or len(view.dataset.scenes) > 1 or not _moves_anything(view.fit.law):
+        if is_angle or len(view.dataset.scenes) > 1 or not _moves_anything(view):
             return Family(self.name)
         stage = Stage(view)
         null, proposals, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0
-        for terms in pulls_of(view, stage.strength):
+        for terms in pulls_of(view, stage.strength) or [attraction(view, stage)]:
             orbits = Orbits(view, stage, terms)
             states = orbits.states()
             gains, strengths, unit = orbits.scores(states)
@@ -66,12 +74,14 @@ class Companions(Sources):
         return self.family(proposals, null, n_tried)
 
 
-def _moves_anything(law):
-    """Whether it has forces between bodies, and moves a body of which nothing is known."""
+def _moves_anything(view):
+    """Whether the law acts from bodies, and moves a body of which nothing is known."""
+    law, masses = view.fit.law, are_units(view.dataset)
     own = [property_of(n) for t in law.terms for n in t.acceleration_formula.inputs]
-    is_known = not any(t.needs_mass or law.is_per_entity(t) for t in law.terms)
+    is_known = not any((t.needs_mass and not masses) or law.is_per_entity(t) for t in law.terms)
     is_known = is_known and all(found is None or found[1] == "j" for found in own)
-    return is_known and not law.unseen and any(t.kind == "pair" for t in law.terms)
+    kinds = {t.kind for t in law.terms}
+    return is_known and not law.unseen and ("pair" in kinds or bool(kinds and view.reference))
 
 
 class Orbits:
@@ -93,11 +103,17 @@ class Orbits:
     def __init__(self, view, stage, terms):
         self.view, self.stage, self.terms = view, stage, terms
         self.scene = _fitted_scene(view)
-        unknown = Entity(fresh_body(self.scene))
+        self.own = {"mass": 1.0} if are_units(view.dataset) else {}
+        unknown = Entity(fresh_body(self.scene), properties=self.own)
         blank = np.full((len(self.scene.times), 1, stage.n_dims), np.nan)
         whole = [np.concatenate([v, blank], axis=1)
                  for v in (self.scene.positions, self.scene.velocities)]  # fmt: skip
+        self.column = pulls_of_column(terms)
         crew = tuple(replace(e, is_static=True) for e in self.scene.entities)
+        if view.reference and not self.column:  # companions are light
+            kept = [k for k, e in enumerate(crew) if e.name == view.reference]
+            crew, whole = tuple(crew[k] for k in kept), [v[:, [*kept, -1]] for v in whole]
+        self.crew = crew
         probe = Scene("probe", self.scene.times, whole[0], (*crew, unknown), whole[1])
         law = replace(view.fit.law, frame=())
         (chains,) = build_chains(law, (probe,), view.dataset.up, "measured")
@@ -105,7 +121,6 @@ class Orbits:
         motion.set_constants(np.zeros(0))
         self.flow = Flow(motion, np.ones(1))
         self.times = np.linspace(self.scene.times[0], self.scene.times[-1], N_STEPS + 1)
-        self.column = pulls_of_column(terms)
 
     # --- tracks ----------------------------------------------------------------------------------
 
@@ -193,7 +208,7 @@ class Orbits:
 
     def strongest(self):
         """Place and velocity of the body that pulls most, in the middle of the recording."""
-        strengths = [e.properties.get(self.column, 0.0) for e in self.scene.entities]
+        strengths = [e.properties.get(self.column, 0.0) for e in self.crew]
         k = int(np.nanargmax(np.abs(strengths)))
         states = self.flow.driven.at(self.times[[N_STEPS // 2]], np.zeros(1, dtype=int))
         return states[0, k, :, 0], states[1, k, :, 0]
@@ -238,28 +253,27 @@ class Orbits:
         body = Unseen(fresh_body(self.scene), stage.names, speeds, known)
         starts = dict(zip((stage.strength, *body.names), map(float, (strength, *first)),
                           strict=True))  # fmt: skip
-        pulls = tuple(body_pull(term, stage.strength) for term, _ in self.terms)
+        declared = {term.formula for term in view.fit.law.terms}
+        pulls = tuple(
+            pull for term, _ in self.terms
+            for pull in body_pulls(
+                term, stage.strength, term.formula in declared, bool(view.reference)
+            )
+        )  # fmt: skip
         names = {n for pull in pulls for n in pull.formula.constants}
         law = view.fit.law.constants
         known = {**{n: law[n] for n in names if n in law}, **starts}
         part = HiddenBody(
             ForceLaw(pulls, known, unseen=(body,)), None, stage.names, speeds, **stage.common,
             between=tuple(term for term, _ in self.terms), epoch=float(self.times[0]),
-            properties={self.column: float(strength)} if self.column else {},
+            properties={**self.own, **({self.column: float(strength)} if self.column else {})},
         )  # fmt: skip
         text = " + ".join(to_text(term.formula) for term, _ in self.terms)
         return Proposal(
             "hidden_body", f"under the law: {text}", view.hypothesis + part,
             -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
-            {stage.strength: (0.0, math.inf)} if self.column == "mass" else {},
-            kind="hidden_body",
+            stage.bounds(self.column), kind="hidden_body",
         )  # fmt: skip
-
-
-def pulls_of_column(terms):
-    """The property by which sources act; "" where they all act alike."""
-    known = [property_of(name) for term, _ in terms for name in term.formula.inputs]
-    return next((one[0] for one in known if one and one[1] == "j"), "")
 
 
 def fresh_body(scene):

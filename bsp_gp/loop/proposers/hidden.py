@@ -6,13 +6,14 @@ bodies of which no force on each other is declared, may go round what nobody see
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of, unit_pull
+from bsp_gp.fitting.parts.hidden import HiddenSource, beside_origin, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
-from bsp_gp.language.inputs import STATE_INPUTS, input_types
+from bsp_gp.language.inputs import STATE_INPUTS, input_types, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
@@ -21,7 +22,8 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
 
-__all__ = ["Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of", "still"]
+__all__ = ["Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of",
+           "pulls_of_column", "still"]  # fmt: skip
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -84,7 +86,8 @@ class Hidden(Sources):
             if any(_are_same(unit, other) for other in known):
                 continue
             known.append(unit)
-            gains = np.square(unit.T @ view.left)
+            along, bounds = unit.T @ view.left, stage.bounds(pulls_of_column(terms))
+            gains = np.where(along > 0, np.square(along), 0.0) if bounds else np.square(along)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
             for k in apart(unit, gains):
@@ -112,6 +115,12 @@ def pulls_of(view, strength):
         if pull is not None:
             columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
     return [tuple(both) for both in columns.values()]
+
+
+def pulls_of_column(terms):
+    """The property by which sources act; "" where they all act alike."""
+    known = [property_of(name) for term, _ in terms for name in term.formula.inputs]
+    return next((one[0] for one in known if one and one[1] == "j"), "")
 
 
 def attraction(view, stage):
@@ -179,7 +188,9 @@ class Stage:
             lookup = _Spread(batch, places, velocities)
             total = 0.0
             for _, pull in terms:
-                force = evaluate(pull.acceleration_formula, lookup, constants)
+                formula = pull.acceleration_formula
+                formula = beside_origin(formula) if view.reference else formula
+                force = evaluate(formula, lookup, constants)
                 if pull.needs_mass:
                     force = force / lookup["m_i"][..., None]
                 total = total + force
@@ -212,7 +223,10 @@ class Stage:
         place = self.places[k]
         starts = {self.strength: strength, **dict(zip(self.names, map(float, place), strict=True))}
         texts = " + ".join(to_text(term.formula) for term, _ in terms)
-        pulls = tuple(pull_of(term, self.strength, self.names) for term, _ in terms)
+        is_relative = bool(view.reference)
+        pulls = tuple(
+            pull_of(term, self.strength, self.names, is_relative=is_relative) for term, _ in terms
+        )
         rest = ForceLaw(pulls, _known(view, terms, starts))
         part = HiddenSource(rest, None, self.names, (), **self.common, between=_between(terms))
         is_afresh = self.is_led_away
@@ -220,7 +234,7 @@ class Stage:
             Proposal(
                 "hidden_body", f"at rest: {texts}", view.hypothesis + part,
                 self.log_prior(terms), gain, 1 + self.n_dims, starts, kind="hidden_body",
-                is_afresh=is_afresh,
+                is_afresh=is_afresh, bounds=self.bounds(pulls_of_column(terms)),
             )
         ]  # fmt: skip
         if len(view.dataset.scenes) == 1:
@@ -232,7 +246,10 @@ class Stage:
         times = view.dataset.scenes[0].times
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[: self.n_dims])
         epoch = float(times[0] + times[-1]) / 2
-        pulls = tuple(pull_of(term, self.strength, self.names, speeds, epoch) for term, _ in terms)
+        pulls = tuple(
+            pull_of(term, self.strength, self.names, speeds, epoch, bool(view.reference))
+            for term, _ in terms
+        )
         starts = {**starts, **dict.fromkeys(speeds, 0.0)}
         part = HiddenSource(
             ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common,
@@ -241,13 +258,18 @@ class Stage:
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part,
             self.log_prior(terms), gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
-            is_afresh=self.is_led_away,
+            is_afresh=self.is_led_away, bounds=self.bounds(pulls_of_column(terms)),
         )  # fmt: skip
 
     def log_prior(self, terms):
         """Of a source beforehand, nats: gravity is what bends tracks of astronomical size."""
         is_gravity = all(to_text(term.formula) == to_text(self.gravity) for term, _ in terms)
         return 0.0 if is_gravity else -self.view.criteria.cause_nats
+
+    def bounds(self, column):
+        """Of the strength: nothing pushes by its mass, nor at the size of the sky."""
+        is_mass = column == "mass" or self.view.is_astronomical or self.view.reference
+        return {self.strength: (0.0, math.inf)} if is_mass else {}
 
     @property
     def is_led_away(self):
