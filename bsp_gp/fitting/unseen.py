@@ -16,7 +16,8 @@ from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = ["MARK", "as_driven", "carried", "shown", "tied", "with_entity"]
+__all__ = ["MARK", "as_driven", "carried", "shown", "tied", "with_entity",
+           "without_unseen"]
 
 MARK = "unseen"
 """Property that is 1 of a body that no row shows, and 0 of others."""
@@ -24,6 +25,12 @@ STEP_ERROR = 0.02
 """Error of the integration from row to row, in standard deviations of a position."""
 FAR = 1e30
 """Coordinate of a body that has run away, m."""
+
+
+def without_unseen(law):
+    """A law for people: without what its unseen bodies bring, which is told by itself."""
+    marks = {f"{MARK}_i", f"{MARK}_j"}
+    return replace(law, terms=tuple(t for t in law.terms if not marks & set(t.formula.inputs)))
 
 
 def with_entity(scene, entity, track=None, values=()):

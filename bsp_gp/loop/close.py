@@ -28,6 +28,7 @@ from bsp_gp.fitting.law_fit import (
     unset,
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
 from bsp_gp.language.render import to_latex, to_text
@@ -407,8 +408,8 @@ def _written(
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
-        "rounds": records, "law": last.law, "law_text": last.law.text(units=units),
-        "law_latex": last.law.latex(units=units), "constants": constants,
+        "rounds": records, "law": last.law, "law_text": without_unseen(last.law).text(units=units),
+        "law_latex": without_unseen(last.law).latex(units=units), "constants": constants,
         "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,
         "equivalents": () if effect is None else effect.equivalents,

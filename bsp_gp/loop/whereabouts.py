@@ -56,6 +56,7 @@ def whereabouts(dataset, part, fit, rng):
     return {
         "motion": part.motion, "epoch": part.epoch, "names": names, "best": best.tolist(),
         "property": part.column, "unit": unit, "units": units,
+        "is_share": part.between[0].formula in {term.formula for term in fit.law.terms},
         "length_unit": dataset.units.text(LENGTH),
         "draws": draws.tolist(),
         "n_eff": float(n_eff), "centre": centre.tolist(),

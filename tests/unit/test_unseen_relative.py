@@ -1,0 +1,88 @@
+"""An unseen body beside places that count from a body which it pulls as well."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.parts.hidden import pull_of
+from bsp_gp.fitting.starts import _slope
+from bsp_gp.language.formula import evaluate
+from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.view import View
+from bsp_gp.units import UnitSystem
+
+GRAVITY = "M * (p_j - p_i) / norm(p_j - p_i)^3"
+SHARE, PLACE = 0.4, np.array([1.7, 0.6])
+ARCSEC = UnitSystem.from_declared({"length": "arcsec", "time": "s"})
+
+
+def relative_orbit(seed=0, n_rows=60, sigma=1e-3):
+    """A light companion from its primary, and a body farther out on a circle about that one."""
+    rng = np.random.default_rng(seed)
+    speed = np.sqrt((1 + SHARE) / np.linalg.norm(PLACE))
+    across = np.array([-PLACE[1], PLACE[0]]) / np.linalg.norm(PLACE) * speed
+
+    def rate(_, state):
+        p, q, v, w = state.reshape(4, 2)
+
+        def pull(x):
+            return x / np.linalg.norm(x) ** 3
+
+        return np.concatenate([v, w, -pull(p) + SHARE * (pull(q - p) - pull(q)),
+                               -(1 + SHARE) * pull(q)])  # fmt: skip
+
+    times = np.sort(rng.uniform(0, 7, n_rows))
+    start = np.concatenate([[0.6, 0.0], PLACE, [0.0, 1.2], across])
+    path = solve_ivp(rate, (0, 7), start, t_eval=times, rtol=1e-10, atol=1e-12).y[:2].T
+    places = np.zeros((n_rows, 2, 2))
+    places[:, 0] = path + sigma * rng.standard_normal(path.shape)
+    bodies = (Entity("companion", properties={"mass": 1.0}), Entity("primary", is_static=True))
+    sigmas = np.full(places.shape, np.nan)
+    sigmas[:, 0] = sigma
+    return Dataset("sky", (Scene("sky", times, places, bodies, sigma=sigmas),), units=ARCSEC)
+
+
+def look(dataset):
+    """The fit of the declared law as proposers look at it."""
+    hypothesis = Hypothesis.from_laws(dataset, [GRAVITY])
+    return View(fit(hypothesis, dataset), hypothesis, dataset, np.random.default_rng(0))
+
+
+def test_a_companion_is_moved_against_its_primary_by_what_pulls_both():
+    view = look(relative_orbit())
+    assert view.reference == "primary"
+    best, *_ = Companions().propose(view).proposals
+    found = fit(best.hypothesis, view.dataset, near=view.near, starts=best.starts,
+                bounds=best.bounds)  # fmt: skip
+    assert found.status == "converged" and found.chi2_red < 1.4
+    known = {name: k for k, (name, _) in enumerate(found.parameters)}
+    numbers = [known[n] for n in ("M1", "h_x1", "h_y1")]
+    off = (found.values[numbers] - [SHARE, *PLACE]) / found.errors[numbers]
+    assert np.abs(off).max() < 3.5
+    assert np.all(found.errors[numbers] < 0.5 * np.abs([SHARE, *PLACE]))
+
+
+def test_a_body_at_the_origin_of_a_small_table_is_held_by_whoever_put_it_there():
+    (scene,) = relative_orbit().scenes
+    in_metres = Dataset("table", (scene,), units=UnitSystem.from_declared({"length": "m"}))
+    assert look(in_metres).reference == ""
+
+
+def test_what_pulls_both_alike_moves_nothing_and_else_the_tide_is_left():
+    dataset = relative_orbit()
+    (term,) = Hypothesis.from_laws(dataset, [GRAVITY]).law.terms
+    pull = pull_of(term, "S", ("h_x", "h_y"), is_relative=True)
+    far = {"M": 1.0, "S": 1e9, "h_x": 1e3, "h_y": 0.0}
+    at = {"p_i": np.array([1.0, 0.0]), "p_j": np.zeros(2), "v_i": np.zeros(2), "t": 0.0,
+          "origin": np.zeros(2), "e_x": np.eye(2)[0], "e_y": np.eye(2)[1]}  # fmt: skip
+    force = evaluate(pull.formula, at, far)
+    assert force == pytest.approx([2.0, 0.0], rel=0.01)  # 2 M r / d^3: a tide
+
+
+def test_rows_of_one_night_tell_no_velocity():
+    times = np.array([0.0, 1.0, 2.0, 2.001, 3.0, 4.0, 5.0])
+    seen = times + np.array([0, 0, 0.01, -0.01, 0, 0, 0])
+    assert _slope(times, seen, False) == pytest.approx(np.ones(7), abs=0.05)
