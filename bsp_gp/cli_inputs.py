@@ -31,7 +31,7 @@ def read_dataset(args):
         args.data if len(args.data) > 1 else args.data[0],
         units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
         columns=columns_said(args), train=args.train, test=args.test,
-        properties=_mapping("--property", args.property),
+        properties=_mapping("--property", args.property), sky=_mapping("--sky", args.sky),
     )  # fmt: skip
     if args.up is not None:
         axes = "xyz"[: dataset.n_dims]

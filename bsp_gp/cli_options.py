@@ -598,6 +598,11 @@ def _reading(parser, with_noise=True):
         "a [unit] in that of --units",
     )  # fmt: skip
     group.add_argument(
+        "--sky", action="extend", nargs="+", type=_pair, metavar="WHAT=HOW_FAR",
+        help='how far away it is, so that angles are lengths: distance="8.2 kpc", '
+        'parallax="379.2 mas"',
+    )  # fmt: skip
+    group.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"), help="axis that points up"
     )
     clock = group.add_mutually_exclusive_group()

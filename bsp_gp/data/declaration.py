@@ -25,6 +25,7 @@ TOP_KEYS = (
     "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory",
     "units", "axes", "columns", "initial", "latent", "sky", "split", "evaluation", "provenance",
 )  # fmt: skip
+SKY = ("distance", "parallax")
 FIRST_PLACES = ("exact", "measured")
 FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
 PRIOR_FORMS = ("uniform:LOW:HIGH", "log-uniform:LOW:HIGH", "normal:MEAN:SD[:LOW:HIGH]",
@@ -97,13 +98,17 @@ class Declaration:
 
     def override(
         self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None, noise=None,
-        properties=None,
+        properties=None, sky=None,
     ):  # fmt: skip
         """Let the caller's arguments win over the file."""
         reader = _Reader({"noise": noise}, "arguments")
         changes = {} if noise is None else {"noise": reader.noise()}
         if properties is not None:
             changes["properties"] = dict(properties)
+        if sky is not None:
+            for key in set(sky) - set(SKY):
+                reader.fail(f"[sky] has {' or '.join(SKY)}, not {key!r:.60}")
+            changes["sky"] = reader.texts(sky, "sky")
         if units is not None:
             changes["units"] = {**self.units, **reader.texts(units, "units")}
         if columns is not None:
@@ -227,7 +232,7 @@ class _Reader:
             noise_memory=self.noise_memory(),
             velocity=velocity,
             columns=columns,
-            sky=self.texts(self.table("sky", ("distance", "parallax")), "sky"),
+            sky=self.texts(self.table("sky", SKY), "sky"),
             first_position=self.choice(initial, "position", FIRST_PLACES, "measured"),
             first_velocity=self.choice(initial, "velocity", FIRST_VELOCITIES, "unknown"),
             latents=self.latents(),

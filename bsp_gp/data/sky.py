@@ -22,6 +22,8 @@ SKY_COLUMNS = ("ra", "dec", "sra", "sdec")
 _SEXAGESIMAL = re.compile(
     r"([+\-−]?)\s*(\d+)\s*[h:°d\s]\s*(\d+)\s*[m:'′\s]\s*(\d+(?:\.\d*)?)\s*[s\"″]?"
 )
+_AMOUNT = re.compile(r"\s*([-+.0-9]*(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*", re.DOTALL)
+"""A number and its unit, with or without a blank between them."""
 _HOURS = 15.0
 """Degrees of an hour of right ascension."""
 _WIDEST = 0.1
@@ -168,7 +170,7 @@ def _distance(about, file):
     if {"distance", "parallax"} <= set(about):
         raise DataError("[sky] has a distance and a parallax", file=file, remedy="keep one")
     (key, text), = about.items()
-    number, _, unit = text.strip().partition(" ")
+    number, unit = _AMOUNT.fullmatch(text).groups()
     try:
         value, (scale, of) = float(number), parse_unit(unit)
     except (ValueError, UnitError) as error:

@@ -72,7 +72,7 @@ def read_stars(table, declaration):
     note = in_python(
         "separation and position angle were read as the place of a companion, x to the east and y "
         f"to the north (angles from north through east), and its primary was added as {PRIMARY!r}, "
-        "at rest at the origin; an orbit is taken to lie in the plane of the sky; if nothing is at "
+        "at rest at the origin; if nothing is at "
         f"the origin and angles count from x to y, say so: --columns {options}"
     )
     table = replace(table, theirs=theirs, title=table.title or "companion",

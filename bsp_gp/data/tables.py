@@ -52,7 +52,7 @@ def load_dataset(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None, fps: float | None = None, dt: float | None = None,
     train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
-    properties: Mapping | None = None,
+    properties: Mapping | None = None, sky: Mapping[str, str] | None = None,
 ) -> Dataset:  # fmt: skip
     """Read a data set folder, or a lone delimited file, or several as recordings of one motion.
 
@@ -76,6 +76,8 @@ def load_dataset(
     properties : mapping of str to float, str or mapping, optional
         Property -> number for all bodies, or body -> number: ``{"mass": 0.3}``, ``{"mass":
         "305.8[g]"}``, ``{"mass": {"star1": 1.2, "star2": 0.8}}``; in place of what the data say.
+    sky : mapping of str to str, optional
+        How far it is: ``{"distance": "8.2 kpc"}`` or ``{"parallax": "379.2 mas"}``.
 
     Returns
     -------
@@ -87,7 +89,8 @@ def load_dataset(
     DataError
         Whatever is wrong with the data, with file, line, column and remedy.
     """
-    reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties}
+    reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
+               "sky": sky}  # fmt: skip
     if isinstance(path, str | os.PathLike):
         dataset = _loaded(Path(path), train=train, test=test, **reading)
     else:
@@ -103,7 +106,7 @@ def load_dataset(
     return with_properties(dataset, properties)
 
 
-def _loaded(path, *, units, columns, fps, dt, properties, train=None, test=None):
+def _loaded(path, *, units, columns, fps, dt, properties, sky, train=None, test=None):
     """One file or folder, without what is said of properties beside it."""
     if path.is_dir():
         path = _data_of_recording(path)
@@ -133,8 +136,9 @@ def _loaded(path, *, units, columns, fps, dt, properties, train=None, test=None)
     else:
         raise DataError("there is no such file or folder", file=path, remedy="check the path")
     declaration = declaration.override(
-        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test, properties=properties
-    )
+        units=units, columns=columns, fps=fps, dt=dt, train=train, test=test,
+        properties=properties, sky=sky,
+    )  # fmt: skip
     if trajectories.suffix.lower() in (".parquet", ".pq"):
         table = _read_parquet(trajectories, declaration.columns)
     else:

@@ -130,6 +130,8 @@ class Forces(Part):
     law: ForceLaw
     paper_steps: bool | None = None
     kind = "world"
+    is_one_cause = False
+    """Whether its terms stand and fall together."""
 
     @property
     def parameters(self):

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.free_force import STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import less_exact, link, orthonormal
+from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
@@ -91,6 +92,19 @@ class ResponseBatch(RegressionBatch):
             out = np.where(size > NOTHING * most, out, 0.0)
         return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
 
+    def in_plane(self, matrix):
+        """The same of forces in a plane of which this is a picture.
+
+        Parameters
+        ----------
+        matrix : ndarray, shape (d, d)
+            What makes places in the plane of those in the picture.
+        """
+        return replace(
+            self, positions=self.positions @ matrix.T, velocities=self.velocities @ matrix.T,
+            whitener=self.whitener @ np.linalg.inv(matrix),
+        )  # fmt: skip
+
     @cached_property
     def _reach(self):
         """What a force of length one may show in a moment, at the most, (S, 1, 1)."""
@@ -112,6 +126,10 @@ class ResponseRegression(Regression):
     @cached_property
     def _known(self):
         return {}
+
+    def in_plane(self, matrix):
+        """Batch by batch, see `ResponseBatch.in_plane`."""
+        return replace(self, batches=tuple(batch.in_plane(matrix) for batch in self.batches))
 
     def column(self, term, per_entity=False, cache=None):
         """As `Regression.column`; bodies are told apart before their moments are taken."""
@@ -215,8 +233,9 @@ def respond(fit, dataset, scenes=None):
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
             pieces = cut_pieces(chains, noise, batch, n_held, per_row)
             group = _Group(fit, chains, nodes, noise, pieces, per_row)
-            batches += group.batches()
-            columns += group.columns(batches)
+            own = group.batches()
+            columns += group.columns(own)
+            batches += own
             levels.append(group.level)
             smoothed.append(pieces.put(nodes, group.nodes[..., group.at_rows, :]))
             free += group.free_gain, group.free_height
@@ -225,6 +244,8 @@ def respond(fit, dataset, scenes=None):
     regression = ResponseRegression(
         tuple(batches), "response", np.array(fit.noise.levels), tuple(dataset.scenes)
     )
+    plane = stretched(fit.law)
+    regression = regression if plane is None else regression.in_plane(plane)
     level = float(np.exp(np.mean(np.log(levels))))
     share = used / max(total, 1)
     return Response(

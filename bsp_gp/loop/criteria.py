@@ -30,8 +30,8 @@ STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", 
 CAUSES = (
     "law", "law_by_scene", "exponent", "number", "constant_per_body", "constant_per_scene",
     "period", "pulsing", "growing", "scale", "clock", "tilt", "slant", "drift", "offset", "delay",
-    "exposure", "lens", "perspective", "late_log", "swapped_tracks", "lost_track", "bad_row",
-    "hidden_body", "contact", "bounce", "rod", "wire", "frame", "kicks", "noise",
+    "exposure", "lens", "perspective", "inclined", "late_log", "swapped_tracks", "lost_track",
+    "bad_row", "hidden_body", "contact", "bounce", "rod", "wire", "frame", "kicks", "noise",
     "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""

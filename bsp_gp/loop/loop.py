@@ -34,6 +34,8 @@ REACH = 1.5
 MOST_OF_ALL = 0.9
 """Part of all that is missing by the moments that a cause must explain not to stay behind what
 tracks have gained otherwise."""
+MOST_LEFT = 0.1
+"""Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_TOLD = 10
@@ -327,6 +329,8 @@ class _Turn:
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
+            if proposal.is_first and row.is_fit and self._is_most(row):
+                break
             if row.is_fit:
                 self._note_gain(row, proposal, self.measure.get(source, False))
             if row.is_fit and (source, proposal) not in controls:
@@ -378,6 +382,11 @@ class _Turn:
         """Whether a descent was left where less is unexplained than beside any fit so far."""
         others = (self._left(f) for k, f in self.fits.items() if k != row.id and not f.is_failed)
         return self._left(self.fits[row.id]) < min(others, default=math.inf)
+
+    def _is_most(self, row):
+        """Whether a fit takes off most of what was unexplained, and is likelier for it."""
+        left = self._left(self.fits[row.id]) / self._left(self.fits[0])
+        return left < MOST_LEFT and row.log_posterior > self.rows[0].log_posterior
 
     def _left(self, found):
         """Reduced chi-squared under the noise by which promises are made."""
@@ -565,4 +574,4 @@ def _chosen(every, clear, criteria):
         if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
             chosen.append((name, proposal))
             keys.add(proposal.key)
-    return sorted(chosen, key=lambda pair: not pair[1].is_sole)
+    return sorted(chosen, key=lambda pair: (not pair[1].is_first, not pair[1].is_sole))

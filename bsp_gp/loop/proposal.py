@@ -67,6 +67,9 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
+    is_first : bool
+        Whether it is fitted before all others, and nothing else is asked for in its round where it
+        takes off most of what is left: how motion is seen comes before what moves it.
     is_last : bool
         Whether it says all of the tracks: nothing is asked for beside it.
     """
@@ -90,6 +93,7 @@ class Proposal:
     error: float = 0.0
     patience: int = 1
     is_afresh: bool = False
+    is_first: bool = False
     is_last: bool = False
 
     @cached_property
@@ -207,21 +211,25 @@ def with_term_at(hypothesis, index, formula, constants):
             terms, known = list(part.law.terms), part.law.constants
             if seen <= index < seen + len(terms):
                 terms[index - seen] = replace(terms[index - seen], formula=formula)
-                law = ForceLaw(tuple(terms), {**known, **constants})
+                law = replace(part.law, terms=tuple(terms), constants={**known, **constants})
                 known = {name: value for name, value in law.constants.items() if name in law.names}
-                part = replace(part, law=ForceLaw(law.terms, known))
+                part = replace(part, law=replace(law, constants=known))
             seen += len(terms)
         parts.append(part)
     return Hypothesis(tuple(parts))
 
 
 def without_term(hypothesis, formula):
-    """The hypothesis without a term; None where it has none such, or no other force."""
+    """The hypothesis without a term, or without the cause of which it is one.
+
+    None where it has none such, or no other force.
+    """
     for k, part in enumerate(hypothesis.parts):
         terms = part.law.terms if isinstance(part, Forces) else ()
         at = [i for i, term in enumerate(terms) if term.formula == formula]
         if at:
-            less = [replace(part, law=part.law.without(at[0]))] if len(terms) > 1 else []
+            is_more = len(terms) > 1 and not part.is_one_cause
+            less = [replace(part, law=part.law.without(at[0]))] if is_more else []
             parts = (*hypothesis.parts[:k], *less, *hypothesis.parts[k + 1 :])
             has_forces = any(isinstance(part, Forces) for part in parts)
             return Hypothesis(parts) if has_forces else None

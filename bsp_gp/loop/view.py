@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.hypothesis import TrackNoise
+from bsp_gp.fitting.hypothesis import Forces, TrackNoise
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.loop.criteria import Criteria
@@ -213,6 +213,13 @@ class View:
         batches = self.response.regression.batches
         masses = [b.bodies.column("mass")[:, b.bodies.receivers] for b in batches]
         return masses if all(np.isfinite(m).all() for m in masses) else None
+
+    @cached_property
+    def single_terms(self):
+        """Terms of the law that are causes by themselves, with their places in it."""
+        parts = [p for p in self.hypothesis.parts if isinstance(p, Forces)]
+        alone = [not part.is_one_cause for part in parts for _ in part.law.terms]
+        return [(k, t) for k, t in enumerate(self.fit.law.terms) if k >= len(alone) or alone[k]]
 
     # --- forces ----------------------------------------------------------------------------------
 

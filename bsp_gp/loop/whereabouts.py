@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.fitting.law_fit import widening
+from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.inference.posterior import effective_size
 from bsp_gp.units import Unit
 
@@ -48,7 +49,9 @@ def whereabouts(dataset, part, fit, rng):
     away = np.linalg.norm(draws[:, :d] - centre, axis=1)
     scene = max(dataset.scenes, key=lambda s: len(s.times))
     rows = np.unique(np.linspace(0, len(scene.times) - 1, SHOWN_ROWS).astype(int))
-    visible = np.swapaxes(scene.positions[rows], 0, 1).tolist()
+    plane = stretched(fit.law)
+    visible = scene.positions[rows] if plane is None else scene.positions[rows] @ plane.T
+    visible = np.swapaxes(visible, 0, 1).tolist()
     unit = _strength_unit(part, dataset)
     speed = dataset.units.text(LENGTH / Unit.of(s=1))
     units = dict.fromkeys(part.places, dataset.units.text(LENGTH))

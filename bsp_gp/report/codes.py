@@ -17,7 +17,7 @@ CAUSES = {
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
     "drift": "a camera that drifts", "offset": "an origin that is off",
     "delay": "a delay of one body", "exposure": "an exposure that blurs",
-    "late_log": "a log that is late",
+    "inclined": "an orbit whose plane is inclined to the sky", "late_log": "a log that is late",
     "lens": "a lens that distorts", "perspective": "perspective",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
     "bad_row": "a bad row", "hidden_body": "an unseen body", "contact": "a contact",
@@ -40,11 +40,12 @@ FINDINGS = {
     "kicks": "{} act on these",
     "constraint": "what moves is held ({})",
     "wall": "what moves meets {}",
+    "inclined": "this is {}",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",
     "noise": "the noise is not as it was assumed ({})",
 }
-"""What was adopted, by kind."""
+"""What was adopted, by its code or else its kind."""
 REASONS = {
     "adopted": "it is significant, likelier than all else, and borne out by scenes left out",
     "not_significant": "noise alone shows as much as the best of everything that was tried",

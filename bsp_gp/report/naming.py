@@ -9,9 +9,9 @@ from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
-from bsp_gp.report.numbers import format_number, pretty_unit, with_unit
+from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
 
-__all__ = ["constant_distance", "describe", "is_untold", "kick"]
+__all__ = ["constant_distance", "describe", "inclination", "is_untold", "kick"]
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -130,6 +130,24 @@ def constant_distance(effect):
         to = f"of {first} and {second}"
     size = with_unit(format_number(float(length), 3), unit)
     return f"distance {to} is constant, {size}: a string or rod"
+
+
+def inclination(effect):
+    """In plain words: how much the plane of an orbit is inclined, and how it lies.
+
+    x is to the east and y to the north; the mirror image of the plane looks alike.
+    """
+    known = {c.name: c for c in effect.constants}
+    slope, node = (
+        [math.degrees(v) for v in (known[n].value, known[n].low, known[n].high)]
+        for n in ("inclination", "node")
+    )
+    by = format_value(*slope, "deg")
+    nodes = format_number((90.0 - node[0]) % 180.0, 3)
+    return (
+        f"an orbit whose plane is inclined to the sky by {by}, its line of nodes at a position "
+        f"angle of {nodes} deg"
+    )
 
 
 def kick(effect):

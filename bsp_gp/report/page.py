@@ -10,7 +10,7 @@ from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
-from bsp_gp.report.naming import constant_distance, describe, kick
+from bsp_gp.report.naming import constant_distance, describe, inclination, kick
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
@@ -169,6 +169,8 @@ def _name(effect, parts, other):
         return effect.name
     if effect.code == "contact":
         return kick(effect)
+    if effect.code == "inclined":
+        return inclination(effect)
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:

@@ -86,7 +86,8 @@ def _findings(rounds):
     """What was found, effects of one kind told together."""
     groups = {}
     for r in rounds:
-        sentence = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
+        usual = FINDINGS.get(r.effect.kind, "the declared model lacks {}")
+        sentence = FINDINGS.get(r.effect.code, usual)
         groups.setdefault(sentence, []).append(_either(r))
     return _joined(sentence.format(_joined(_counted(names))) for sentence, names in groups.items())
 

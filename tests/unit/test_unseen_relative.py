@@ -11,6 +11,7 @@ from bsp_gp.fitting.parts.hidden import pull_of
 from bsp_gp.fitting.starts import _slope
 from bsp_gp.language.formula import evaluate
 from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.proposers.inclined import Inclinations
 from bsp_gp.loop.view import View
 from bsp_gp.units import UnitSystem
 
@@ -86,3 +87,35 @@ def test_rows_of_one_night_tell_no_velocity():
     times = np.array([0.0, 1.0, 2.0, 2.001, 3.0, 4.0, 5.0])
     seen = times + np.array([0, 0, 0.01, -0.01, 0, 0, 0])
     assert _slope(times, seen, False) == pytest.approx(np.ones(7), abs=0.05)
+
+
+def test_an_inclined_orbit_is_proposed_near_where_it_is_and_forces_act_in_its_plane():
+    dataset = seen_aslant(angle=np.radians(55.0), node=0.7)
+    view = look(dataset)
+    best, *_ = Inclinations().propose(view).proposals
+    found = fit(best.hypothesis, dataset)
+    at = {name: k for k, (name, _) in enumerate(found.parameters)}
+    numbers = [at["inclination"], at["node"], at["M"]]
+    assert found.status == "converged"
+    off = (found.values[numbers] - [np.radians(55.0), 0.7, 1.0]) / found.errors[numbers]
+    assert np.abs(off).max() < 3.5
+    after = View(found, best.hypothesis, dataset, np.random.default_rng(1))
+    places = after.response.regression.batches[0].positions
+    assert np.nanmax(np.linalg.norm(places[:, 0, 0], axis=-1)) == pytest.approx(0.6, rel=0.02)
+    assert not Inclinations().propose(after).proposals
+
+
+def seen_aslant(angle, node):
+    """An ellipse about the primary, foreshortened across a line of nodes."""
+    rng, times = np.random.default_rng(5), np.linspace(0, 4, 80)
+
+    def rate(_, state):
+        return [*state[2:], *(-state[:2] / np.linalg.norm(state[:2]) ** 3)]
+
+    path = solve_ivp(rate, (0, 4), [0.6, 0, 0, 1.2], t_eval=times, rtol=1e-10, atol=1e-12).y[:2].T
+    across = np.array([-np.sin(node), np.cos(node)])
+    path = path - (1 - np.cos(angle)) * np.outer(path @ across, across)
+    places, sigmas = np.zeros((80, 2, 2)), np.full((80, 2, 2), np.nan)
+    places[:, 0], sigmas[:, 0] = path + 2e-3 * rng.standard_normal(path.shape), 2e-3
+    bodies = (Entity("companion", properties={"mass": 1.0}), Entity("primary", is_static=True))
+    return Dataset("sky", (Scene("sky", times, places, bodies, sigma=sigmas),), units=ARCSEC)

@@ -53,6 +53,7 @@ class HiddenSource(Forces):
     strength: str = ""
     between: tuple = ()
     epoch: float = 0.0
+    is_one_cause = True
 
     @property
     def motion(self):

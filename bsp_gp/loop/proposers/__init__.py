@@ -10,6 +10,7 @@ from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.growing import Growing
 from bsp_gp.loop.proposers.hidden import Hidden
+from bsp_gp.loop.proposers.inclined import Inclinations
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.kicks import Kicks
 from bsp_gp.loop.proposers.late import LateLogs
@@ -39,6 +40,6 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), ByScene(laws), Declared(), Varying(), Growing(), Periods(),
-        Pulsing(), Frames(), Hidden(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
-        Measurement(), LateLogs(), Defects(), Noise(),
+        Pulsing(), Frames(), Inclinations(), Hidden(), Companions(), Kicks(), Contacts(), Walls(),
+        Rods(), Measurement(), LateLogs(), Defects(), Noise(),
     ]  # fmt: skip

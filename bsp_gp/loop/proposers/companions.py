@@ -15,6 +15,7 @@ from scipy.stats import norm, qmc
 
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.fitting.parts.hidden import HiddenBody, body_pulls
+from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
@@ -285,12 +286,14 @@ def fresh_body(scene):
 
 
 def _fitted_scene(view):
-    """The recording with moving bodies where the fit has them."""
-    (scene,) = view.dataset.scenes
+    """The recording with moving bodies where the fit has them, in the plane of their motion."""
+    (scene,), plane = view.dataset.scenes, stretched(view.fit.law)
     places, speeds = np.array(scene.positions), np.full(scene.positions.shape, np.nan)
     for chains, nodes in zip(view.fit.groups, view.fit.nodes, strict=True):
         for s, names in enumerate(chains.bodies):
             for r, name in enumerate(names):
                 k = scene.names.index(name)
                 places[:, k], speeds[:, k] = np.moveaxis(nodes[:, r, :, :, s], 1, 2)
+    if plane is not None:
+        places, speeds = places @ plane.T, speeds @ plane.T
     return replace(scene, positions=places, velocities=speeds)

@@ -35,8 +35,7 @@ class Declared:
         view : View
         """
         proposals, null = [], np.zeros(view.moment_draws.shape[1])
-        law = view.fit.law
-        for index, term in enumerate(law.terms):
+        for index, term in view.single_terms:
             if not term.is_declared:
                 continue
             for base, typical in _powers(view, term):

@@ -36,7 +36,7 @@ class Growing:
         span = max(float(scene.times[-1]) for scene in view.dataset.scenes) - begin
         since = _since(view, begin, span)
         best = 0.0
-        for index, term in enumerate(law.terms):
+        for index, term in view.single_terms:
             if "t" in term.formula.inputs:
                 continue
             known = {name: law.constants[name] for name in term.formula.constants}

@@ -32,7 +32,7 @@ class Pulsing:
         if not len(rates):
             return Family(self.name, null=null)
         scan = Scan(view, rates, np.column_stack([view.left, view.draws_left]))
-        for index, term in enumerate(law.terms):
+        for index, term in view.single_terms:
             if "t" in term.formula.inputs:
                 continue
             known = {name: law.constants[name] for name in term.formula.constants}

@@ -35,7 +35,7 @@ class Varying:
         proposals, even, best = [], np.zeros(view.moment_draws.shape[1]), 0.0
         owners = _owners(view)
         law = view.fit.law
-        for index, term in enumerate(law.terms) if owners else ():
+        for index, term in view.single_terms if owners else ():
             name, _ = split_linear(term.formula)
             is_own = any(n.endswith("]") for n in term.formula.constants)
             if is_own or (name and sum(name in t.formula.constants for t in law.terms) > 1):

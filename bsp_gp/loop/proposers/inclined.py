@@ -1,0 +1,97 @@
+"""The plane of an orbit on the sky: an inclined one is seen foreshortened, whatever the force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.fitting.parts.inclined import Inclined, stretched
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.physics.force import ForceLaw
+from bsp_gp.units import OF_THE_SKY
+
+__all__ = ["Inclinations"]
+
+INCLINATIONS = np.radians([15.0, 30.0, 40.0, 50.0, 60.0, 68.0, 75.0, 81.0])
+N_NODES = 18
+N_STARTS = 2
+APART = math.radians(25.0)
+"""Between lines of nodes that are two starts."""
+
+
+class Inclinations:
+    """Planes that are inclined to the picture as a proposer."""
+
+    name = "inclined"
+
+    def propose(self, view):
+        """The family of planes, where one is seen on the sky and the law has not tilted it yet.
+
+        The law of the fit, its constants as they are and its strength free, is weighed in planes
+        of every inclination.
+
+        Parameters
+        ----------
+        view : View
+        """
+        law = view.fit.law
+        if not _is_open(view):
+            return Family(self.name)
+        planes = [Inclined((i, node)) for i in INCLINATIONS
+                  for node in np.pi * np.arange(N_NODES) / N_NODES]  # fmt: skip
+        plain, seen = ForceLaw(law.terms, law.constants), view.response
+        total, left = seen.moments_of(plain), seen.left()[0]
+        tried = (seen.regression.in_plane(p.matrix(dict(zip(p.names, p.values, strict=True))))
+                 for p in planes)  # fmt: skip
+        moments = np.stack(
+            [replace(seen, regression=one).moments_of(plain) for one in tried], axis=1
+        )
+        gains = _gains(left, total, moments, np.square(view.left).sum())
+        free = np.square(view.draws_left).sum(axis=0)
+        null = np.array([
+            max(_gains(draw, total, moments, size).max(), 0.0)
+            for draw, size in zip(view.moment_draws.T, free, strict=True)
+        ])  # fmt: skip
+        proposals = [
+            Proposal(
+                "inclined", planes[k].describe(), view.hypothesis + planes[k], 0.0,
+                float(gains[k]), 2, kind="measurement", is_afresh=True,
+                is_first=True,
+            )
+            for k in _apart(planes, gains)
+        ]  # fmt: skip
+        best = float(max(gains.max(), 0.0))
+        return Family(
+            self.name, tuple(proposals), best, 2, null, n_tried=len(planes), is_continuum=True
+        )
+
+
+def _is_open(view):
+    """Whether these are places in a picture of the sky, of which the depth is not known."""
+    law, units = view.fit.law, view.dataset.units
+    if view.dataset.n_dims != 2 or stretched(law) is not None or law.unseen:
+        return False
+    is_sky = view.is_astronomical or units.symbols.get("m") in OF_THE_SKY
+    return is_sky and any("p_i" in term.formula.inputs for term in law.terms)
+
+
+def _gains(left, total, moments, remaining):
+    """Chi-squared that each plane (n, C) takes off what remains, its strength free."""
+    whole = left + total
+    size = np.square(moments).sum(axis=0)
+    along = np.divide(moments.T @ whole, np.sqrt(size), out=np.zeros(len(size)), where=size > 0)
+    return remaining - (whole @ whole - np.square(along))
+
+
+def _apart(planes, gains):
+    """The best planes whose lines of nodes differ."""
+    chosen = []
+    for k in np.argsort(-gains):
+        turns = [abs(planes[k].values[1] - planes[c].values[1]) for c in chosen]
+        if len(chosen) < N_STARTS and gains[k] > 0 and all(
+            min(turn, math.pi - turn) > APART for turn in turns
+        ):
+            chosen.append(int(k))
+    return chosen
