@@ -34,7 +34,7 @@ REACH = 1.5
 MOST_OF_ALL = 0.9
 """Part of all that is missing by the moments that a cause must explain not to stay behind what
 tracks have gained otherwise."""
-MOST_LEFT = 0.1
+MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""

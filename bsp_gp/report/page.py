@@ -189,7 +189,8 @@ def _name(effect, parts, other):
 
 def _effect(effect, name, parts, tied):
     return SimpleNamespace(
-        name=name, parts=parts, kind=effect.kind, law=effect.law or effect.name,
+        name=name, code=effect.code, parts=parts, kind=effect.kind,
+        law=effect.law or effect.name,
         written=effect.law, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,

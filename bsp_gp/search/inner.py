@@ -261,7 +261,7 @@ class InnerSearch:
         self.size = float(np.max(np.ptp(rows, axis=0))) / 2 or 1.0
         grain = 10.0 ** np.floor(np.log10(self.size / 10))
         self.middle = np.round((rows.min(axis=0) + rows.max(axis=0)) / 2 / grain) * grain
-        self._known = {}
+        self._known, self._lookups, self._placed = {}, {}, {}
 
     def of_target(self, target):
         """The same for another target, beside what constants take up."""
@@ -352,21 +352,27 @@ class InnerSearch:
         span = np.linspace(-1, 1, 5 if len(scan.axes) < 3 else 3)
         steps = np.array(list(every(span, repeat=len(scan.axes))))
         low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
-        best = scan
-        for start in scan.peaks:
-            here = replace(scan, at=start[:, 0], spacing=start[:, 1], best=0.0)
-            for zoom in range(ZOOMS):
-                for _ in range(MOVES if len(scan.axes) > 1 else 1):
-                    before = here.best
-                    points = np.clip(here.at + steps * here.spacing / CLOSER**zoom, low, high)
-                    gains = np.square(self._unit(scan.form, scan.axes, points).T @ self.target)
-                    k = int(np.argmax(gains))
-                    if gains[k] > here.best:
-                        here = replace(here, best=float(gains[k]), at=points[k])
-                    if not here.best > (1 + LITTLE) * before:
-                        break
-            best = here if here.best > best.best else best
-        return best
+        found = [replace(scan, at=p[:, 0], spacing=p[:, 1], best=0.0) for p in scan.peaks]
+        for zoom in range(ZOOMS):
+            moving = list(range(len(found)))
+            for _ in range(MOVES if len(scan.axes) > 1 else 1):
+                if not moving:  # all peaks are looked at together
+                    break
+                points = np.clip(
+                    [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving],
+                    low, high,
+                )  # fmt: skip
+                unit = self._unit(scan.form, scan.axes, points.reshape(-1, points.shape[-1]))
+                gains = np.square(unit.T @ self.target).reshape(len(moving), -1)
+                still = []
+                for m, own, at in zip(moving, gains, points, strict=True):
+                    k, before = int(np.argmax(own)), found[m].best
+                    if own[k] > before:
+                        found[m] = replace(found[m], best=float(own[k]), at=at[k])
+                    if found[m].best > (1 + LITTLE) * before:
+                        still.append(m)
+                moving = still
+        return max([scan, *found], key=lambda one: one.best)
 
     def linearised(self, scan):
         """Moments of a form where it does best, and of changes of its inner constants.
@@ -381,7 +387,7 @@ class InnerSearch:
         low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
         points = np.clip(np.concatenate([scan.at[None], ends]), low, high)
         values = {a.name: a.values(points[:, k]) for k, a in enumerate(scan.axes)}
-        term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
+        term = self._term(scan.form.term)
         columns = self.beside(self._columns(term, values))
         k = len(scan.axes)
         apart = np.diag(points[1 : k + 1] - points[k + 1 :])
@@ -396,7 +402,7 @@ class InnerSearch:
     def strength(self, scan):
         """The strength of a form where it does best; nan where numbers do not carry it."""
         values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}
-        term = Term(self.placed(scan.form.term.formula), scan.form.term.kind)
+        term = self._term(scan.form.term)
         column = self._columns(term, values)
         top = float(np.abs(column).max())  # squares of the columns may be beyond all numbers
         if not 0 < top < np.inf:
@@ -407,7 +413,7 @@ class InnerSearch:
 
     def _unit(self, form, axes, points):
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""
-        term = Term(self.placed(form.term.formula), form.term.kind)
+        term = self._term(form.term)
         values = np.stack([axis.values(points[:, k]) for k, axis in enumerate(axes)])
         size = sum(b.target.size * max(b.bodies.others.shape[1], 1) for b in self.batches)
         step = max(CHUNK // size, 1)
@@ -426,19 +432,32 @@ class InnerSearch:
     def _columns(self, term, values):
         """Moments of a term for many values of its constants, (n, C)."""
         parts = []
-        for batch in self.batches:
+        for index, batch in enumerate(self.batches):
             tail = (1,) * (batch.target.ndim - 1 + (term.kind == "pair"))
             constants = {name: value.reshape(-1, *tail) for name, value in values.items()}
-            lookup = law_inputs(
-                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                force = evaluate(term.acceleration_formula, lookup, constants)
+                force = evaluate(term.acceleration_formula, self._lookup(index, term), constants)
             count = len(next(iter(values.values())))
             value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
             moments = batch.whiten(np.moveaxis(value, 0, 3))
             parts.append(moments[:, :, 0, :, 0].reshape(-1, count))
         return np.concatenate(parts)
+
+    def _lookup(self, index, term):
+        """Inputs of a batch for terms of a kind, each worked out once."""
+        key = index, term.kind
+        if key not in self._lookups:
+            b = self.batches[index]
+            self._lookups[key] = law_inputs(
+                term.kind, b.bodies, b.positions, b.velocities, b.times
+            )
+        return self._lookups[key]
+
+    def _term(self, term):
+        """A term of a form with its places written out."""
+        if term not in self._placed:
+            self._placed[term] = Term(self.placed(term.formula), term.kind)
+        return self._placed[term]
 
     def placed(self, formula):
         """A formula with its places written out.

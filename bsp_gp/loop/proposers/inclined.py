@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.fitting.parts.inclined import Inclined, stretched
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.units import OF_THE_SKY
 
@@ -58,7 +58,7 @@ class Inclinations:
             Proposal(
                 "inclined", planes[k].describe(), view.hypothesis + planes[k], 0.0,
                 float(gains[k]), 2, kind="measurement", is_afresh=True,
-                is_first=True,
+                is_first=True, patience=PATIENT,
             )
             for k in _apart(planes, gains)
         ]  # fmt: skip
