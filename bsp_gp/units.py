@@ -212,7 +212,8 @@ _SI = {
 _SCALED = {"km": (1000.0, "m"), "cm": (0.01, "m"), "mm": (0.001, "m"), "ms": (0.001, "s"),
            "g": (0.001, "kg")}  # fmt: skip
 _FACTOR = rf"({'|'.join(_SI)})(?:\^(-?\d))?"
-_PRODUCT = re.compile(rf"{_FACTOR}(?:[ *]{_FACTOR})*(?:/{_FACTOR})?")
+_BELOW = rf"(?:{_FACTOR}|\({_FACTOR}(?:[ *]{_FACTOR})*\))"
+_PRODUCT = re.compile(rf"{_FACTOR}(?:[ *]{_FACTOR})*(?:/{_BELOW})?")
 
 
 def _plain_unit(text):

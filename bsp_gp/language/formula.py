@@ -35,7 +35,7 @@ __all__ = [
 class Formula:
     """Base of the four kinds of node; `type` is the node's `Type`."""
 
-    __slots__ = ("_hash", "_key", "is_constant_free", "type")
+    __slots__ = ("_constants", "_hash", "_inputs", "_key", "is_constant_free", "type")
 
     def __eq__(self, other):
         return self is other or (
@@ -50,6 +50,7 @@ class Formula:
         self.is_constant_free = is_constant_free
         self._key = key
         self._hash = hash((type(self).__name__, key))
+        self._inputs = self._constants = None
 
     def __repr__(self):
         from bsp_gp.language.render import to_text
@@ -59,13 +60,17 @@ class Formula:
     @property
     def inputs(self):
         """Names of all inputs that occur, a frozenset."""
-        return frozenset(node.name for node in walk(self) if isinstance(node, Input))
+        if self._inputs is None:
+            self._inputs = frozenset(node.name for node in walk(self) if isinstance(node, Input))
+        return self._inputs
 
     @property
     def constants(self):
         """Names of all free constants that occur, in order of appearance."""
-        names = [node.name for node in walk(self) if isinstance(node, Constant)]
-        return tuple(dict.fromkeys(names))
+        if self._constants is None:
+            names = [node.name for node in walk(self) if isinstance(node, Constant)]
+            self._constants = tuple(dict.fromkeys(names))
+        return self._constants
 
 
 class Input(Formula):

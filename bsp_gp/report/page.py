@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from bsp_gp.data.scene import CHECK
@@ -114,7 +115,17 @@ def _unsupported(report):
             yield f"the declared term {to_text(term.formula)} has no support: {name} = {size}"
 
 
+def _settled(done, report):
+    """A round whose effect, if it was kept, has its constants as they are in the end."""
+    if done.effect is None or not done.adopted:
+        return done
+    last = {(c.name, c.entity): c for c in report.constants}
+    constants = tuple(last.get((c.name, c.entity), c) for c in done.effect.constants)
+    return replace(done, effect=replace(done.effect, constants=constants))
+
+
 def _round(done, report):
+    done = _settled(done, report)
     other = report.dataset.get("partner") or "the other body"
     parts = () if done.effect is None else _parts(done.effect, report.law, other)
     name = "" if done.effect is None else _name(done.effect, parts, other)
