@@ -6,6 +6,7 @@ It is at rest, moves straight on, or is a body that the law moves like the other
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +22,28 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 __all__ = ["HiddenBody", "HiddenSource", "beside_origin", "body_pulls", "pull_of", "unit_pull"]
 
 SECOND = Unit.of(s=1)
+HELD = 4.0
+"""Width of the normal that holds a place or a speed, in the scale of its prior."""
 P_I, P_J, V_I, V_J, ORIGIN = (
     Input(name, STATE_INPUTS[name]) for name in ("p_i", "p_j", "v_i", "v_j", "origin")
 )
+
+
+class Anywhere(NamedTuple):
+    """The Cauchy prior of what may be far away, in which a descent is held by a wide normal.
+
+    Far sources show by their tide alone, strength over distance cubed: without it they would run
+    away along that valley for ever.
+    """
+
+    centre: float
+    scale: float
+    is_logarithmic = False
+
+    @property
+    def pull(self):
+        """Mean and width of that normal, which does nothing where data decide."""
+        return self.centre, HELD * self.scale
 
 
 @dataclass(frozen=True)
@@ -78,8 +98,10 @@ class HiddenSource(Forces):
     @property
     def parameters(self):
         """Strength, place and velocity; constants of the law that the pull has are not its own."""
-        priors = {name: (m, self.size) for name, m in zip(self.places, self.middle, strict=True)}
-        priors |= dict.fromkeys(self.speeds, (0.0, self.speed))
+        priors = {
+            name: Anywhere(m, self.size) for name, m in zip(self.places, self.middle, strict=True)
+        }
+        priors |= dict.fromkeys(self.speeds, Anywhere(0.0, self.speed))
         own = {self.strength, *priors}
         return tuple(
             replace(p, prior=priors.get(p.name)) for p in super().parameters if p.name in own

@@ -70,8 +70,10 @@ class Companions(Sources):
             gains, strengths, unit = orbits.scores(states)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
-            chosen = apart(unit, np.where(strengths > 0, gains, 0.0))
-            proposals += [orbits.proposal(*best) for best in orbits.improved(states[chosen])]
+            chosen = states[apart(unit, np.where(strengths > 0, gains, 0.0))]
+            if view.reference:  # the tide of a body is nearly that of one on the other side
+                chosen = np.concatenate([chosen, -chosen])
+            proposals += [orbits.proposal(*best) for best in orbits.improved(chosen)]
         return self.family(proposals, null, n_tried)
 
 
