@@ -160,7 +160,8 @@ class Told:
         units = [self.unit(details.get("units", {}).get(name, "")) for name in details["names"]]
         factors = np.array([factor for factor, _ in units[:-1]] + [strength[0]])
         of_places = {name: (place * np.asarray(details[name], dtype=float)).tolist()
-                     for name in ("centre", "radius_90", "track")}  # fmt: skip
+                     for name in ("centre", "radius_90", "track", "seen_at")
+                     if name in details}  # fmt: skip
         visible = {
             name: (place * np.array(track, dtype=float)).tolist()
             for name, track in details["visible"].items()

@@ -149,12 +149,17 @@ class View:
         return bool(is_known and np.max(sizes) > ASTRONOMICAL)
 
     @cached_property
+    def is_sky(self):
+        """Whether places are of the sky: of astronomical size, or angles without a distance."""
+        return self.is_astronomical or self.dataset.units.symbols.get("m") in OF_THE_SKY
+
+    @cached_property
     def reference(self):
         """The body of the sky from which places count, so that what pulls it is not seen; or "".
 
         No measured place is exactly zero: these coordinates are ways from that body.
         """
-        if not self.is_astronomical and self.dataset.units.symbols.get("m") not in OF_THE_SKY:
+        if not self.is_sky:
             return ""
         still = [
             {e.name for e, track in zip(s.entities, np.swapaxes(s.positions, 0, 1), strict=True)

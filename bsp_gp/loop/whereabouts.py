@@ -61,6 +61,7 @@ def whereabouts(dataset, part, fit, rng):
         "property": part.column, "unit": unit, "units": units,
         "is_share": part.between[0].formula in {term.formula for term in fit.law.terms},
         "length_unit": dataset.units.text(LENGTH),
+        **({} if plane is None else {"seen_at": np.linalg.solve(plane, best[:d]).tolist()}),
         "draws": draws.tolist(),
         "n_eff": float(n_eff), "centre": centre.tolist(),
         "radius_90": float(np.quantile(away, SHARE_90)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bsp_gp.report.numbers import format_value, with_unit
+from bsp_gp.report.numbers import format_number, format_value, with_unit
 
 __all__ = ["name_of", "rivals_of"]
 
@@ -40,6 +40,9 @@ def name_of(effect):
         what = f"{size} times as strong as what is seen,"
     coordinates = ", ".join(format_value(place.value, place.low, place.high) for place in places)
     where = f"at {with_unit(f'({coordinates})', places[0].unit)}"
+    if "seen_at" in details:
+        seen = ", ".join(format_number(x, 3) for x in details["seen_at"])
+        where += f" in the plane of the orbit, seen at {with_unit(f'({seen})', places[0].unit)}"
     if details["motion"] != "at rest":
         where += f" at t = {_time(details)}"
     return f"an unseen body {what} {where}, {_motion(effect)}"

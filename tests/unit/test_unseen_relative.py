@@ -6,11 +6,13 @@ from scipy.integrate import solve_ivp
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.hypothesis import NOTHING, Hypothesis
 from bsp_gp.fitting.parts.hidden import pull_of
+from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.starts import _slope
 from bsp_gp.language.formula import evaluate
 from bsp_gp.loop.proposers.companions import Companions
+from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inclined import Inclinations
 from bsp_gp.loop.view import View
 from bsp_gp.units import UnitSystem
@@ -119,3 +121,20 @@ def seen_aslant(angle, node):
     places[:, 0], sigmas[:, 0] = path + 2e-3 * rng.standard_normal(path.shape), 2e-3
     bodies = (Entity("companion", properties={"mass": 1.0}), Entity("primary", is_static=True))
     return Dataset("sky", (Scene("sky", times, places, bodies, sigma=sigmas),), units=ARCSEC)
+
+
+def test_what_a_lone_star_goes_round_is_found_where_its_orbit_is_seen_aslant():
+    (scene,) = seen_aslant(angle=np.radians(50.0), node=1.1).scenes
+    alone = Scene("sky", scene.times, scene.positions[:, :1] + [0.3, -0.2], scene.entities[:1],
+                  sigma=scene.sigma[:, :1])  # fmt: skip
+    dataset = Dataset("sky", (alone,), units=ARCSEC)
+    hypothesis = Hypothesis.from_laws(dataset, [NOTHING])
+    view = View(fit(hypothesis, dataset), hypothesis, dataset, np.random.default_rng(0))
+    best = max(Hidden().propose(view).proposals, key=lambda p: p.gain)
+    found = fit(best.hypothesis, dataset, starts=best.starts, bounds=best.bounds)
+    at = {name: k for k, (name, _) in enumerate(found.parameters)}
+    numbers = [at[name] for name in ("M1", "inclination", "node")]
+    off = (found.values[numbers] - [1.0, np.radians(50.0), 1.1]) / found.errors[numbers]
+    assert found.status == "converged" and np.abs(off).max() < 3.5
+    place = np.linalg.solve(stretched(found.law), found.values[[at["h_x1"], at["h_y1"]]])
+    assert place == pytest.approx([0.3, -0.2], abs=0.02)

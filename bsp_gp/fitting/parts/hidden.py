@@ -38,7 +38,11 @@ class Anywhere(NamedTuple):
 
     centre: float
     scale: float
-    is_logarithmic = False
+
+    @property
+    def is_logarithmic(self):
+        """It is one of numbers, as `Parameter.pull` asks."""
+        return False
 
     @property
     def pull(self):

@@ -35,6 +35,11 @@ class Inclined(Part):
     kind = "instrument"
 
     @property
+    def own(self):
+        """Where a fit begins, by name."""
+        return dict(zip(self.names, self.values, strict=True))
+
+    @property
     def parameters(self):
         """The two angles; of a plane that lies in the picture, none would be known."""
         bounds = ((0.0, STEEPEST), (-math.inf, math.inf))

@@ -10,9 +10,8 @@ import numpy as np
 from bsp_gp.fitting.parts.inclined import Inclined, stretched
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw
-from bsp_gp.units import OF_THE_SKY
 
-__all__ = ["Inclinations"]
+__all__ = ["Inclinations", "is_open", "planes_of"]
 
 INCLINATIONS = np.radians([15.0, 30.0, 40.0, 50.0, 60.0, 68.0, 75.0, 81.0])
 N_NODES = 18
@@ -37,14 +36,12 @@ class Inclinations:
         view : View
         """
         law = view.fit.law
-        if not _is_open(view):
+        if not is_open(view) or not any("p_i" in t.formula.inputs for t in law.terms):
             return Family(self.name)
-        planes = [Inclined((i, node)) for i in INCLINATIONS
-                  for node in np.pi * np.arange(N_NODES) / N_NODES]  # fmt: skip
+        planes = planes_of(INCLINATIONS, N_NODES)
         plain, seen = ForceLaw(law.terms, law.constants), view.response
         total, left = seen.moments_of(plain), seen.left()[0]
-        tried = (seen.regression.in_plane(p.matrix(dict(zip(p.names, p.values, strict=True))))
-                 for p in planes)  # fmt: skip
+        tried = (seen.regression.in_plane(plane.matrix(plane.own)) for plane in planes)
         moments = np.stack(
             [replace(seen, regression=one).moments_of(plain) for one in tried], axis=1
         )
@@ -68,13 +65,16 @@ class Inclinations:
         )
 
 
-def _is_open(view):
-    """Whether these are places in a picture of the sky, of which the depth is not known."""
-    law, units = view.fit.law, view.dataset.units
-    if view.dataset.n_dims != 2 or stretched(law) is not None or law.unseen:
-        return False
-    is_sky = view.is_astronomical or units.symbols.get("m") in OF_THE_SKY
-    return is_sky and any("p_i" in term.formula.inputs for term in law.terms)
+def is_open(view):
+    """Whether these are places in a picture of the sky of which the depth is not known."""
+    law = view.fit.law
+    return view.is_sky and view.dataset.n_dims == 2 and stretched(law) is None and not law.unseen
+
+
+def planes_of(inclinations, n_nodes):
+    """Planes of these inclinations (rad), with so many lines of nodes each, list of Inclined."""
+    nodes = np.pi * np.arange(n_nodes) / n_nodes
+    return [Inclined((float(i), float(node))) for i in inclinations for node in nodes]
 
 
 def _gains(left, total, moments, remaining):
