@@ -62,7 +62,8 @@ class Sources:
 
     def details(self, view, proposal, fit, rng):
         """What the posterior of a fitted source is, see `whereabouts`."""
-        return whereabouts(view.dataset, proposal.hypothesis.parts[-1], fit, rng)
+        *_, part = (p for p in proposal.hypothesis.parts if isinstance(p, HiddenSource))
+        return whereabouts(view.dataset, part, fit, rng)
 
 
 class Hidden(Sources):
