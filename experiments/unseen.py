@@ -1,7 +1,9 @@
 """What nobody sees: a star about an unseen body, a binary with a third one, and nothing at all.
 
 38 epochs over 1.2 periods with quoted errors, at the half axis over 10 and 30. The whole loop is
-asked, with nothing declared, or with the gravity of the two visible stars.
+asked, with nothing declared, or with the gravity of the two visible stars. The star is also seen
+aslant ("aslant"), and a companion from its primary, with the plane of its orbit inclined to the sky
+("inclined") or a third body that pulls both ("relative"), at errors five times smaller.
 """
 
 import time
@@ -16,11 +18,15 @@ from bsp_gp.units import UnitSystem, parse_unit
 
 N_SETS, QUICK_SETS = 20, 2
 SNRS = (30, 10)
-KINDS = ("star", "third", "nothing")
+KINDS = ("star", "third", "nothing", "aslant", "inclined", "relative")
+FROM_PRIMARY = ("inclined", "relative")
 N_EPOCHS, N_PERIODS = 38, 1.2
 AU, YEAR, SUN = (parse_unit(name)[0] for name in ("au", "yr", "Msun"))
 G = 6.6743e-11 * SUN * YEAR**2 / AU**3
 """au^3 / (Msun yr^2)."""
+KEPLER = "M * (p_j - p_i) / norm(p_j - p_i)^3"
+FINER = 5.0
+"""Times by which errors of a companion from its primary are smaller."""
 GRAVITY = "6.6743e-11 [m^3/(kg s^2)] * m_i * m_j * (p_j - p_i) / norm(p_j - p_i)^3"
 UNITS = UnitSystem.from_declared({"length": "au", "time": "yr", "mass": "Msun"})
 
@@ -53,52 +59,85 @@ def made(kind, snr, seed):
     turn = rng.uniform(0, 2 * np.pi)
     way = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     gap, speed = half * (1 + e), np.sqrt(G * mass / half * (1 - e) / (1 + e))
-    truth, where = None, rng.uniform(-half, half, 2)
+    truth, where, seen = None, rng.uniform(-half, half, 2), np.eye(2)
+    around = [[0, 0], gap * way[0], [0, 0], speed * way[1]]
     if kind == "nothing":
         drift = speed * way[1]
         places = (where + years[:, None] * drift)[:, None]
-    elif kind == "star":
-        places = moved((mass, 0.0), [[0, 0], gap * way[0], [0, 0], speed * way[1]], years)[:, 1:]
-        places, truth = places + where, (mass, where)
+    elif kind == "inclined":
+        places, seen = moved((mass, 0.0), around, years)[:, 1:], _aslant(rng)
+    elif kind in ("star", "aslant"):
+        seen = seen if kind == "star" else _aslant(rng)
+        places = moved((mass, 0.0), around, years)[:, 1:] + where
+        truth = mass, where @ seen
+    elif kind == "relative":
+        third, far = rng.uniform(0.2, 0.5) * mass, rng.uniform(2.5, 3.5) * half
+        out, across = _circle(rng, far, mass + third)
+        state = [[0, 0], gap * way[0], far * out, [0, 0], speed * way[1], across]
+        whole = moved((mass, 0.0, third), state, years)
+        places = whole[:, 1:2] - whole[:, :1]
+        truth = (third / mass, whole[0, 2] - whole[0, 0])
     else:
         share = np.array([-0.4, 0.6])[:, None]
         third, far = rng.uniform(0.3, 1.0) * mass, rng.uniform(3.0, 5.0) * half
-        angle = rng.uniform(0, 2 * np.pi)
-        out = np.array([np.cos(angle), np.sin(angle)])
-        across = np.array([-out[1], out[0]]) * np.sqrt(G * (mass + third) / far)
+        out, across = _circle(rng, far, mass + third)
         state = [*(share * gap * way[0]), far * out, *(share * speed * way[1]), across]
         whole = moved((*masses, third), state, years)
         places, truth = whole[:, :2], (third, whole[0, 2])
-    sigma = half / snr
-    seen = places + sigma * rng.standard_normal(places.shape)
+    sigma = half / snr / (FINER if kind in FROM_PRIMARY else 1.0)
+    places = places @ seen
+    places = places + sigma * rng.standard_normal(places.shape)
+    sigmas = np.full(places.shape, AU * sigma)
     bodies = [Entity(f"star {k}", properties={"mass": m * SUN} if kind == "third" else {})
               for k, m in enumerate(masses)]  # fmt: skip
-    scene = Scene(kind, years * YEAR, AU * seen, bodies, sigma=np.full(seen.shape, AU * sigma))
+    if kind in FROM_PRIMARY:
+        bodies.append(Entity("primary", is_static=True))
+        places = np.concatenate([places, np.zeros_like(places)], axis=1)
+        sigmas = np.concatenate([sigmas, np.full_like(sigmas, np.nan)], axis=1)
+    scene = Scene(kind, years * YEAR, AU * places, bodies, sigma=sigmas)
     return Dataset(kind, (scene,), units=UNITS), truth
+
+
+def _circle(rng, far, mass):
+    """Way and velocity of a body that goes round so much mass at a distance."""
+    angle = rng.uniform(0, 2 * np.pi)
+    out = np.array([np.cos(angle), np.sin(angle)])
+    return out, np.array([-out[1], out[0]]) * np.sqrt(G * mass / far)
+
+
+def _aslant(rng):
+    """What a plane at some inclination shows of places (n, 2) in it, when these multiply it."""
+    cosine, node = np.cos(np.radians(rng.uniform(25, 70))), rng.uniform(0, np.pi)
+    across = np.array([-np.sin(node), np.cos(node)])
+    return np.eye(2) - (1 - cosine) * np.outer(across, across)
 
 
 def work(kind, snr, seed):
     """One data set: a row."""
     dataset, truth = made(kind, snr, seed)
     began = time.process_time()
-    report = close_loop(
-        dataset, GRAVITY if kind == "third" else "nothing", rng=seed, n_bootstrap=0
-    )
+    declared = {"third": GRAVITY, **dict.fromkeys(FROM_PRIMARY, KEPLER)}.get(kind, "nothing")
+    report = close_loop(dataset, declared, rng=seed, n_bootstrap=0)
     row = {"kind": kind, "snr": snr, "seed": seed, "cpu_s": time.process_time() - began,
            "verdict": report.verdict}  # fmt: skip
     found = [r.effect for r in report.rounds if r.adopted]
     row["found"] = " + ".join(e.code for e in found)
     hidden = next((e for e in found if e.code == "hidden_body"), None)
-    row["is_named"] = len(found) == 1 and hidden is not None
+    wanted = "inclined" if kind == "inclined" else "hidden_body"
+    row["is_named"] = [effect.code for effect in found] == [wanted]
     if hidden is not None and truth is not None and hidden.details:
         known = {c.name: c for c in hidden.constants}
         numbers = [known[name] for name in hidden.details["names"] if name in known]
-        mass, x, y = numbers[-1], *numbers[:2]
-        row["mass_ratio"] = mass.value / SUN / truth[0]
-        row["direction"] = _direction(dataset, (x.value, y.value), AU * truth[1])
+        mass, *places = numbers[-1], *numbers[:2]
+        unit = 1.0 if kind == "relative" else SUN
+        row["mass_ratio"] = mass.value / unit / truth[0]
+        at = hidden.details.get("seen_at", [c.value for c in places])
+        row["direction"] = _direction(dataset, at, AU * truth[1])
+        wanted = [(mass, truth[0] * unit)]
+        if "seen_at" not in hidden.details:  # the place is told in the plane of the orbit
+            wanted += zip(places, AU * truth[1], strict=True)
         row["misses"] = max(
-            abs(c.value - true) / max((c.high - c.low) / 3.29, 1e-300)
-            for c, true in zip((mass, x, y), (truth[0] * SUN, *(AU * truth[1])), strict=True)
+            abs(c.value - true) / max((c.high - c.low) / 3.29, 1e-300) for c, true in wanted
         )
         row["motion"] = hidden.details["motion"]
     return [row]
@@ -128,8 +167,10 @@ def summary(table):
         named = part[part.is_named.astype(bool)]
         near = int((named.misses <= 3).sum()) if "misses" in named else 0
         lines.append(
-            f"- {kind}, {snr}: named in {len(named)} of {len(part)}; mass and place within three "
-            f"standard deviations in {near}; {part.cpu_s.median():.0f} s."
+            f"- {kind}, {snr}: named in {len(named)} of {len(part)}"
+            + ("" if kind == "inclined" else
+               f"; mass and place within three standard deviations in {near}")
+            + f"; {part.cpu_s.median():.0f} s."
         )
     return "\n".join(lines) + "\n"
 
