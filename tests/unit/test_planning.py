@@ -176,7 +176,7 @@ def test_calm_rows_are_foreseeable_however_vague_a_constant_is(means):
     positions[:, 0, 0] -= 0.02 * np.array(experiment.times) ** 2
     scene = experiment.scene("a", positions)
     state = _State(means, (), {}, print, None)
-    vague = replace(rival(means, pull(-2), k=1.0), names=("k",), covariance=np.array([[0.01]]))
+    vague = replace(rival(means, pull(-2), k=1.0), names=("k",), covariance=np.array([[0.03]]))
     state.rivals = (vague,)
     (kept,) = state._foreseeable([scene], np.random.default_rng(0)).scenes
     assert len(kept.times) == len(calm(scene).times) == 6
