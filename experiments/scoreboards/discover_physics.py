@@ -1,12 +1,13 @@
 """DiscoverPhysics (souspilot/DiscoverPhysicsWIP, engine nbody), without a language model.
 
 Worlds are told apart by what their instructions let be chosen, never by their names: of a probe
-beside a fixed source `bsp_gp.discover` chooses everything; of many bodies, of which few are set
-off at will, recordings are made by chance within the ranges of the instructions, and `bsp_gp.close`
-is asked. The noise is the benchmark's (7.5 % of the spread of its test motions, of every place).
-The error is its own: the mean square over its test motions, by their variance. The form of a law
-between two bodies is right if, its exponents rounded to 0.1, it is proportional to the true force
-within 5 % over nine tenths of what was tried; laws of many bodies are left to a reader.
+beside a fixed source `bsp_gp.discover` chooses everything; of many bodies, of which few are set off
+at will, recordings are made by chance within the ranges of the instructions, and
+`bsp_gp.close_loop` is asked. The noise is the benchmark's (7.5 % of the spread of its test motions,
+of every place). The error is its own: the mean square over its test motions, by their variance. The
+form of a law between two bodies is right if, its exponents rounded to 0.1, it is proportional to
+the true force within 5 % over nine tenths of what was tried; laws of many bodies are left to a
+reader.
 
     python experiments/scoreboards/discover_physics.py --repo PATH --out DIR [--worlds gravity]
 """
@@ -163,7 +164,7 @@ class Many:
     def find(self, seed, args, says):
         rng = np.random.default_rng(seed)
         scenes = [self.seen(f"recording {k}", self.drawn(rng)) for k in range(1, RECORDINGS + 1)]
-        return bsp_gp.close(self.means.dataset(scenes), rng=seed, time_limit=4 * args.limit,
+        return bsp_gp.close_loop(self.means.dataset(scenes), rng=seed, time_limit=4 * args.limit,
                             progress=says, n_bootstrap=0)  # fmt: skip
 
     def seen(self, name, asked):
