@@ -192,15 +192,17 @@ def _speeds(apparatus, asked, distance, mass):
             break
         until *= 0.5 if moved < 8 * part * distance else 0.1
     share = apparatus.noise * (0.5 if floor else 1.0)
-    least = floor / np.square(np.median(np.abs(speeds))) if apparatus.noise else 0.0
+    speed = np.median(np.abs(speeds))
+    least = min(floor / speed**2, np.sqrt(2 * floor) / speed) if apparatus.noise else 0.0
     return speeds / times, np.hypot(share, least)
 
 
 def _told(shown, light, system):
     """Speeds of a body as if of 1 kg, and the least error of an energy."""
     if "kinetic_energy" in shown:
+        # What errs to below zero keeps its sign: speeds of weak forces are then nil on average.
         energies = np.array(shown["kinetic_energy"], dtype=float)
-        return np.sqrt(2 * np.maximum(energies, 0.0)), 1e-9
+        return np.sign(energies) * np.sqrt(2 * np.abs(energies)), 1e-9
     speeds = np.array(shown["velocity"], dtype=float)
     speeds = np.abs(speeds).reshape(len(speeds), -1)[:, 0]
     return speeds * light**0.5, 0.0
