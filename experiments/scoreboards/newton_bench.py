@@ -39,6 +39,8 @@ CHANGE = 3.0
 COORDINATE = 1e-6
 """Noise of a coordinate, as a part, that the planner reckons with: errors are those of forces."""
 ROUNDS, AT_ONCE = 3, 16
+LEAST_FORCE, LEAST_SPEED = 1e-12, 1e-9
+"""Floors of its noise, N and m/s; that of energies is 1e-9 J."""
 RIGHT = 1e-2
 """Relative error of a law that is right."""
 SYSTEMS = "vanilla_equation", "simple_system", "complex_system"
@@ -168,7 +170,8 @@ def _measured(apparatus, asked, distance, mass):
 def _forces(apparatus, asked, distance, mass):
     """Forces as they are told, one after the other."""
     forces = [float(apparatus.run(**asked, distance=distance)) for _ in range(ROWS)]
-    return np.array(forces) / mass, apparatus.noise
+    least = LEAST_FORCE / np.median(np.abs(forces)) if apparatus.noise else 0.0
+    return np.array(forces) / mass, np.hypot(apparatus.noise, least)
 
 
 def _speeds(apparatus, asked, distance, mass):
@@ -192,9 +195,17 @@ def _speeds(apparatus, asked, distance, mass):
             break
         until *= 0.5 if moved < 8 * part * distance else 0.1
     share = apparatus.noise * (0.5 if floor else 1.0)
-    speed = np.median(np.abs(speeds))
-    least = min(floor / speed**2, np.sqrt(2 * floor) / speed) if apparatus.noise else 0.0
-    return speeds / times, np.hypot(share, least)
+    return speeds / times, np.hypot(share, _least(speeds / times, times, floor, light, apparatus))
+
+
+def _least(found, times, floor, light, apparatus):
+    """What the floor of its noise adds to the relative error, row by row: first rows err most."""
+    if not apparatus.noise:
+        return 0.0
+    speed = np.median(np.abs(found)) * times
+    if floor:
+        return np.minimum(floor / speed**2, np.sqrt(2 * floor) / speed)
+    return LEAST_SPEED * light**0.5 / speed
 
 
 def _told(shown, light, system):
@@ -215,13 +226,17 @@ def _alternating(apparatus, asked, distance):
     the second tells the force of a part of the amplitude. The wire is so heavy that it stays.
     """
     phase = np.sin(2 * np.pi / (SHOWN - 1))
-    step, heavy = 0.02 / (SHOWN - 1), 1e3
+    step, heavy = 0.02 / (SHOWN - 1), 1e16
     asked = asked | {"current1": asked["current1"] / phase}
-    gained = []
-    for _ in range(ROWS):
-        shown = apparatus.run(**asked, distance=distance, mass_wire=heavy, initial_velocity=0.0)
-        gained.append(abs(float(shown["velocity"][2])))
-    return heavy * np.array(gained) / step, apparatus.noise
+    part = max(MOVED[0], MOVED[1] * apparatus.noise)
+    gained = np.zeros(ROWS)
+    while np.median(gained) * step < part * distance / 10 and heavy > 1e-30:
+        heavy /= 10
+        shown = [apparatus.run(**asked, distance=distance, mass_wire=heavy, initial_velocity=0.0)
+                 for _ in range(ROWS)]  # fmt: skip
+        gained = np.array([abs(float(s["velocity"][2])) for s in shown])
+    least = LEAST_SPEED / np.median(gained) if apparatus.noise else 0.0
+    return heavy * gained / step, np.hypot(apparatus.noise, least)
 
 
 def judged(module, system, difficulty, version, noise, seed, limit):
