@@ -210,7 +210,10 @@ def simulated_scene(law, scene, states=None, times=None, *, up=None, substeps=16
 
 
 def _first_state(scene, k):
-    """Place and velocity of a body at the first row, by a parabola through the first rows."""
+    """Place and velocity of a body at the first row: as known, or by a parabola through rows."""
+    first = scene.first
+    if first is not None and first.is_placed and np.isfinite(first.velocity[k]).all():
+        return scene.positions[0, k], first.velocity[k]
     seen = np.isfinite(scene.positions[:, k]).all(axis=1)
     t, x = scene.times[seen][:_HEAD] - scene.times[0], scene.positions[seen, k][:_HEAD]
     if len(t) < 3:

@@ -286,7 +286,8 @@ class ForceLaw:
         scene : Scene
             Its bodies; those that do not move keep their places.
         states : mapping of str to (position, velocity), optional
-            Of the moving bodies, metres and metres/second; by default those at the first rows.
+            Of the moving bodies, metres and metres/second; by default those with which the scene
+            is known to begin, or those at the first rows.
         times : sequence of float, optional
             Seconds; by default those of the scene.
         up : str, optional

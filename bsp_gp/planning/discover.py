@@ -245,6 +245,8 @@ class _State:
 
         After a close pass what is unknown of a constant leads to anywhere: such rows tell little,
         and a descent is lost among them. The better constants are known, the more rows there are.
+        Calm rows stay whatever is known: a law of vague constants must not choose what it is
+        tried on, or one that says little fits and stands.
         """
         best = self.rivals[0]
         draws = best.draws(rng, N_DRAWS)
@@ -254,6 +256,7 @@ class _State:
             spread = np.linalg.norm(track[1:] - track[0], axis=-1).max(axis=(0, 2))
             is_seen = REACH * np.nan_to_num(spread, nan=np.inf) < CALM * nearest(scene)
             count = len(is_seen) if is_seen.all() else int(np.argmin(is_seen))
+            count = max(count, len(calm(scene).times))
             if count >= LEAST_ROWS:
                 cut.append(scene if count == len(scene.times) else scene.rows(None, count))
         return self.means.dataset(cut or scenes)

@@ -1,9 +1,10 @@
-"""NewtonBench (HKUST-KnowComp/NewtonBench), modules m0 and m2, without a language model.
+"""NewtonBench (HKUST-KnowComp/NewtonBench), modules m0 to m2, without a language model.
 
-Two bodies on a line or in a plane, one held fast at the origin: `bsp_gp.discover` makes experiments
-with the benchmark's own simulator and finds the force. A form is right if, its exponents rounded to
-0.1, it is the true one but for a constant; its error is that over the benchmark's test range.
-Speeds are measured beside places, to the same part: places are the integrals of speeds.
+Two bodies, one held fast at the origin: `bsp_gp.discover` chooses what they are and how far apart,
+and finds the force. Every experiment is so short that the force hardly changes in it: then neither
+the coarse steps of the benchmark nor charges that fade are seen, and every speed that it shows is
+one measurement of the force. A form is right if, its exponents rounded to 0.1, it is the true one
+but for a constant; its error is that over the benchmark's test range.
 
     python experiments/scoreboards/newton_bench.py --repo PATH --out DIR [--systems simple_system]
 """
@@ -27,24 +28,38 @@ from bsp_gp.errors import BspError
 from bsp_gp.planning.apparatus import Recording
 from bsp_gp.planning.means import Experiment, means_from
 
-ROWS = 20
-DIGITS = 3e-4
-"""Part of a number that is lost in the steps of the benchmark's integration, and in its digits."""
+ROWS = 6
+"""Measurements of the force in an experiment."""
+SHOWN = 20
+"""Rows that the benchmark shows at most."""
+MOVED = 1e-4, 0.03
+"""Part of the distance by which a body moves in a recording, and that part per noise."""
+CHANGE = 3.0
+"""Relative change of a force per relative change of the distance, about."""
+COORDINATE = 1e-6
+"""Noise of a coordinate, as a part, that the planner reckons with: errors are those of forces."""
+ROUNDS, AT_ONCE = 3, 16
+LEAST_FORCE, LEAST_SPEED = 1e-12, 1e-9
+"""Floors of its noise, N and m/s; that of energies is 1e-9 J."""
 RIGHT = 1e-2
 """Relative error of a law that is right."""
+SYSTEMS = "vanilla_equation", "simple_system", "complex_system"
 MODULES = {
     "m0_gravity": {
-        "names": ("mass1", "mass2", "distance"), "property": "mass", "ranges": ("1..1000",) * 2,
-        "x": "1..10", "v": "-0.05..0.05", "until": "0.5..50", "test": ((0, 3), (0, 3), (0, 1)),
+        "names": ("mass1", "mass2"), "property": "mass", "sense": -1,
+        "ranges": ("1..1000", "1..1000", "1..10"), "test": ((0, 3), (0, 3), (0, 1)),
+    },
+    "m1_coulomb_force": {
+        "names": ("q1", "q2"), "property": "charge", "sense": 1,
+        "ranges": ("0.1..10",) * 3, "test": ((-1, 1),) * 3,
     },
     "m2_magnetic_force": {
-        "names": ("current1", "current2", "distance"), "property": "current",
-        "ranges": ("0.001..0.1",) * 2, "x": "0.001..0.1", "v": 0.0, "until": "0.01..10",
-        "test": ((-3, -1), (-3, -1), (-3, -1)),
+        "names": ("current1", "current2"), "property": "current", "sense": -1,
+        "ranges": ("0.001..0.1",) * 3, "test": ((-3, -1),) * 3,
     },
 }  # fmt: skip
-"""Per module: names of its arguments, ranges of properties and places that are tried, and decades
-of its test."""
+"""Per module: names of its arguments, ranges of properties and places that are tried, whether the
+force pushes (1) or pulls (its texts say so), and decades of its test."""
 
 
 def main(argv=None):
@@ -65,7 +80,7 @@ def main(argv=None):
         path = args.out / "items" / f"{name}.json"
         if not path.exists():
             with whole(path) as part:
-                part.write_text(json.dumps(judged(*item, args.seed)), encoding="utf-8")
+                part.write_text(json.dumps(judged(*item, args.seed, args.limit)), encoding="utf-8")
         rows.append(json.loads(path.read_text(encoding="utf-8")))
         print(name, {k: rows[-1][k] for k in ("is_form", "error", "law", "cpu_s")}, flush=True)
         write_table(rows, args.out / "results.csv")
@@ -76,72 +91,155 @@ def main(argv=None):
 
 def declare(parser):
     parser.add_argument("--repo", type=Path, required=True, help="checkout of the benchmark")
-    parser.add_argument("--modules", nargs="+", default=["m0_gravity"], choices=list(MODULES))
-    parser.add_argument("--systems", nargs="+", default=["simple_system", "complex_system"])
+    parser.add_argument("--modules", nargs="+", default=list(MODULES), choices=list(MODULES))
+    parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS)
     parser.add_argument("--noise", nargs="+", type=float, default=[0.0, 1e-4, 1e-2])
+    parser.add_argument("--limit", type=float, default=30.0, help="s of a closing of the loop")
     parser.add_argument("--most", type=int, default=1000, help="items, by chance")
 
 
-def means_of(module, system, noise):
-    """What the benchmark lets be chosen: a probe on the axis, thrown along or across it."""
+def means_of(module):
+    """What the benchmark lets be chosen: two properties and a distance; the probe is at rest.
+
+    From rest, since errors are a part of the speed: a speed that was given hides what is gained.
+    """
     said = MODULES[module]
-    across = {"y": 0.0, "vx": 0.0, "vy": "0..0.1"}
-    moves = {"vx": said["v"]} if system == "simple_system" else across
-    name, look = said["property"], {"until": said["until"], "rows": ROWS, "at_once": 20}
-    probe = {"x": said["x"], **moves, name: said["ranges"][1]}
-    source = {"dynamic": 0, "x": 0, name: said["ranges"][0]}
+    name, (source, probe, distance) = said["property"], said["ranges"]
+    units = {"mass": {}, "charge": {}, "current": {"current": "A"}}[name]
     return means_from({
-        "bodies": {"probe": probe, "source": source},
-        "units": {} if name == "mass" else {name: "A"},
-        "look": {**look, "noise_share": noise or DIGITS},
+        "bodies": {"probe": {"x": distance, "vx": 0.0, name: probe},
+                   "source": {"dynamic": 0, "x": 0, name: source}},
+        "units": units,
+        "look": {"until": 1.0, "rows": ROWS + 1, "at_once": AT_ONCE, "noise_share": COORDINATE},
     })  # fmt: skip
 
 
 class Apparatus:
-    """The benchmark's simulator as an apparatus."""
+    """The benchmark's simulator as an apparatus that measures how a body at rest sets off."""
 
     def __init__(self, module, system, difficulty, version, noise, rng):
         self.module, self.system, self.noise = module, system, noise
         self.core = importlib.import_module(f"modules.{module}.core")
         # Its noise, but from a generator of its own: a part of the number, with a floor.
-        self.core.inject_noise = lambda true, share, floor: true + rng.standard_normal(
-            np.shape(true)
-        ) * np.where(share > 0, np.maximum(np.abs(true) * share, floor), 0.0)
+        self.core.inject_noise = lambda true, share, floor: (
+            true
+            + rng.standard_normal(np.shape(true))
+            * np.where(share > 0, np.maximum(np.abs(true) * share, floor), 0.0)
+        )
         self.settings = {"difficulty": difficulty, "law_version": version, "system": system,
                          "noise_level": noise}  # fmt: skip
 
     def __call__(self, experiment: Experiment):
         said = MODULES[self.module]
         probe, source = experiment.bodies
-        values = (source.properties, probe.properties)
-        step = experiment.times[-1] / (ROWS - 1)
-        thrown = probe.velocity[0] if self.system == "simple_system" else probe.velocity[1]
-        found = self.core.run_experiment_for_module(
-            **{said["names"][k]: v[said["property"]] for k, v in enumerate(values)},
-            distance=probe.position[0], initial_velocity=thrown, time_step=step,
-            duration=(ROWS + 0.5) * step, **self.settings,
-        )  # fmt: skip
-        t = np.array(found["time"], dtype=float)
-        v = np.array(found["velocity"], dtype=float).reshape(len(t), -1)
-        start, first = np.array(probe.position), np.array(probe.velocity)
-        v[0] = first
-        t = step * np.arange(len(t))
-        gone = np.concatenate([np.zeros((1, v.shape[1])),
-                               np.cumsum(0.5 * step * (v[1:] + v[:-1]), axis=0)])  # fmt: skip
-        share = max(self.noise, DIGITS)
-        # Errors of speeds add up, by chance, over the rows.
-        error = share * step * np.sqrt(np.cumsum(np.square(v), axis=0)) + 1e-12 * np.abs(start)
-        error = error + DIGITS * np.abs(gone)
-        seen = np.array(found["position"], dtype=float).reshape(v.shape)
-        is_better = share * np.abs(seen) < error  # the place itself, or the sum of its speeds
-        error = np.where(is_better, share * np.abs(seen), error)
-        places = np.where(is_better, seen, start + gone)
-        places = np.stack([places, np.zeros_like(gone)], axis=1)
-        sigma = np.stack([error, np.ones_like(error)], axis=1)
-        return Recording(t, places, sigma)
+        values = [b.properties[said["property"]] for b in (source, probe)]
+        asked = dict(zip(said["names"], values, strict=True))
+        distance = probe.position[0]
+        mass = values[1] if said["property"] == "mass" else 1.0
+        with np.errstate(all="ignore"):
+            found, share = _measured(self, asked, distance, mass)
+        part = max(MOVED[0], MOVED[1] * self.noise)
+        until = np.sqrt(2 * part * distance / np.median(np.abs(found)))
+        times = until * np.linspace(0.5, 1.0, ROWS)
+        gone = 0.5 * found * np.square(times)
+        error = np.hypot(share, CHANGE * part) * np.median(np.abs(found)) * 0.5 * times**2
+        return _recording(times, distance + said["sense"] * gone, error, distance)
+
+    def run(self, **asked):
+        """What the benchmark answers."""
+        return self.core.run_experiment_for_module(**asked, **self.settings)
 
 
-def judged(module, system, difficulty, version, noise, seed):
+def _recording(times, places, error, distance):
+    """Rows of the probe on the x-axis, the begin among them, and of the source."""
+    times, places = np.append(0.0, times), np.append(distance, places)
+    error = np.append(error[0], error)
+    positions = np.stack([places, np.zeros_like(places)], axis=1)[..., None]
+    sigma = np.stack([error, np.full_like(error, error.max())], axis=1)[..., None]
+    return Recording(times, positions, sigma)
+
+
+def _measured(apparatus, asked, distance, mass):
+    """Accelerations (ROWS,), m/s^2, and the relative error of one."""
+    how = {"vanilla_equation": _forces, "simple_system": _speeds, "complex_system": _speeds}
+    if apparatus.module == "m2_magnetic_force" and apparatus.system == "complex_system":
+        return _alternating(apparatus, asked, distance)
+    return how[apparatus.system](apparatus, asked, distance, mass)
+
+
+def _forces(apparatus, asked, distance, mass):
+    """Forces as they are told, one after the other."""
+    forces = [float(apparatus.run(**asked, distance=distance)) for _ in range(ROWS)]
+    least = LEAST_FORCE / np.median(np.abs(forces)) if apparatus.noise else 0.0
+    return np.array(forces) / mass, np.hypot(apparatus.noise, least)
+
+
+def _speeds(apparatus, asked, distance, mass):
+    """Speeds from rest, over times so short that the body hardly moves.
+
+    The time is shortened until speeds grow in proportion to it. Where the mass may be chosen (m1,
+    where charges fade), it is so little that little time passes; speeds are told as of 1 kg.
+    """
+    light = 1e-18 if apparatus.module == "m1_coulomb_force" else 1.0
+    part = max(MOVED[0], MOVED[1] * apparatus.noise)
+    until = 1e4 if light < 1 else 100.0
+    extra = {"m1": 1.0, "m2": light} if light < 1 else {"initial_velocity": 0.0}
+    for _ in range(200):
+        step = until / (ROWS + 1)
+        shown = apparatus.run(**asked, **extra, distance=distance, time_step=step * light**0.5,
+                              duration=(SHOWN + 0.5) * step * light**0.5)  # fmt: skip
+        speeds, floor = _told(shown, light, apparatus.system)
+        speeds, times = speeds[1 : ROWS + 1], step * np.arange(1, ROWS + 1)
+        moved = np.abs(speeds[-1]) * times[-1] / 2
+        if np.isfinite(speeds).all() and moved <= 2 * part * distance:
+            break
+        until *= 0.5 if moved < 8 * part * distance else 0.1
+    share = apparatus.noise * (0.5 if floor else 1.0)
+    return speeds / times, np.hypot(share, _least(speeds / times, times, floor, light, apparatus))
+
+
+def _least(found, times, floor, light, apparatus):
+    """What the floor of its noise adds to the relative error, row by row: first rows err most."""
+    if not apparatus.noise:
+        return 0.0
+    speed = np.median(np.abs(found)) * times
+    if floor:
+        return np.minimum(floor / speed**2, np.sqrt(2 * floor) / speed)
+    return LEAST_SPEED * light**0.5 / speed
+
+
+def _told(shown, light, system):
+    """Speeds of a body as if of 1 kg, and the least error of an energy."""
+    if "kinetic_energy" in shown:
+        # What errs to below zero keeps its sign: speeds of weak forces are then nil on average.
+        energies = np.array(shown["kinetic_energy"], dtype=float)
+        return np.sign(energies) * np.sqrt(2 * np.abs(energies)), 1e-9
+    speeds = np.array(shown["velocity"], dtype=float)
+    speeds = np.abs(speeds).reshape(len(speeds), -1)[:, 0]
+    return speeds * light**0.5, 0.0
+
+
+def _alternating(apparatus, asked, distance):
+    """The second step under an alternating current.
+
+    In the first no speed is gained: the current of a step is that at its begin, 0 at first. So
+    the second tells the force of a part of the amplitude. The wire is so heavy that it stays.
+    """
+    phase = np.sin(2 * np.pi / (SHOWN - 1))
+    step, heavy = 0.02 / (SHOWN - 1), 1e16
+    asked = asked | {"current1": asked["current1"] / phase}
+    part = max(MOVED[0], MOVED[1] * apparatus.noise)
+    gained = np.zeros(ROWS)
+    while np.median(gained) * step < part * distance / 10 and heavy > 1e-30:
+        heavy /= 10
+        shown = [apparatus.run(**asked, distance=distance, mass_wire=heavy, initial_velocity=0.0)
+                 for _ in range(ROWS)]  # fmt: skip
+        gained = np.array([abs(float(s["velocity"][2])) for s in shown])
+    least = LEAST_SPEED / np.median(gained) if apparatus.noise else 0.0
+    return heavy * gained / step, np.hypot(apparatus.noise, least)
+
+
+def judged(module, system, difficulty, version, noise, seed, limit):
     """One row of the table."""
     began = time.process_time()
     row = {"module": module, "system": system, "difficulty": difficulty, "version": version,
@@ -150,7 +248,7 @@ def judged(module, system, difficulty, version, noise, seed):
     try:
         found = bsp_gp.discover(
             Apparatus(module, system, difficulty, version, noise, np.random.default_rng(seed)),
-            means_of(module, system, noise), 6, rng=seed, time_limit=120,
+            means_of(module), ROUNDS, rng=seed, time_limit=limit,
         )  # fmt: skip
     except BspError as error:
         return row | {"why": str(error)[:200], "cpu_s": time.process_time() - began}
@@ -161,7 +259,7 @@ def judged(module, system, difficulty, version, noise, seed):
 
 
 def compared(law, module, difficulty, version):
-    """Whether the form is right, and the median relative error over the test range."""
+    """Whether the form is right, the median relative error and RMSLE over the test range."""
     said = MODULES[module]
     laws = importlib.import_module(f"modules.{module}.laws")
     truth, _ = laws.get_ground_truth_law(difficulty, version)
@@ -172,27 +270,29 @@ def compared(law, module, difficulty, version):
     for name, value in law.constants.items():
         is_power = re.search(rf"\^-?\(?-?{re.escape(name)}\b", law.text(digits=False))
         texts[name] = round(value, 1) if is_power else value
-    rounded = _force(law.with_constants(texts), said["property"], points) / true
-    error = np.abs(_force(law, said["property"], points) / true - 1)
+    rounded = _force(law.with_constants(texts), said, points) / true
+    found = _force(law, said, points)
     is_form = bool(np.ptp(rounded) < 1e-4 * abs(np.median(rounded)))
-    return {"is_form": is_form, "error": float(np.median(error))}
+    rmsle = np.sqrt(np.mean(np.square(np.log1p(np.maximum(found, 0.0)) - np.log1p(true))))
+    return {"is_form": is_form, "error": float(np.median(np.abs(found / true - 1))),
+            "rmsle": float(rmsle)}  # fmt: skip
 
 
-def _force(law, name, points):
-    """Size of the force on the probe towards the source, (n,)."""
+def _force(law, said, points):
+    """Size of the force on the probe, (n,), towards the source or away as the module says."""
     from bsp_gp.physics.bodies import stack
     from bsp_gp.planning.means import Body
 
-    out = []
+    out, name = [], said["property"]
     for one, other, distance in points:
         bodies = (
-            Body("probe", (distance,), (0.0,), {name: other}),
+            Body("probe", (distance,), (0.0,), {"mass": 1.0, name: other}),
             Body("source", (0.0,), (0.0,), {name: one}, is_static=True),
         )  # fmt: skip
         (batch,) = stack((Experiment(bodies, (0.0, 1.0, 2.0)).scene("a"),))
         p, v = batch.positions[0], np.zeros_like(batch.positions[0])
         pull = law.acceleration(batch.bodies, p, v, np.zeros(1))[0, 0, 0]
-        out.append(-pull * (other if name == "mass" else 1.0))
+        out.append(said["sense"] * pull * (other if name == "mass" else 1.0))
     return np.array(out)
 
 

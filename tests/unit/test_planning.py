@@ -11,8 +11,8 @@ import bsp_gp
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
-from bsp_gp.planning.discover import calm, discover
-from bsp_gp.planning.means import Experiment, Range, load_means, means_from
+from bsp_gp.planning.discover import _State, calm, discover
+from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from
 from bsp_gp.planning.plan import information, normals, plan, weights_of
 from bsp_gp.planning.rivals import Rival, in_common
 from tests.snippets import ROOT, blocks
@@ -164,6 +164,32 @@ def test_a_scene_is_calm_until_forces_have_led_bodies_off(means):
     led = np.array(free)
     led[4:, 0] += 50.0
     assert len(calm(experiment.scene("a", led)).times) == 4
+
+
+def test_calm_rows_are_foreseeable_however_vague_a_constant_is(means):
+    experiment = Experiment(
+        (Body("probe", (4.0, 0.0), (0.0, 0.0), {"mass": 1.0}),
+         Body("source", (0.0, 0.0), (0.0, 0.0), {"charge": 1.0}, is_static=True)),
+        (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
+    )  # fmt: skip
+    positions = np.repeat([[[4.0, 0.0], [0.0, 0.0]]], 6, axis=0)
+    positions[:, 0, 0] -= 0.02 * np.array(experiment.times) ** 2
+    scene = experiment.scene("a", positions)
+    state = _State(means, (), {}, print, None)
+    vague = replace(rival(means, pull(-2), k=1.0), names=("k",), covariance=np.array([[0.03]]))
+    state.rivals = (vague,)
+    (kept,) = state._foreseeable([scene], np.random.default_rng(0)).scenes
+    assert len(kept.times) == len(calm(scene).times) == 6
+
+
+def test_a_motion_is_foretold_from_where_an_experiment_begins(means):
+    experiment = means.draw(np.random.default_rng(0))
+    scene = experiment.scene("a")  # nothing is seen yet
+    law = rival(means, pull(-2), k=0.0).law
+    ahead = law.simulate(scene).positions[-1, 0]
+    probe = experiment.bodies[0]
+    free = np.array(probe.position) + experiment.times[-1] * np.array(probe.velocity)
+    np.testing.assert_allclose(ahead, free)
 
 
 APPARATUS = """
