@@ -37,7 +37,7 @@ def name_of(effect):
     size = format_value(strength.value, strength.low, strength.high, strength.unit)
     what = f"of {size}" if details.get("property") == "mass" else f"of strength {size}"
     if details.get("is_share") and not details.get("property"):
-        what = f"{size} times as strong as what is seen,"
+        what = f"{size} times as strong as {details.get('beside') or 'what is seen'},"
     coordinates = ", ".join(format_value(place.value, place.low, place.high) for place in places)
     where = f"at {with_unit(f'({coordinates})', places[0].unit)}"
     if "seen_at" in details:

@@ -63,7 +63,8 @@ class Sources:
     def details(self, view, proposal, fit, rng):
         """What the posterior of a fitted source is, see `whereabouts`."""
         *_, part = (p for p in proposal.hypothesis.parts if isinstance(p, HiddenSource))
-        return whereabouts(view.dataset, part, fit, rng)
+        found = whereabouts(view.dataset, part, fit, rng)
+        return found and {**found, "beside": view.reference}
 
 
 class Hidden(Sources):
