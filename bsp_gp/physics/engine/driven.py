@@ -10,6 +10,8 @@ __all__ = ["Driven"]
 
 N_POWERS = 6
 """Coefficients of a piece of a curve, of which the highest degree is 5."""
+MOST_KEPT = 1 << 25
+"""Bytes of places at instants that were asked for before, which are kept."""
 
 
 class Driven:
@@ -23,7 +25,7 @@ class Driven:
     def __init__(self, chains):
         track = chains.driven
         self.count = track.shape[2]
-        self._last = (None, None)
+        self._last, self._known, self._size = (None, None), {}, 0
         if not self.count:
             return
         seen = np.isfinite(track).all(axis=-1)
@@ -44,15 +46,31 @@ class Driven:
             return None
         if not self.curves and self._last[0] is chain:  # stages of a step share their chains
             return self._last[1]
+        if not self.curves:
+            self._last = (chain, self._at_rest(chain))
+            return self._last[1]
+        # A descent asks for the same instants again and again: those of the stages of its steps.
+        key = times.tobytes(), repr(chain) if isinstance(chain, slice) else chain.tobytes()
+        if key not in self._known:
+            out = self._moved(times, chain)
+            out.flags.writeable = False
+            if self._size + out.nbytes > MOST_KEPT:
+                self._known, self._size = {}, 0
+            self._known[key] = out
+            self._size += out.nbytes
+        return self._known[key]
+
+    def _at_rest(self, chain):
         first = self.first[..., chain]
-        out = np.stack([first, np.zeros_like(first)])
-        self._last = (chain, out)
-        if self.curves:
-            which, beyond, (places, velocities) = self.curves.at(times, chain, 2)
-            # Before the first and after the last seen row: straight on.
-            body, point = which
-            out[0][body, :, point] = places + velocities * beyond[:, None]
-            out[1][body, :, point] = velocities
+        return np.stack([first, np.zeros_like(first)])
+
+    def _moved(self, times, chain):
+        out = self._at_rest(chain)
+        which, beyond, (places, velocities) = self.curves.at(times, chain, 2)
+        # Before the first and after the last seen row: straight on.
+        body, point = which
+        out[0][body, :, point] = places + velocities * beyond[:, None]
+        out[1][body, :, point] = velocities
         return out
 
     def pull(self, times, chain):
@@ -103,11 +121,12 @@ class _Curves:
         self.starts = np.concatenate([curve.x[:-1] for curve in each])
         # Every curve has its own stretch of length 1 among these keys.
         self.keys = self._keys(self.starts, np.repeat(np.arange(len(each)), count))
-        self.powers = np.zeros((N_POWERS, len(self.starts), each[0].c.shape[-1]))
+        # Coefficients of a piece lie side by side: they are looked up together.
+        self.powers = np.zeros((len(self.starts), N_POWERS, each[0].c.shape[-1]))
         first = 0
         for curve in each:
             n_powers, n, _ = curve.c.shape
-            self.powers[N_POWERS - n_powers :, first : first + n] = curve.c
+            self.powers[first : first + n, N_POWERS - n_powers :] = np.swapaxes(curve.c, 0, 1)
             first += n
 
     def __bool__(self):
@@ -143,8 +162,8 @@ class _Curves:
         piece = np.minimum(piece, self.last[number])
         past = (inside - self.starts[piece])[:, None]
         values = [np.zeros((len(past), self.powers.shape[-1])) for _ in range(count)]
-        for power in self.powers:  # Horner's scheme, with derivatives
+        for power in np.swapaxes(self.powers[piece], 0, 1):  # Horner's scheme, with derivatives
             for order in range(count - 1, 0, -1):
                 values[order] = values[order] * past + order * values[order - 1]
-            values[0] = values[0] * past + power[piece]
+            values[0] = values[0] * past + power
         return which, times - inside, values
