@@ -146,6 +146,8 @@ class Proposal:
         found = fit(self.hypothesis, dataset, near=near, effort=criteria.effort, **known)
         if self.patience > 1 and found.status == "unconverged":  # on from where it was left
             effort = self.patience * criteria.effort
+            if np.isfinite(found.values).all():
+                known["starts"] = dict(zip(found.parameters, found.values.tolist(), strict=True))
             found = fit(self.hypothesis, dataset, near=found, effort=effort, **known)
         return found
 

@@ -18,7 +18,7 @@ from bsp_gp.fitting.parts.hidden import HiddenBody, body_pulls
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.hidden import (
     Sources,
     Stage,
@@ -276,6 +276,7 @@ class Orbits:
             "hidden_body", f"under the law: {text}", view.hypothesis + part,
             -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
             stage.bounds(self.column), kind="hidden_body",
+            patience=PATIENT if view.reference else 1,
         )  # fmt: skip
 
 
