@@ -281,7 +281,8 @@ def information(weights, centres, roots, rng, count=N_ROWS):
     -------
     (float, float)
     """
-    bits, power = 0.0, 0.0
+    bits, power, kept = 0.0, 0.0, weights > 0
+    weights, centres, roots = weights[kept], centres[kept], roots[kept]
     half = rng.standard_normal((count // 2, centres.shape[1]))
     white = np.concatenate([half, -half])
     for k, weight in enumerate(weights):

@@ -43,6 +43,8 @@ LEAST_FORCE, LEAST_SPEED = 1e-12, 1e-9
 """Floors of its noise, N and m/s; that of energies is 1e-9 J."""
 RIGHT = 1e-2
 """Relative error of a law that is right."""
+TENTH, ALIKE = 0.1, 3e-3
+"""To what exponents are rounded, and how far constants may differ that are one."""
 SYSTEMS = "vanilla_equation", "simple_system", "complex_system"
 MODULES = {
     "m0_gravity": {
@@ -272,10 +274,24 @@ def compared(law, module, difficulty, version):
         texts[name] = round(value, 1) if is_power else value
     rounded = _force(law.with_constants(texts), said, points) / true
     found = _force(law, said, points)
-    is_form = bool(np.ptp(rounded) < 1e-4 * abs(np.median(rounded)))
+    is_form = _is_constant(rounded, points)
     rmsle = np.sqrt(np.mean(np.square(np.log1p(np.maximum(found, 0.0)) - np.log1p(true))))
     return {"is_form": is_form, "error": float(np.median(np.abs(found / true - 1))),
             "rmsle": float(rmsle)}  # fmt: skip
+
+
+def _is_constant(ratio, points):
+    """Whether a ratio of forces is a constant, but for powers that are none when rounded.
+
+    True exponents that are no tenths (r^e) are rounded as those that were found. Of a sum that is
+    expanded the constants are free, and equal as far as noise lets them.
+    """
+    if not np.all(ratio > 0):
+        return False
+    logs = np.column_stack([np.ones(len(points)), np.log(points)])
+    powers = np.linalg.lstsq(logs, np.log(ratio), rcond=None)[0]
+    left = np.log(ratio) - logs @ powers
+    return bool(np.abs(powers[1:]).max() < TENTH / 2 and np.abs(left).max() < ALIKE)
 
 
 def _force(law, said, points):
