@@ -8,6 +8,7 @@ from matplotlib.patches import Patch
 
 from bsp_gp.report.drawing import AFTER, BEFORE, INK, WIDTH, axis_label, new_figure, plain, scaled
 from bsp_gp.report.drawing import tidy as tidied
+from bsp_gp.report.numbers import format_p
 
 __all__ = ["draw_hidden_map"]
 
@@ -50,7 +51,8 @@ def draw_hidden_map(details, truth=None):
             _draw_plane(axes, plane, visible, own, draws, details, truth, factor)
             axes.set_xlabel(axis_label("xyz"[plane[0]], unit))
             axes.set_ylabel(axis_label("xyz"[plane[1]], unit))
-        title = f"{details['motion']}; p = {details['p_value']:.2g}"
+        where = " in the plane of the orbit" if "seen_at" in details else ""
+        title = f"{details['motion']}{where}; {format_p(details['p_value'])}"
         panels[0].set_title(plain(title, 60), loc="left")
         _draw_strength(panels[-1], draws[:, -1], details)
         _add_key(figure, truth is not None)
