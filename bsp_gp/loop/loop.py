@@ -562,6 +562,8 @@ def _chosen(every, clear, criteria):
             # A single cause is fitted, however well a set of causes does.
             if name not in simplest or proposal.rank < simplest[name][1].rank:
                 simplest[name] = (name, proposal)
+            if proposal.has_other_starts:
+                others[name, tuple(proposal.starts.values())] = (name, proposal)
             # Beside a law that is far off promises are not exact: of what promises about as much,
             # the best of every size, and of every form that leads a sum.
             # Those that may be all there is are fitted up to the first that is.

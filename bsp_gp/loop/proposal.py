@@ -67,6 +67,8 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
+    has_other_starts : bool
+        Whether others of its family are the same from another start, and are all tried.
     is_first : bool
         Whether it is fitted before all others, and nothing else is asked for in its round where it
         takes off most of what is left: how motion is seen comes before what moves it.
@@ -93,6 +95,7 @@ class Proposal:
     error: float = 0.0
     patience: int = 1
     is_afresh: bool = False
+    has_other_starts: bool = False
     is_first: bool = False
     is_last: bool = False
 

@@ -11,6 +11,8 @@ from bsp_gp.fitting.parts.hidden import pull_of
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.starts import _slope
 from bsp_gp.language.formula import evaluate
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.loop import _chosen
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inclined import Inclinations
@@ -138,3 +140,11 @@ def test_what_a_lone_star_goes_round_is_found_where_its_orbit_is_seen_aslant():
     assert found.status == "converged" and np.abs(off).max() < 3.5
     place = np.linalg.solve(stretched(found.law), found.values[[at["h_x1"], at["h_y1"]]])
     assert place == pytest.approx([0.3, -0.2], abs=0.02)
+
+
+def test_both_sides_of_the_primary_are_tried():
+    view = look(relative_orbit())
+    family = Companions().propose(view)
+    every = [(family.name, proposal) for proposal in family.proposals]
+    assert len({tuple(np.sign(list(p.starts.values())[1:3])) for _, p in every}) > 1
+    assert _chosen(every, [family.name], Criteria()) == every

@@ -276,7 +276,7 @@ class Orbits:
             "hidden_body", f"under the law: {text}", view.hypothesis + part,
             -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
             stage.bounds(self.column), kind="hidden_body",
-            patience=PATIENT if view.reference else 1,
+            patience=PATIENT if view.reference else 1, has_other_starts=bool(view.reference),
         )  # fmt: skip
 
 
