@@ -98,3 +98,15 @@ def test_a_cell_that_is_no_angle_is_named(tmp_path):
     path = _folder(tmp_path / "a", "t,ra,dec", rows, '[units]\ntime = "yr"\n')
     with pytest.raises(DataError, match="'17:45' is no angle"):
         load_dataset(path)
+
+
+def test_how_far_it_is_may_be_said_beside_a_file(tmp_path):
+    table = tmp_path / "pair.csv"
+    table.write_text("epoch,PA (deg),sep (arcsec)\n2000.5,10,1\n2001.5,20,1\n2002.5,30,1.1\n")
+    for sky in ({"distance": "10pc"}, {"parallax": "100 mas"}):
+        (scene,) = load_dataset(table, sky=sky).scenes
+        assert np.linalg.norm(scene.positions[0, 0]) / AU == pytest.approx(10.0)
+    with pytest.raises(DataError, match="distance or parallax, not 'far'"):
+        load_dataset(table, sky={"far": "10 pc"})
+    with pytest.raises(DataError, match="a number and its unit"):
+        load_dataset(table, sky={"distance": "pc"})
