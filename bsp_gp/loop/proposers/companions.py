@@ -274,7 +274,7 @@ class Orbits:
         text = " + ".join(to_text(term.formula) for term, _ in self.terms)
         return Proposal(
             "hidden_body", f"under the law: {text}", view.hypothesis + part,
-            -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
+            0.0 if view.is_sky else -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
             stage.bounds(self.column), kind="hidden_body",
             patience=PATIENT if view.reference else 1, has_other_starts=bool(view.reference),
         )  # fmt: skip

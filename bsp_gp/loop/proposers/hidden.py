@@ -298,9 +298,11 @@ class Stage:
             ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common,
             between=_between(terms), epoch=epoch,
         )
+        against = view.is_sky and any(term.is_declared for term, _ in terms)  # the law bends it
         return Proposal(
             "hidden_body", f"moving: {texts}", view.hypothesis + part,
-            self.log_prior(terms), gain, 1 + 2 * self.n_dims, starts, kind="hidden_body",
+            self.log_prior(terms) - against * view.criteria.cause_nats, gain,
+            1 + 2 * self.n_dims, starts, kind="hidden_body",
             is_afresh=self.is_led_away, bounds=self.bounds(pulls_of_column(terms)),
         )  # fmt: skip
 
