@@ -11,7 +11,9 @@ from bsp_gp.errors import BspError
 
 __all__ = ["run_sweep"]
 
-READING = ("units", "columns", "property", "up", "fps", "dt", "train", "test", "noise", "command")
+READING = (
+    "units", "columns", "property", "sky", "up", "fps", "dt", "train", "test", "noise", "command",
+)  # fmt: skip
 """Options that say how a data set is read."""
 
 
