@@ -10,6 +10,7 @@ _MOTIONS = {
     "at rest": "an unseen body at rest", "moving": "an unseen body that moves straight on",
     "under the law": "an unseen body that the law moves with the others",
     "on a circle": "an unseen body on a circle",
+    "at rest, seen aslant": "an unseen body at rest about which the orbit is inclined to the sky",
 }  # fmt: skip
 _MOVES = {
     "at rest": "at rest", "moving": "moving straight on",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.by_scene import ByScene
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
@@ -40,6 +41,6 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), ByScene(laws), Declared(), Varying(), Growing(), Periods(),
-        Pulsing(), Frames(), Inclinations(), Hidden(), Companions(), Kicks(), Contacts(), Walls(),
-        Rods(), Measurement(), LateLogs(), Defects(), Noise(),
+        Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(),
+        Walls(), Rods(), Measurement(), LateLogs(), Defects(), Noise(),
     ]  # fmt: skip

@@ -16,22 +16,19 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.language.inputs import STATE_INPUTS, input_types, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import PATIENT, Family, Proposal
-from bsp_gp.loop.proposers.inclined import is_open, planes_of
+from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
 
-__all__ = ["Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of",
+__all__ = ["N_NEAR", "Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of",
            "pulls_of_column", "still"]  # fmt: skip
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
 N_NEAR, N_RINGS, N_WAYS = 21, 12, 36
 """Places along an axis within twice the data, distances beyond, and directions of each."""
-SLOPES, N_NODES = np.radians([25.0, 40.0, 52.0, 62.0, 70.0, 77.0]), 12
-"""Inclinations of planes in which a source is sought too, and lines of nodes of each."""
 ALIKE = 0.95
 """Correlation of moments above which two places are one start."""
 N_STARTS = 2
@@ -98,8 +95,6 @@ class Hidden(Sources):
             for k in apart(unit, gains):
                 strength = float(unit[:, k] @ view.left / size[k])
                 proposals += stage.proposals(terms, k, strength, float(gains[k]))
-        if is_open(view) and not any("p_i" in t.formula.inputs for t in view.fit.law.terms):
-            proposals += stage.aslant(attraction(view, stage))
         return self.family(proposals, null, n_tried)
 
 
@@ -249,40 +244,6 @@ class Stage:
         if len(view.dataset.scenes) == 1:
             out.append(self._moving(terms, starts, gain, texts))
         return out
-
-    def aslant(self, terms):
-        """A source at rest about which bodies move in a plane that is inclined to the sky.
-
-        The orbit is no orbit of this pull in the picture, and a plane that is seen aslant explains
-        nothing without what pulls: neither is found alone.
-        """
-        view, tried = self.view, []
-        for plane in planes_of(SLOPES, N_NODES):
-            matrix = plane.matrix(plane.own)
-            batches = view.response.regression.in_plane(matrix).batches
-            places = self.places[: N_NEAR**2] @ matrix.T
-            unit, size = self.beside(self.columns(terms, still(places), batches))
-            along = unit.T @ view.left
-            k = int(np.argmax(np.where(along > 0, along, 0.0)))
-            tried.append((float(along[k]), plane, places[k], float(along[k] / size[k])))
-        along, plane, place, strength = max(tried, key=lambda one: one[0])
-        if not along > 0:
-            return []
-        starts = {self.strength: strength, **dict(zip(self.names, map(float, place), strict=True))}
-        pulls = tuple(pull_of(term, self.strength, self.names) for term, _ in terms)
-        middle = tuple((plane.matrix(plane.own) @ self.middle).tolist())
-        part = HiddenSource(
-            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, (),
-            **{**self.common, "middle": middle}, between=_between(terms),
-        )  # fmt: skip
-        texts = " + ".join(to_text(term.formula) for term, _ in terms)
-        return [
-            Proposal(
-                "hidden_body", f"at rest, seen aslant: {texts}", view.hypothesis + part + plane,
-                self.log_prior(terms), along**2, 3 + self.n_dims, starts, kind="hidden_body",
-                is_afresh=True, patience=PATIENT, bounds=self.bounds(pulls_of_column(terms)),
-            )
-        ]  # fmt: skip
 
     def _moving(self, terms, starts, gain, texts):
         view = self.view

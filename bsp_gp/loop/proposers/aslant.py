@@ -1,0 +1,75 @@
+"""What a lone body of the sky goes round, in planes that are inclined to the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.loop.proposers.hidden import (
+    N_NEAR,
+    Sources,
+    Stage,
+    attraction,
+    pulls_of_column,
+    still,
+)
+from bsp_gp.loop.proposers.inclined import is_open, planes_of
+from bsp_gp.physics.force import ForceLaw
+
+__all__ = ["Aslant"]
+
+INCLINATIONS = np.radians([25.0, 40.0, 52.0, 62.0, 70.0, 77.0])
+N_NODES = 12
+
+
+class Aslant(Sources):
+    """Unseen sources at rest in planes that are inclined to the sky, as a proposer.
+
+    The orbit is no orbit of such a pull in the picture, and a plane explains nothing without what
+    pulls: neither is found alone.
+    """
+
+    name = "aslant"
+
+    def propose(self, view):
+        """The family of the best place in the best plane, where no declared force names places.
+
+        Parameters
+        ----------
+        view : View
+        """
+        if not is_open(view) or any("p_i" in t.formula.inputs for t in view.fit.law.terms):
+            return Family(self.name)
+        stage, tried = Stage(view), []
+        terms, null = attraction(view, stage), np.zeros(view.moment_draws.shape[1])
+        for plane in planes_of(INCLINATIONS, N_NODES):
+            matrix = plane.matrix(plane.own)
+            batches = view.response.regression.in_plane(matrix).batches
+            places = stage.places[: N_NEAR**2] @ matrix.T
+            unit, size = stage.beside(stage.columns(terms, still(places), batches))
+            null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
+            along = unit.T @ view.left
+            k = int(np.argmax(along))
+            tried.append((float(along[k]), plane, places[k], float(along[k] / size[k])))
+        best = max(tried, key=lambda one: one[0])
+        proposals = [_proposal(view, stage, terms, *best)] if best[0] > 0 else []
+        return self.family(proposals, null, len(tried) * N_NEAR**2)
+
+
+def _proposal(view, stage, terms, along, plane, place, strength):
+    """A source at a place in a plane, and the plane."""
+    starts = {stage.strength: strength, **dict(zip(stage.names, map(float, place), strict=True))}
+    pulls = tuple(pull_of(term, stage.strength, stage.names) for term, _ in terms)
+    middle = tuple((plane.matrix(plane.own) @ stage.middle).tolist())
+    part = HiddenSource(
+        ForceLaw(pulls, starts), None, stage.names, (), **{**stage.common, "middle": middle},
+        between=tuple(term for term, _ in terms),
+    )  # fmt: skip
+    texts = " + ".join(to_text(term.formula) for term, _ in terms)
+    return Proposal(
+        "hidden_body", f"at rest, seen aslant: {texts}", view.hypothesis + part + plane,
+        stage.log_prior(terms), along**2, 3 + stage.n_dims, starts, kind="hidden_body",
+        is_afresh=True, patience=PATIENT, bounds=stage.bounds(pulls_of_column(terms)),
+    )  # fmt: skip
