@@ -356,23 +356,25 @@ class InnerSearch:
         for zoom in range(ZOOMS):
             moving = list(range(len(found)))
             for _ in range(MOVES if len(scan.axes) > 1 else 1):
-                if not moving:  # all peaks are looked at together
+                if not moving:
                     break
-                points = np.clip(
-                    [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving],
-                    low, high,
-                )  # fmt: skip
-                unit = self._unit(scan.form, scan.axes, points.reshape(-1, points.shape[-1]))
-                gains = np.square(unit.T @ self.target).reshape(len(moving), -1)
-                still = []
-                for m, own, at in zip(moving, gains, points, strict=True):
-                    k, before = int(np.argmax(own)), found[m].best
-                    if own[k] > before:
-                        found[m] = replace(found[m], best=float(own[k]), at=at[k])
-                    if found[m].best > (1 + LITTLE) * before:
-                        still.append(m)
-                moving = still
+                before = [found[m].best for m in moving]
+                near = [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving]
+                better = self._best_near(scan, np.clip(near, low, high))
+                for m, other in zip(moving, better, strict=True):
+                    if other.best > found[m].best:
+                        found[m] = replace(found[m], best=other.best, at=other.at)
+                moving = [m for m, b in zip(moving, before, strict=True)
+                          if found[m].best > (1 + LITTLE) * b]  # fmt: skip
         return max([scan, *found], key=lambda one: one.best)
+
+    def _best_near(self, scan, points):
+        """The best of each group of points (P, C, k), all of them evaluated together."""
+        unit = self._unit(scan.form, scan.axes, points.reshape(-1, points.shape[-1]))
+        gains = np.square(unit.T @ self.target).reshape(points.shape[:2])
+        best = np.argmax(gains, axis=1)
+        return [replace(scan, best=float(own[k]), at=at[k])
+                for k, own, at in zip(best, gains, points, strict=True)]  # fmt: skip
 
     def linearised(self, scan):
         """Moments of a form where it does best, and of changes of its inner constants.

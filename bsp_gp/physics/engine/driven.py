@@ -44,10 +44,9 @@ class Driven:
         """Places and velocities, shape (2, D, d, M); None without driven bodies."""
         if not self.count:
             return None
-        if not self.curves and self._last[0] is chain:  # stages of a step share their chains
-            return self._last[1]
-        if not self.curves:
-            self._last = (chain, self._at_rest(chain))
+        if not self.curves:  # stages of a step share their chains
+            if self._last[0] is not chain:
+                self._last = (chain, self._at_rest(chain))
             return self._last[1]
         # A descent asks for the same instants again and again: those of the stages of its steps.
         key = times.tobytes(), repr(chain) if isinstance(chain, slice) else chain.tobytes()
