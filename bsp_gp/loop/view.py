@@ -153,6 +153,15 @@ class View:
         """Whether places are of the sky: of astronomical size, or angles without a distance."""
         return self.is_astronomical or self.dataset.units.symbols.get("m") in OF_THE_SKY
 
+    @property
+    def odd_nats(self):
+        """What a cause costs beforehand that nobody expects of the sky, nats; 0 elsewhere.
+
+        Nothing up there is held, or shaken along the axes of a picture; bodies move as the
+        declared law has it.
+        """
+        return self.criteria.cause_nats if self.is_sky else 0.0
+
     @cached_property
     def reference(self):
         """The body of the sky from which places count, so that what pulls it is not seen; or "".

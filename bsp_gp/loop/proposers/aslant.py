@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.fitting.parts.hidden import HiddenSource, pull_of
-from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import PATIENT, Family, Proposal
-from bsp_gp.loop.proposers.hidden import (
-    N_NEAR,
-    Sources,
-    Stage,
-    attraction,
-    pulls_of_column,
-    still,
-)
+from bsp_gp.loop.proposal import PATIENT, Family
+from bsp_gp.loop.proposers.hidden import N_NEAR, Sources, Stage, attraction, still
 from bsp_gp.loop.proposers.inclined import is_open, planes_of
-from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["Aslant"]
 
@@ -54,22 +44,16 @@ class Aslant(Sources):
             k = int(np.argmax(along))
             tried.append((float(along[k]), plane, places[k], float(along[k] / size[k])))
         best = max(tried, key=lambda one: one[0])
-        proposals = [_proposal(view, stage, terms, *best)] if best[0] > 0 else []
+        proposals = [_proposal(stage, terms, *best)] if best[0] > 0 else []
         return self.family(proposals, null, len(tried) * N_NEAR**2)
 
 
-def _proposal(view, stage, terms, along, plane, place, strength):
+def _proposal(stage, terms, along, plane, place, strength):
     """A source at a place in a plane, and the plane."""
     starts = {stage.strength: strength, **dict(zip(stage.names, map(float, place), strict=True))}
-    pulls = tuple(pull_of(term, stage.strength, stage.names) for term, _ in terms)
     middle = tuple((plane.matrix(plane.own) @ stage.middle).tolist())
-    part = HiddenSource(
-        ForceLaw(pulls, starts), None, stage.names, (), **{**stage.common, "middle": middle},
-        between=tuple(term for term, _ in terms),
-    )  # fmt: skip
-    texts = " + ".join(to_text(term.formula) for term, _ in terms)
-    return Proposal(
-        "hidden_body", f"at rest, seen aslant: {texts}", view.hypothesis + part + plane,
-        stage.log_prior(terms), along**2, 3 + stage.n_dims, starts, kind="hidden_body",
-        is_afresh=True, patience=PATIENT, bounds=stage.bounds(pulls_of_column(terms)),
+    source = stage.source(terms, starts, middle=middle)
+    return stage.proposal(
+        "at rest, seen aslant", terms, (source, plane), along**2, starts, stage.log_prior(terms),
+        is_afresh=True, patience=PATIENT,
     )  # fmt: skip

@@ -17,17 +17,8 @@ from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.fitting.parts.hidden import HiddenBody, body_pulls
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.language.inputs import property_of
-from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import PATIENT, Family, Proposal
-from bsp_gp.loop.proposers.hidden import (
-    Sources,
-    Stage,
-    apart,
-    attraction,
-    pulls_of,
-    pulls_of_column,
-    still,
-)
+from bsp_gp.loop.proposal import PATIENT, Family
+from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, attraction, pulls_of, still
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
@@ -111,7 +102,7 @@ class Orbits:
         blank = np.full((len(self.scene.times), 1, stage.n_dims), np.nan)
         whole = [np.concatenate([v, blank], axis=1)
                  for v in (self.scene.positions, self.scene.velocities)]  # fmt: skip
-        self.column = pulls_of_column(terms)
+        self.column = stage.column(terms)
         crew = tuple(replace(e, is_static=True) for e in self.scene.entities)
         if view.reference and not self.column:  # companions are light
             kept = [k for k, e in enumerate(crew) if e.name == view.reference]
@@ -271,11 +262,9 @@ class Orbits:
             between=tuple(term for term, _ in self.terms), epoch=float(self.times[0]),
             properties={**self.own, **({self.column: float(strength)} if self.column else {})},
         )  # fmt: skip
-        text = " + ".join(to_text(term.formula) for term, _ in self.terms)
-        return Proposal(
-            "hidden_body", f"under the law: {text}", view.hypothesis + part,
-            0.0 if view.is_sky else -view.criteria.cause_nats, float(gain), 1 + 2 * d, starts,
-            stage.bounds(self.column), kind="hidden_body",
+        return stage.proposal(
+            "under the law", self.terms, (part,), float(gain), starts,
+            view.odd_nats - view.criteria.cause_nats,
             patience=PATIENT if view.reference else 1, has_other_starts=bool(view.reference),
         )  # fmt: skip
 

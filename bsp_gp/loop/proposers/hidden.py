@@ -11,9 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.hidden import HiddenSource, beside_origin, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
-from bsp_gp.language.inputs import STATE_INPUTS, input_types, property_of
+from bsp_gp.language.inputs import STATE_INPUTS, input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
@@ -22,8 +23,7 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
 
-__all__ = ["N_NEAR", "Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of",
-           "pulls_of_column", "still"]  # fmt: skip
+__all__ = ["N_NEAR", "Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of", "still"]
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -88,7 +88,7 @@ class Hidden(Sources):
             if any(_are_same(unit, other) for other in known):
                 continue
             known.append(unit)
-            along, bounds = unit.T @ view.left, stage.bounds(pulls_of_column(terms))
+            along, bounds = unit.T @ view.left, stage.bounds(terms)
             gains = np.where(along > 0, np.square(along), 0.0) if bounds else np.square(along)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
@@ -117,12 +117,6 @@ def pulls_of(view, strength):
         if pull is not None:
             columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
     return [tuple(both) for both in columns.values()]
-
-
-def pulls_of_column(terms):
-    """The property by which sources act; "" where they all act alike."""
-    known = [property_of(name) for term, _ in terms for name in term.formula.inputs]
-    return next((one[0] for one in known if one and one[1] == "j"), "")
 
 
 def attraction(view, stage):
@@ -221,71 +215,64 @@ class Stage:
             "strength": self.strength,
         }  # fmt: skip
 
-    def proposals(self, terms, k, strength, gain):
-        """A source at a place, at rest; in one recording also moving."""
-        view = self.view
-        place = self.places[k]
-        starts = {self.strength: strength, **dict(zip(self.names, map(float, place), strict=True))}
-        texts = " + ".join(to_text(term.formula) for term, _ in terms)
-        is_relative = bool(view.reference)
-        pulls = tuple(
-            pull_of(term, self.strength, self.names, is_relative=is_relative) for term, _ in terms
-        )
-        rest = ForceLaw(pulls, _known(view, terms, starts))
-        part = HiddenSource(rest, None, self.names, (), **self.common, between=_between(terms))
-        is_afresh = self.is_led_away
-        out = [
-            Proposal(
-                "hidden_body", f"at rest: {texts}", view.hypothesis + part,
-                self.log_prior(terms), gain, 1 + self.n_dims, starts, kind="hidden_body",
-                is_afresh=is_afresh, bounds=self.bounds(pulls_of_column(terms)),
-            )
-        ]  # fmt: skip
-        if len(view.dataset.scenes) == 1:
-            out.append(self._moving(terms, starts, gain, texts))
-        return out
+    def column(self, terms):
+        """The property by which sources act; "" where they all act alike."""
+        return unit_pull(terms[0][0], self.strength)[1]
 
-    def _moving(self, terms, starts, gain, texts):
-        view = self.view
-        times = view.dataset.scenes[0].times
-        speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[: self.n_dims])
-        epoch = float(times[0] + times[-1]) / 2
+    def source(self, terms, starts, speeds=(), **own):
+        """A source that begins as `starts` say, a part; `own` stands in place of what is common."""
+        is_relative, epoch = bool(self.view.reference), own.get("epoch", 0.0)
         pulls = tuple(
-            pull_of(term, self.strength, self.names, speeds, epoch, bool(view.reference))
+            pull_of(term, self.strength, self.names, speeds, epoch, is_relative)
             for term, _ in terms
         )
-        starts = {**starts, **dict.fromkeys(speeds, 0.0)}
-        part = HiddenSource(
-            ForceLaw(pulls, _known(view, terms, starts)), None, self.names, speeds, **self.common,
-            between=_between(terms), epoch=epoch,
-        )
-        against = view.is_sky and any(term.is_declared for term, _ in terms)  # the law bends it
-        return Proposal(
-            "hidden_body", f"moving: {texts}", view.hypothesis + part,
-            self.log_prior(terms) - against * view.criteria.cause_nats, gain,
-            1 + 2 * self.n_dims, starts, kind="hidden_body",
-            is_afresh=self.is_led_away, bounds=self.bounds(pulls_of_column(terms)),
+        return HiddenSource(
+            ForceLaw(pulls, _known(self.view, terms, starts)), None, self.names, speeds,
+            **{**self.common, **own}, between=tuple(term for term, _ in terms),
         )  # fmt: skip
+
+    def proposal(self, motion, terms, parts, gain, starts, log_prior, **more):
+        """A source, and what else `parts` are, as a cause that may be missing."""
+        text = " + ".join(to_text(term.formula) for term, _ in terms)
+        return Proposal(
+            "hidden_body", f"{motion}: {text}", self.view.hypothesis + Hypothesis(parts),
+            log_prior, gain, sum(len(part.parameters) for part in parts), starts,
+            self.bounds(terms), kind="hidden_body", **more,
+        )  # fmt: skip
+
+    def proposals(self, terms, k, strength, gain):
+        """A source at a place, at rest; in one recording also moving."""
+        place = map(float, self.places[k])
+        starts = {self.strength: strength, **dict(zip(self.names, place, strict=True))}
+        prior, more = self.log_prior(terms), {"is_afresh": self.is_led_away}
+        rest = self.source(terms, starts)
+        out = [self.proposal("at rest", terms, (rest,), gain, starts, prior, **more)]
+        if len(self.view.dataset.scenes) == 1:
+            times = self.view.dataset.scenes[0].times
+            speeds = tuple(fresh_name(self.view.fit.law, f"u_{a}") for a in "xyz"[: self.n_dims])
+            starts = {**starts, **dict.fromkeys(speeds, 0.0)}
+            moving = self.source(terms, starts, speeds, epoch=float(times[0] + times[-1]) / 2)
+            if any(term.is_declared for term, _ in terms):  # by which its way would bend
+                prior -= self.view.odd_nats
+            out.append(self.proposal("moving", terms, (moving,), gain, starts, prior, **more))
+        return out
 
     def log_prior(self, terms):
         """Of a source beforehand, nats: gravity is what bends tracks of astronomical size."""
         is_gravity = all(to_text(term.formula) == to_text(self.gravity) for term, _ in terms)
         return 0.0 if is_gravity else -self.view.criteria.cause_nats
 
-    def bounds(self, column):
+    def bounds(self, terms):
         """Of the strength: nothing pushes by its mass, nor at the size of the sky."""
-        is_mass = column == "mass" or self.view.is_astronomical or self.view.reference
-        return {self.strength: (0.0, math.inf)} if is_mass else {}
+        is_sky = self.view.is_astronomical or self.view.reference
+        is_pull = self.column(terms) == "mass" or is_sky
+        return {self.strength: (0.0, math.inf)} if is_pull else {}
 
     @property
     def is_led_away(self):
         """Whether the fit is so far from the data that what is missing leads it elsewhere."""
         left = self.view.fit.residual
         return bool(np.nanmax(np.abs(left)) > AWAY * self.size)
-
-
-def _between(terms):
-    return tuple(term for term, _ in terms)
 
 
 def _known(view, terms, starts):

@@ -219,11 +219,10 @@ def _proposal(view, search, scan):
     }
     starts[names["c"]] = search.strength(scan)
     law = ForceLaw((Term(formulas[0], scan.form.term.kind),), starts)
-    # Nothing is held at the size of the sky, nor drawn to a place where nothing is.
-    is_odd = view.is_sky and "centre" in scan.form.term.formula.inputs
+    odd_nats = view.odd_nats if "centre" in scan.form.term.formula.inputs else 0.0
     return Proposal(
         "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
-        -view.criteria.cause_nats * (1 + is_odd) - scan.form.nats, scan.best, 1 + len(ranges),
+        -view.criteria.cause_nats - odd_nats - scan.form.nats, scan.best, 1 + len(ranges),
         starts=starts, formulas=(formulas[0],), ties=tuple(formulas[1:]),
         n_dims=view.dataset.n_dims, volume=scan.volume, is_wide=True,
     )  # fmt: skip

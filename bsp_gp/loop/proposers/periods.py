@@ -251,11 +251,11 @@ def _proposal(view, rates, rate, axes, has_mass, gain, ties):
     name = next(reversed(constants))
     constants[name] = rate
     other = [_text(_push(view, axes, True)[0])] if ties else []
-    is_odd = view.is_sky  # nothing up there shakes what moves along the axes of a picture
     return Proposal(
         "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
-        -(1 + has_mass + is_odd) * view.criteria.cause_nats, float(gain), 2 * len(axes) + 1,
-        {name: rate}, {name: (float(rates[0]), float(rates[-1]))}, ties=tuple(other),
+        -(1 + has_mass) * view.criteria.cause_nats - view.odd_nats, float(gain),
+        2 * len(axes) + 1, {name: rate}, {name: (float(rates[0]), float(rates[-1]))},
+        ties=tuple(other),
     )  # fmt: skip
 
 
