@@ -124,6 +124,8 @@ def _loaded(path, *, units, columns, fps, dt, properties, sky, train=None, test=
         declaration = read_declaration(toml) if os.path.lexists(toml) else Declaration()
         entities = path / ENTITIES
     elif path.suffix.lower() == ".trk" and path.is_file():
+        if sky is not None:
+            raise DataError("a Tracker file shows no sky", file=path, remedy="leave out sky")
         return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
     elif path.suffix.lower() == ".trz" and path.is_file():
         raise DataError(

@@ -14,7 +14,6 @@ reader.
 
 import importlib
 import json
-import re
 import sys
 import time
 import types
@@ -26,6 +25,7 @@ from scipy.special import k1
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from common import options, whole, write_table
+from forms import with_rounded_powers
 
 import bsp_gp
 from bsp_gp.errors import BspError
@@ -295,10 +295,7 @@ def is_alike(law, truth):
     from bsp_gp.physics.bodies import stack
 
     rng, told, true = np.random.default_rng(1), [], []
-    text = law.text(digits=False)
-    rounded = {n: round(v, 1) if re.search(rf"\^-?\(?-?{re.escape(n)}\b", text) else v
-               for n, v in law.constants.items()}  # fmt: skip
-    law = law.with_constants(rounded)
+    law = with_rounded_powers(law)
     for _ in range(200):
         p1, p2, r, t = *10 ** rng.uniform(-1, 1, 2), rng.uniform(1, 8), rng.uniform(0, 10)
         bodies = (

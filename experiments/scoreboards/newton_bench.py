@@ -11,7 +11,6 @@ but for a constant; its error is that over the benchmark's test range.
 
 import importlib
 import json
-import re
 import sys
 import time
 import types
@@ -22,6 +21,7 @@ import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from common import options, whole, write_table
+from forms import with_rounded_powers
 
 import bsp_gp
 from bsp_gp.errors import BspError
@@ -268,11 +268,7 @@ def compared(law, module, difficulty, version):
     rng = np.random.default_rng(1)
     points = 10.0 ** np.stack([rng.uniform(*d, 400) for d in said["test"]], axis=1)
     true = np.array([truth(*point) for point in points])
-    texts = {}
-    for name, value in law.constants.items():
-        is_power = re.search(rf"\^-?\(?-?{re.escape(name)}\b", law.text(digits=False))
-        texts[name] = round(value, 1) if is_power else value
-    rounded = _force(law.with_constants(texts), said, points) / true
+    rounded = _force(with_rounded_powers(law), said, points) / true
     found = _force(law, said, points)
     is_form = _is_constant(rounded, points)
     rmsle = np.sqrt(np.mean(np.square(np.log1p(np.maximum(found, 0.0)) - np.log1p(true))))

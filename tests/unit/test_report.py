@@ -663,3 +663,16 @@ def test_what_may_be_hidden_is_told_beside_the_final_law():
     assert "signal-to-noise ratio of 2.5 at most" in text.replace("\n  ", " ")
     assert "may still hide" in bound_sentence(page_of(report))
     assert bound_sentence(page_of(replace(report, hidden_bound=None))) == ""
+
+
+@pytest.mark.parametrize("adopted", [True, False])
+def test_what_was_adopted_is_told_with_its_constants_as_they_are_in_the_end(adopted):
+    report = sample.orbit()
+    (done,) = report.rounds
+    early = ConstantEstimate("c1", 1.0e28, 0.9e28, 1.1e28, "m^4/s^2")
+    first = replace(done, adopted=adopted, effect=replace(done.effect, constants=(early,)))
+    (told,) = page_of(replace(report, rounds=(first,))).rounds
+    last = {c.name: c.value for c in page_of(report).constants}["c1"]
+    was = page_of(replace(report, constants=(early,))).constants[0].value
+    assert last != was
+    assert told.effect.constants[0].value == (last if adopted else was)

@@ -199,3 +199,8 @@ def test_broken_files_are_named(tmp_path, old, new, message):
     with pytest.raises(DataError, match=message) as caught:
         read_trk(path)
     assert "a.trk" in str(caught.value)
+
+
+def test_a_film_shows_no_sky(tmp_path):
+    with pytest.raises(DataError, match="shows no sky"):
+        load_dataset(write(tmp_path / "a.trk"), sky={"distance": "10 pc"})

@@ -10,9 +10,11 @@ from bsp_gp.fitting.hypothesis import NOTHING, Hypothesis
 from bsp_gp.fitting.parts.hidden import pull_of
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.starts import _slope
+from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.language.formula import evaluate
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import _chosen
+from bsp_gp.loop.proposal import continued, without_term
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.inclined import Inclinations
@@ -148,3 +150,17 @@ def test_both_sides_of_the_primary_are_tried():
     every = [(family.name, proposal) for proposal in family.proposals]
     assert len({tuple(np.sign(list(p.starts.values())[1:3])) for _, p in every}) > 1
     assert _chosen(every, [family.name], Criteria()) == every
+
+
+def test_what_an_unseen_body_brings_stands_and_falls_as_one():
+    view = look(relative_orbit())
+    best, *_ = Companions().propose(view).proposals
+    whole = best.hypothesis
+    *_, body = whole.parts
+    assert len(body.law.terms) > 1
+    for term in body.law.terms:
+        assert without_term(whole, term.formula).parts == whole.parts[:-1]
+    found = fit(whole, view.dataset, near=view.near, starts=best.starts, bounds=best.bounds)
+    after = View(found, continued(whole, found), view.dataset, np.random.default_rng(1))
+    assert [index for index, _ in after.single_terms] == [0]
+    assert [t.formula for t in without_unseen(found.law).terms] == [found.law.terms[0].formula]
