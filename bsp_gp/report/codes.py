@@ -12,6 +12,7 @@ CAUSES = {
     "pulsing": "a strength with a period", "growing": "a strength that grows or fades",
     "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
+    "law_by_body": "a force of another strength for each body",
     "law_by_scene": "a force of another strength in each scene",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",

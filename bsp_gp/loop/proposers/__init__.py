@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bsp_gp.loop.proposers.aslant import Aslant
-from bsp_gp.loop.proposers.by_scene import ByScene
+from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
@@ -40,7 +40,7 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), ByScene(laws), Declared(), Varying(), Growing(), Periods(),
+        laws, Inside(laws, dataset), ByOwner(laws), Declared(), Varying(), Growing(), Periods(),
         Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(),
         Walls(), Rods(), Measurement(), LateLogs(), Defects(), Noise(),
     ]  # fmt: skip

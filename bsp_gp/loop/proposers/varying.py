@@ -14,7 +14,7 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 
-__all__ = ["MOST", "Varying", "beside_unknown", "columns_by"]
+__all__ = ["MOST", "Varying", "beside_unknown", "columns_by", "owners"]
 
 MOST = 40
 """Bodies or scenes that may have strengths of their own."""
@@ -33,14 +33,14 @@ class Varying:
         view : View
         """
         proposals, even, best = [], np.zeros(view.moment_draws.shape[1]), 0.0
-        owners = _owners(view)
+        by_whom = owners(view)
         law = view.fit.law
-        for index, term in view.single_terms if owners else ():
+        for index, term in view.single_terms if by_whom else ():
             name, _ = split_linear(term.formula)
             is_own = any(n.endswith("]") for n in term.formula.constants)
             if is_own or (name and sum(name in t.formula.constants for t in law.terms) > 1):
                 continue
-            for by, ties in owners.items():
+            for by, ties in by_whom.items():
                 known = {n: law.constants[n] for n in term.formula.constants}
                 keys, columns = columns_by(view, term, known, by)
                 score = view.score_forces(columns)
@@ -54,11 +54,23 @@ class Varying:
         return Family(self.name, tuple(proposals), best, 2, even, n_tried=len(proposals))
 
 
-def _owners(view):
-    """By what strengths may differ, and by what else it would be the same on these data."""
+def owners(view, fewest=2):
+    """By what strengths may differ, and by what else it would be the same on these data.
+
+    Parameters
+    ----------
+    view : View
+    fewest : int
+        Scenes, or bodies, that there have to be.
+
+    Returns
+    -------
+    dict of str to tuple of str
+        "body" or "scene".
+    """
     pairs = {(scene.name, scene.names[k]) for scene in view.dataset.scenes for k in scene.dynamic}
     counts = {by: len({pair[k] for pair in pairs}) for k, by in enumerate(("scene", "body"))}
-    able = [by for by, count in counts.items() if 1 < count <= MOST]
+    able = [by for by, count in counts.items() if fewest <= count <= MOST]
     if len(able) == 2 and len(pairs) == counts["scene"] == counts["body"]:
         return {"body": ("scene",)}  # each scene shows a body of its own
     return dict.fromkeys(able, ())

@@ -1,4 +1,4 @@
-"""Laws with a constant of each scene: found where one for all does not do, and only there."""
+"""Laws with a constant of each scene or body: found where one for all does not do, only there."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.language.parse import parse_formula
-from bsp_gp.loop.proposers.by_scene import ByScene
+from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.view import selected
 from bsp_gp.physics.bodies import dataset_types
 from tests.loop_views import throws, view_of
@@ -27,11 +27,16 @@ def blown(pushes):
     return replace(data, scenes=tuple(scenes))
 
 
-def proposed(pushes):
+def proposed(pushes, texts=TEXTS, names=None):
     data = blown(pushes)
+    if names is not None:
+        data = replace(data, scenes=tuple(
+            replace(scene, entities=(replace(scene.entities[0], name=name),))
+            for scene, name in zip(data.scenes, names, strict=True)
+        ))  # fmt: skip
     view, types = view_of(data), dataset_types(data)
-    laws = SimpleNamespace(common=[parse_formula(text, types) for text in TEXTS])
-    family = ByScene(laws).propose(view)
+    laws = SimpleNamespace(common=[parse_formula(text, types) for text in texts])
+    family = ByOwner(laws).propose(view)
     return data, family, selected(family.gain, family.rank, family.null, view.noise_dof)
 
 
@@ -45,6 +50,26 @@ def test_winds_of_both_signs_are_found():
     table = found.law.constants["c1[scene]"]
     assert list(table.values()) == pytest.approx(pushes, abs=0.02)
     assert found.chi2_red < 1.2
+
+
+def test_bodies_of_a_scene_each_have_constants_of_their_own_that_hold_elsewhere():
+    _, family, _ = proposed(np.array([0.3, -0.4, 0.1, -0.1, 0.25]), names="abcde")
+    best = family.proposals[0]
+    assert best.code == "law_by_body"
+    assert (best.text, best.ties) == ("c1[body] * e_x", ("c1[scene] * e_x",))
+
+
+def test_bodies_seen_twice_are_told_from_scenes():
+    pushes, names = np.array([0.3, -0.4, 0.1, 0.3, -0.4, 0.1]), "abcabc"
+    best = proposed(pushes, names=names)[1].proposals[0]
+    assert (best.text, best.ties) == ("c1[body] * e_x", ())
+
+
+def test_a_constant_of_a_body_takes_up_its_mass():
+    texts = ("c1 * m_i * e_x", "c1 * e_x")
+    _, family, _ = proposed(np.array([0.3, -0.4, 0.1, -0.1, 0.25]), texts, "abcde")
+    ties = ("c1[scene] * (m_i * e_x)", "c1[body] * e_x", "c1[scene] * e_x")
+    assert [(p.text, p.ties) for p in family.proposals] == [("c1[body] * (m_i * e_x)", ties)]
 
 
 def test_one_wind_for_all_needs_no_numbers_of_scenes():

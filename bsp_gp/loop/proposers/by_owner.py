@@ -1,0 +1,109 @@
+"""Laws with a constant of each scene or body: a spin, a wind, a roughness that nobody noted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.errors import EvaluationError
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.varying import columns_by, owners
+from bsp_gp.physics.force import Term, fresh_name, split_linear
+
+__all__ = ["ByOwner"]
+
+FEWEST = 3
+"""Scenes, or bodies, of which numbers of their own are no mere pair."""
+SAME = 1e-9
+"""Relative difference of scores up to which two laws are one on these data."""
+SIZES = np.geomspace(1e-3, 1e3, 49)
+"""Spreads of the numbers that are tried, in their typical standard error."""
+
+
+class ByOwner:
+    """Laws of textbooks, and the leading ones of a grammar, each with a constant of its owner.
+
+    Parameters
+    ----------
+    laws : Laws
+        Asked before in every round.
+    """
+
+    name = "by_owner"
+
+    def __init__(self, laws):
+        self.laws = laws
+
+    def propose(self, view):
+        """The family of all such laws.
+
+        Parameters
+        ----------
+        view : View
+        """
+        null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
+        promised, least = view.promised, view.criteria.noise_nats
+        for rest in self._forms(view):
+            for by, ties in owners(view, FEWEST).items():
+                try:
+                    keys, columns = columns_by(view, Term(rest), {}, by)
+                except EvaluationError:  # some body lacks a property that it names
+                    continue
+                if not np.isfinite(columns).all():
+                    continue
+                score = view.score_forces(columns)
+                if score.rank < FEWEST:
+                    continue
+                n_tried += 1
+                null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
+                best = max(best, float(as_pair(score.statistic, score.rank)))
+                height = _evidence(view, columns)
+                together = _evidence(view, columns.sum(axis=1, keepdims=True))
+                promised = max(promised, together - view.criteria.cause_nats)
+                if height - together > least:
+                    own = _proposal(view, rest, by, keys, score, height, ties)
+                    _add(found, score.statistic, own)
+        # Where some law with one number for all does as well, no other is asked for.
+        proposals = [p for _, p in found if p.promise > promised - least]
+        proposals.sort(key=lambda p: -p.promise)
+        return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
+
+    def _forms(self, view):
+        """Formulas without constants of their own that the law has not yet."""
+        known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
+        forms = [*self.laws.common, *view.leading]
+        forms = dict.fromkeys(split_linear(f)[1] for f in forms)
+        return [f for f in forms if not f.constants and f not in known]
+
+
+def _add(found, statistic, proposal):
+    """Keep a proposal; a constant of a body takes up its mass, and laws that differ by it tie."""
+    for k, (other, twin) in enumerate(found):
+        if twin.code == proposal.code and abs(other - statistic) <= SAME * other:
+            found[k] = other, replace(twin, ties=(*twin.ties, proposal.text, *proposal.ties))
+            return
+    found.append((statistic, proposal))
+
+
+def _evidence(view, columns):
+    """Log-evidence of independent normal numbers before columns beside none, nats."""
+    basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
+    squares, sizes = np.square(basis.T @ view.left), np.square(sizes)
+    share = np.square(SIZES)[:, None] * sizes / sizes.mean()
+    heights = 0.5 * (squares * share / (1 + share) - np.log1p(share)).sum(axis=1)
+    return float(np.logaddexp.reduce(heights) - np.log(len(SIZES)))
+
+
+def _proposal(view, rest, by, keys, score, height, ties):
+    name = f"{fresh_name(view.fit.law)}[{by}]"
+    formula = Call("mul", Constant(name), rest)
+    table = {key: float(value) for key, value in zip(keys, score.amplitudes, strict=True)}
+    return Proposal(
+        f"law_by_{by}", to_text(formula), with_term(view.hypothesis, Term(formula), {name: table}),
+        -view.criteria.cause_nats, 2 * height, score.rank, is_wide=True,
+        ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
+    )  # fmt: skip
