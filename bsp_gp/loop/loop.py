@@ -27,8 +27,11 @@ __all__ = ["Round", "run_rounds"]
 EXPLAINED = 1.5
 """Reduced chi-squared below which a cause beside free forces explains the tracks."""
 FAR_BEHIND = 100.0
-"""Nats, or a fiftieth, by which a promise is behind one that was kept and explained all there is:
-what explains as much is told from the same moments as it."""
+"""Nats by which a promise is behind one that was kept and explained all there is: what explains as
+much is told from the same moments as it."""
+SPARE = 0.02
+"""Of a kept promise that rows make: what it may be off by, since they are not linear in the numbers
+of an instrument. Moments tell themselves: what the kept one leaves of them beyond the noise."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_OF_ALL = 0.9
@@ -253,9 +256,9 @@ class _Turn:
         self.levels = np.array(found.noise.levels)  # of the noise by which promises are made
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
         # By what proposers look at, rows or forces: nats that a fit has promised and kept, and the
-        # greatest promise that was kept by what leaves no misfit.
+        # greatest promise that was kept by what leaves no misfit, and what that may be off by.
         self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
-        self.found, self.kept = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+        self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -309,10 +312,12 @@ class _Turn:
             # A single cause is of its family's own measure, like the first.
             is_first = k < n_first and proposal.rank < asked.get(source, math.inf)
             asked[source] = min(proposal.rank, asked.get(source, math.inf))
-            measures = {self.measure.get(source, False)} if is_first else {False, True}
-            is_again = k >= n_first
+            measure, is_again = self.measure.get(source, False), k >= n_first
+            measures = {measure} if is_first else {False, True}
             if self._is_behind(proposal, measures, is_again):
                 continue
+            if REACH * (proposal.promise + self.run.criteria.class_nats) < self.kept[not measure]:
+                continue  # whatever its measure, when all is explained
             if is_again and not self._is_ahead(left[k]):
                 continue  # of another fit since less is left
             if len(controls) <= k < n_first:
@@ -369,8 +374,9 @@ class _Turn:
         What moments promise of a force and rows of an instrument is not of one measure: the first
         of a family is held against what was found in the same way only.
         """
-        found, kept = (max(known[m] for m in measures) for known in (self.found, self.kept))
-        if kept - proposal.promise > max(FAR_BEHIND, kept / 50):
+        found = max(self.found[m] for m in measures)
+        far = (self.kept[m] - max(FAR_BEHIND, self.spare[m]) for m in measures)
+        if proposal.promise < max(far):
             return True
         if is_again and proposal.promise < found:
             return True
@@ -400,8 +406,10 @@ class _Turn:
         left = max(self._left(new) - 1.0, 0.0) * dof
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
-        if new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise:
-            self.kept[measure] = max(self.kept[measure], proposal.promise)
+        is_kept = new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise
+        if is_kept and proposal.promise > self.kept[measure]:
+            left = SPARE * proposal.promise if measure else 0.5 * (self.missing - proposal.gain)
+            self.kept[measure], self.spare[measure] = proposal.promise, left
 
     def _tell_near(self, every, above, most):
         """Rows of what was scored only, in the terms of what was fitted of its family.

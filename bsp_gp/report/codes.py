@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 __all__ = [
-    "CAUSES", "DIRECTIONS", "FINDINGS", "KINDS", "LEFT_OUT", "METHODS", "NOISE", "REASONS", "STOPS",
-    "TONES", "VARIABLES",
+    "CAUSES", "DIRECTIONS", "FINDINGS", "KINDS", "LEFT_OUT", "METHODS", "NOISE", "OWN_STRENGTHS",
+    "REASONS", "STOPS", "TONES", "VARIABLES",
 ]  # fmt: skip
 
 CAUSES = {
@@ -30,6 +30,11 @@ CAUSES = {
     "varying_strength": "a strength that varies, of no listed form",
     "free_force": "a force of no listed form",
 }  # fmt: skip
+OWN_STRENGTHS = {
+    "law_by_body": ("of another strength for each body",),
+    "law_by_scene": ("of another strength in each scene",),
+}
+"""What is said behind the name of a force."""
 KINDS = {
     "pair": "force between bodies", "field": "force on each body by itself",
     "hidden_body": "unseen body", "kicks": "random kicks",

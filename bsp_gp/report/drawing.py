@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import warnings
 
 import matplotlib as mpl
@@ -11,9 +12,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 
-from bsp_gp.report.numbers import pretty_unit
+from bsp_gp.report.numbers import power_of_ten, pretty_unit
 
 __all__ = [
     "AFTER",
@@ -59,7 +60,6 @@ _STYLE = {
     "axes.labelcolor": INK,
     "axes.formatter.useoffset": True,
     "axes.formatter.limits": (-4, 5),
-    "axes.formatter.use_mathtext": True,
     "svg.hashsalt": "bsp_gp",
     "svg.fonttype": "path",
     "path.simplify": True,
@@ -86,7 +86,22 @@ def new_figure(draw, height, width=WIDTH):
         FigureCanvasAgg(figure)
         figure.get_layout_engine().set(w_pad=0.04, h_pad=0.05)
         draw(figure)
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            if type(axis.get_major_formatter()) is ScalarFormatter:
+                axis.set_major_formatter(_Plain())
     return figure
+
+
+class _Plain(ScalarFormatter):
+    """Powers of ten as letters: labels that are set as formulas take most of a figure's time."""
+
+    def get_offset(self):
+        """What all numbers of an axis share: "×10⁶"."""
+        return re.sub(r"1e(.\d+|\d+)", _power_in_letters, super().get_offset())
+
+
+def _power_in_letters(found):
+    return power_of_ten(int(found[1].replace("−", "-"))).strip()
 
 
 def svg_text(figure):
@@ -108,6 +123,7 @@ def _save(figure, out, form, metadata):
         # Names of entities may be in any script; a box is drawn for a letter that is missing.
         warnings.filterwarnings("ignore", message=r"Glyph \d+ .*missing", category=UserWarning)
         figure.savefig(out, format=form, dpi=_DPI, metadata=metadata)
+    figure.set_layout_engine("none")  # once laid out, it stays so in every form
 
 
 def plain(text, max_length=28):

@@ -15,6 +15,7 @@ __all__ = [
     "format_value",
     "is_number",
     "length_text",
+    "power_of_ten",
     "pretty_unit",
     "rounded",
     "with_unit",
@@ -63,7 +64,8 @@ def with_unit(text, unit):
     return f"{text} {unit}" if unit and text != NOT_KNOWN else text
 
 
-def _power_of_ten(exponent):
+def power_of_ten(exponent):
+    """``" × 10⁶"``; nothing for a power of zero."""
     return f" × 10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""
 
 
@@ -96,7 +98,7 @@ def format_number(value, digits=3):
     exponent = _exponent(abs(value))
     size = abs(value) / 10.0**exponent
     decimals = digits - 1 - math.floor(math.log10(size) + 1e-12)
-    return _fixed(value / 10.0**exponent, max(decimals, 0)) + _power_of_ten(exponent)
+    return _fixed(value / 10.0**exponent, max(decimals, 0)) + power_of_ten(exponent)
 
 
 def rounded(value, low, high):
@@ -128,7 +130,7 @@ def rounded(value, low, high):
         decimals = (1 if half / 10.0**place < 2.95 else 0) - place
     decimals = min(max(decimals, -leading), _MAX_DIGITS - 1 - leading)
     parts = [_fixed(part / scale, decimals) for part in (value, low, high)]
-    return (*parts, _power_of_ten(exponent))
+    return (*parts, power_of_ten(exponent))
 
 
 def format_value(value, low=math.nan, high=math.nan, unit=""):

@@ -10,7 +10,15 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
-from bsp_gp.report.codes import CAUSES, LEFT_OUT, METHODS, NOISE, REASONS, STOPS
+from bsp_gp.report.codes import (
+    CAUSES,
+    LEFT_OUT,
+    METHODS,
+    NOISE,
+    OWN_STRENGTHS,
+    REASONS,
+    STOPS,
+)
 from bsp_gp.report.naming import constant_distance, describe, inclination, kick
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
@@ -190,7 +198,8 @@ def _name(effect, parts, other):
         values = [c.value for c in effect.constants if is_number(c.value)]
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
-        return describe(effect.formula, value, other, effect.exponents)
+        phrase = describe(effect.formula, value, other, effect.exponents)
+        return ", ".join([phrase, *OWN_STRENGTHS.get(effect.code, ())])
     if effect.kind == "declared_term_change":
         return effect.name
     if effect.code == "rod":

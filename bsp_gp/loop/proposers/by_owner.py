@@ -105,5 +105,6 @@ def _proposal(view, rest, by, keys, score, height, ties):
     return Proposal(
         f"law_by_{by}", to_text(formula), with_term(view.hypothesis, Term(formula), {name: table}),
         -view.criteria.cause_nats, 2 * height, score.rank, is_wide=True,
+        formulas=(formula,), n_dims=view.dataset.n_dims,
         ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
     )  # fmt: skip
