@@ -97,11 +97,12 @@ class _Plain(ScalarFormatter):
 
     def get_offset(self):
         """What all numbers of an axis share: "×10⁶"."""
-        return re.sub(r"1e(.\d+|\d+)", _power_in_letters, super().get_offset())
+        return re.sub(r"(\d[.\d]*)e(−?\d+)", _in_letters, super().get_offset())
 
 
-def _power_in_letters(found):
-    return power_of_ten(int(found[1].replace("−", "-"))).strip()
+def _in_letters(found):
+    digits, power = found[1], power_of_ten(int(found[2].replace("−", "-")))
+    return power.strip() if digits == "1" else digits + power
 
 
 def svg_text(figure):

@@ -31,7 +31,14 @@ from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
-from bsp_gp.report.drawing import plain, scaled, spans_decades, time_scaled
+from bsp_gp.report.drawing import (
+    new_figure,
+    plain,
+    scaled,
+    spans_decades,
+    svg_text,
+    time_scaled,
+)
 from bsp_gp.report.explore import script, script_digest
 from bsp_gp.report.figures import build_figures
 from bsp_gp.report.first import bound_sentence, else_sentence
@@ -676,3 +683,15 @@ def test_what_was_adopted_is_told_with_its_constants_as_they_are_in_the_end(adop
     was = page_of(replace(report, constants=(early,))).constants[0].value
     assert last != was
     assert told.effect.constants[0].value == (last if adopted else was)
+
+
+def test_what_numbers_of_an_axis_share_is_a_power_in_letters():
+    def draw(figure):
+        axes = figure.subplots()
+        axes.plot([1234567, 1234569], [0, 3e-7])
+
+    figure = new_figure(draw, 3.0)
+    svg_text(figure)
+    axes = figure.axes[0]
+    told = [axis.get_offset_text().get_text() for axis in (axes.xaxis, axes.yaxis)]
+    assert told == ["+1.23456 × 10⁶", "× 10⁻⁷"]
