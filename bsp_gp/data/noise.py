@@ -227,9 +227,13 @@ def _length_told(data):
 
 def _from_differences(tracks):
     """Sigma, the order of differences behind it, and the effective number of differences."""
+    together = {}
+    for times, x in tracks:
+        together.setdefault(times.tobytes(), (times, []))[1].append(x)
+    stacks = [(times, np.array(xs)) for times, xs in together.values()]
     candidates = []
     for order in ORDERS:
-        z = [_differences(t, x, order) for t, x in tracks if len(x) > order]
+        z = [_differences(t, x, order).ravel() for t, x in stacks if len(t) > order]
         z = np.concatenate(z) if z else np.empty(0)
         if len(z) < _MIN_WINDOWS and candidates:
             break
@@ -317,12 +321,23 @@ def _is_rough(tracks, step):
 
 
 def _differences(times, x, order):
-    """Differences of `order`, scaled so that white noise keeps its variance, shape (n - order,)."""
+    """Differences of `order`, scaled so that white noise keeps its variance.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    x : ndarray, shape (k, n)
+        Tracks at the same times.
+    order : int
+
+    Returns
+    -------
+    ndarray, shape (k, n - order)
+    """
     steps = np.diff(times)
-    x = x - x.mean()
+    x = x - x.mean(axis=1, keepdims=True)
     if np.ptp(steps) <= 1e-6 * steps.mean():
-        weights = [(-1.0) ** k * math.comb(order, k) for k in range(order + 1)]
-        return np.convolve(x, weights, mode="valid") / math.sqrt(math.comb(2 * order, order))
+        return np.diff(x, order) / math.sqrt(math.comb(2 * order, order))
     windows = np.lib.stride_tricks.sliding_window_view(times, order + 1)
     spans = windows[:, -1:] - windows[:, :1]
     scaled = (windows - windows[:, :1]) / spans
@@ -330,7 +345,8 @@ def _differences(times, x, order):
     gaps[:, np.arange(order + 1), np.arange(order + 1)] = 1.0
     weights = 1.0 / gaps.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    return (np.lib.stride_tricks.sliding_window_view(x, order + 1) * weights).sum(axis=1)
+    seen = np.lib.stride_tricks.sliding_window_view(x, order + 1, axis=1)
+    return np.einsum("knw,nw->kn", seen, weights)
 
 
 def _robust_scale(z):

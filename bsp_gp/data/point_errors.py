@@ -36,6 +36,8 @@ BOTH = (-2, -1, 1, 2), 3
 BEFORE = tuple(range(-REACH, 0)), 2
 AFTER = tuple(range(1, REACH + 1)), 2
 """Neighbours of a point, and the degree of the polynomial through them that predicts it."""
+EVEN = 0.01
+"""Of the noise, up to which it does not matter where a body is between two times."""
 ENDS = {
     0: ((1,), 0), 1: ((-1,), 0), 2: ((-2, -1), 1), 3: ((-3, -2, -1), 2), 4: ((-4, -3, -2, -1), 2),
 }  # fmt: skip
@@ -140,7 +142,9 @@ def _deviations(times, x, sigma, usual=None):
     usual = {} if usual is None else usual
     size, far, beyond = np.ones(n), np.full(n, np.inf), np.full(n, np.inf)
     steps = np.diff(times)
-    is_even = np.ptp(steps) < 1e-9 * steps[0]
+    # Uneven times that move the body by far less than its noise, as rounded ones do, are even.
+    fastest = np.abs(np.diff(x, axis=0) / steps[:, None]).max(axis=0)
+    is_even = np.all(np.ptp(steps) * fastest < EVEN * sigma)
     for (offsets, degree), judged in _neighbours(n):
         rows = np.arange(max(-offsets[0], 0), n - max(offsets[-1], 0))
         nodes = rows[:, None] + np.array(offsets)
