@@ -183,7 +183,8 @@ def _with_part(task, part, model):
     if part == "correlation":
         best, promise = _screened(task, starts, value)
     else:
-        best, promise = max((task.rescale(start) for start in starts), key=lambda pair: pair[1])
+        found = (task.rescale(start, is_rough=True) for start in starts)
+        best, promise = max(found, key=lambda pair: pair[1])
         promise -= value
     if promise < _PROMISE * _needed(task, part):
         return best, promise

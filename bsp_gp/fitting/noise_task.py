@@ -210,12 +210,17 @@ class NoiseTask:
         )
         return _decoded(model, names, values), reached
 
-    def rescale(self, model):
-        """Levels and factors at the maximum, the shape as it is: every z^2 as large as expected."""
+    def rescale(self, model, is_rough=False):
+        """Levels and factors at the maximum, the shape as it is: every z^2 as large as expected.
+
+        Roughly: to a hundredth of a nat, where the best of several starts is asked for.
+        """
+        precision = self.tolerances.precision
+        precision = max(precision, 0.1 / math.sqrt(self.n_left)) if is_rough else precision
         for _ in range(_N_PASSES):
             error = self.restricted.pure_error(model.whitener(self.channels, self.weights))
             change, other = self._rescaled(model, error)
-            if change <= self.tolerances.precision:
+            if change <= precision:
                 return model, error.value
             model = other
         return model, self.value(model)
