@@ -18,8 +18,8 @@ STRENGTHS = np.logspace(-4, 14, 73)
 """Variances, in units of what one moment would show."""
 MEMORIES = 2.0 ** np.arange(1, 8)
 """Times over which it is smooth, in steps between rows."""
-LOOKED_AT = 48
-"""Pieces of tracks by which these are chosen."""
+LOOKED_AT, FEWEST, MOMENTS = 48, 8, 3000
+"""Pieces of tracks by which these are chosen: fewer of those that have many moments."""
 LIKELIER = 1.0
 """Nats by which it must be likelier than none, and one with a memory likelier than a white one."""
 
@@ -77,7 +77,8 @@ class FreeForce:
 
     def chosen(self, left):
         """The same with the memory that is likeliest to have left moments (W, m)."""
-        some = np.unique(np.linspace(0, len(left) - 1, LOOKED_AT).astype(int))
+        count = min(max(MOMENTS // left.shape[1], FEWEST), LOOKED_AT)
+        some = np.unique(np.linspace(0, len(left) - 1, count).astype(int))
         part = FreeForce(self.by_force[some], self.times[:, some])
         steps = np.diff(self.times, axis=0)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
