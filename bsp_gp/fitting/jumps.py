@@ -98,10 +98,14 @@ def _jumps(times, places, rows, error):
     late = np.broadcast_to((np.arange(2 * rows) >= rows).astype(float), t.shape)
     one = np.ones_like(t)
     broken = np.stack([1 - late, late, (1 - late) * t, late * t, t * t / 2], axis=-1)
-    (numbers, left), (_, rest) = _solved(broken, x), _solved(np.stack([one, t, t * t, t**3], -1), x)
+    smooth = np.stack([one, t, t * t, t**3, t**4], axis=-1)
+    (numbers, left), (_, rest) = _solved(broken, x), _solved(smooth[..., :4], x)
     gains = (rest - left) / error**2
+    is_clear = gains > CLEAR
+    if rows > SIDE_ROWS[0]:  # where a wide swing turns it is no cubic, and no jump either
+        is_clear &= _solved(smooth, x)[1] - left > CLEAR * error**2
     out = []
-    for k in np.flatnonzero(gains > CLEAR).tolist():
+    for k in np.flatnonzero(is_clear).tolist():
         if gains[k] < gains[max(k - SIDE_ROWS[0], 0) : k + SIDE_ROWS[0] + 1].max():
             continue
         first, second, before, after, pull = numbers[k]

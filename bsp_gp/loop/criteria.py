@@ -16,9 +16,9 @@ VERDICTS = (
 """In the order of precedence in which a report takes that of its rounds."""
 REASONS = (
     "adopted", "not_significant", "no_better_than_before", "kinds_tie", "held_out_refuses",
-    "predictions_worse", "no_candidate_fits", "declared_model_not_fitted", "noise_explains",
-    "time_is_up", "superseded", "not_tested", "strength_varies", "beside_description",
-    "force_beside",
+    "predictions_worse", "predictions_no_better", "no_candidate_fits",
+    "declared_model_not_fitted", "noise_explains", "time_is_up", "superseded", "not_tested",
+    "strength_varies", "beside_description", "force_beside",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;

@@ -1,4 +1,7 @@
-"""Causes that make predictions worse are refused, whatever they explain."""
+"""Causes that make predictions worse are refused, whatever they explain.
+
+Where something is left beside them, so are the last ones that make them no better.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,17 @@ N_COPIES = 40
 LEVEL = 0.01
 """At which they are: causes of which predictions hardly depend are many."""
 WIDER = special.ndtri(LEVEL) / special.ndtri(0.05)
-REFUSED = {
-    "verdict": "seen, not adopted", "reason": "predictions_worse", "is_adopted": False,
-    "is_fact": False,
-}  # fmt: skip
+NO_BETTER = 0.95
+"""Ratio of errors above which predictions are no better: a law beside which something is left is
+worth what it foresees."""
+FORESEEING = ("force", "constraint", "wall", "hidden_body")
+"""Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 
 
 def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     """Rounds up to the first whose cause surely makes predictions of held-out rows worse.
+
+    Where something is left in the end, the last causes that make them no better go as well.
 
     Parameters
     ----------
@@ -42,9 +48,9 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     Returns
     -------
     list of Round
-        That round adopts nothing, and those after it are gone.
+        The first round of a cause that is refused adopts nothing, and those after it are gone.
     """
-    kept = {} if kept is None else kept
+    kept, ratios = {} if kept is None else kept, []
     for k, (done, stream) in enumerate(zip(rounds, rng.spawn(len(rounds)), strict=True)):
         if not done.decision.is_adopted:
             break
@@ -56,11 +62,32 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
             accounts = Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
             return accounts.ratio(0, 1)
 
+        ratios.append(ratio(0).value)
         # Only where predictions are worse does it matter whether that is chance.
-        if ratio(0).value > 1 and _is_surely_worse(ratio(N_COPIES)):
-            refused = replace(done, decision=replace(done.decision, **REFUSED))
-            return [*rounds[:k], refused]
-    return list(rounds)
+        if ratios[-1] > 1 and _is_surely_worse(ratio(N_COPIES)):
+            ratios.pop()
+            rounds = [*rounds[:k], _refused(done, "predictions_worse")]
+            break
+    if rounds[-1].decision.verdict == "nothing missing":
+        return list(rounds)
+    return _that_help(rounds, ratios)
+
+
+def _that_help(rounds, ratios):
+    """Rounds up to the last that adopts what predictions are better with."""
+    kept = list(rounds)
+    for k in reversed(range(len(ratios))):
+        if rounds[k].decision.best.kind not in FORESEEING or not ratios[k] > NO_BETTER:
+            break
+        kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
+    return kept
+
+
+def _refused(done, reason):
+    decision = replace(
+        done.decision, verdict="seen, not adopted", reason=reason, is_adopted=False, is_fact=False
+    )
+    return replace(done, decision=decision)
 
 
 def _is_surely_worse(ratio):

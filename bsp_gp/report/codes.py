@@ -59,6 +59,8 @@ REASONS = {
     "kinds_tie": "a cause of another kind is as likely",
     "held_out_refuses": "scenes that were left out do not gain what it promises",
     "predictions_worse": "predictions of what was held out get surely worse with it",
+    "predictions_no_better": "more is left beside it, and predictions of what was held out get no "
+    "better with it",
     "no_candidate_fits": "nothing that was tried could be fitted",
     "not_tested": "what is left could not be tested",
     "declared_model_not_fitted": "the declared model could not be fitted to the tracks",

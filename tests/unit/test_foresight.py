@@ -25,13 +25,15 @@ def world():
 def round_of(number, dataset, before, after):
     hypotheses = {k: Hypothesis.from_laws(dataset, laws) for k, laws in enumerate((before, after))}
     fits = {k: fit(hypothesis, dataset) for k, hypothesis in hypotheses.items()}
-    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1), True)
+    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1, kind="force"), True)
     return Round(number, fits[0], None, decision, fits, hypotheses, ())
 
 
-def looked_at(world, *steps):
+def looked_at(world, *steps, end=None):
     train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
     rounds = [round_of(k + 1, train, *laws) for k, laws in enumerate(steps)]
+    if end is not None:
+        rounds.append(replace(rounds[-1], number=len(rounds) + 1, decision=end))
     rng = np.random.default_rng(0)
     return that_foresee(rounds, lambda found, hypothesis: found, world, test, rng)
 
@@ -49,9 +51,19 @@ def test_a_cause_that_makes_them_better_stays(world):
     assert done.decision.is_adopted
 
 
-def test_a_cause_that_changes_nothing_stays(world):
-    (done,) = looked_at(world, ([GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]))
-    assert done.decision.is_adopted
+def test_a_cause_that_changes_nothing_stays_where_nothing_is_left(world):
+    same = [GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]
+    (done,) = looked_at(world, same)
+    assert (done.decision.is_adopted, done.decision.reason) == (False, "predictions_no_better")
+    first, second = looked_at(world, same, end=Decision("nothing missing", "not_significant"))
+    assert first.decision.is_adopted and not second.decision.is_adopted
+
+
+def test_what_came_before_a_cause_that_changes_nothing_stays(world):
+    good, same = ([GRAVITY, PUSH], [GRAVITY]), ([GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"])
+    first, second = looked_at(world, good, same)
+    assert first.decision.is_adopted
+    assert (second.decision.is_adopted, second.decision.reason) == (False, "predictions_no_better")
 
 
 def test_worse_predictions_must_be_sure_at_one_in_a_hundred():

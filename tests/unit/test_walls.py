@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import LawError
@@ -121,6 +122,19 @@ def test_jumps_are_found_where_bodies_are_hit_and_nowhere_else():
     orbit = np.stack([np.cos(t * 2), 0.5 * np.sin(t * 2)], axis=1)
     orbit += 0.002 * np.random.default_rng(0).standard_normal(orbit.shape)
     assert jumps(t, orbit) == []
+
+
+def test_turns_of_a_wide_swing_are_no_jumps():
+    """A bead on a hoop that turns, from 75 degrees, was held between two walls."""
+    t = np.arange(0, 3, 0.025)
+
+    def pull(_, s):
+        return [s[1], np.sin(s[0]) * (110.25 * np.cos(s[0]) - 81.75) - 0.4 * s[1]]
+
+    track = solve_ivp(pull, (0, 3), [1.3, 0], t_eval=t, rtol=1e-9, atol=1e-9).y[0]
+    for seed in range(5):
+        noise = 0.0175 * np.random.default_rng(seed).standard_normal(len(t))
+        assert jumps(t, (track + noise)[:, None]) == []
 
 
 def test_states_are_read_off_one_side_of_a_jump():

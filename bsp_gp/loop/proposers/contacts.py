@@ -11,6 +11,8 @@ from bsp_gp.physics.force import fresh_name
 __all__ = ["Contacts"]
 
 N_STARTS = 2
+LEAST_ROWS = 4
+"""Of a body before a kick and behind it: of fewer, a kick says no more than that they are off."""
 APART = 3
 """Instants within which two kicks of a body are one."""
 DETERMINED = 1e-6
@@ -58,7 +60,7 @@ class _Scan:
     """
 
     def __init__(self, view, batch, first):
-        self.batch = batch
+        self.batch, self.spans = batch, _spans(view.dataset)
         m, s = batch.kept.shape[:2]
         rows = slice(first, first + m * s)
         own = np.moveaxis(batch.whitener, 1, -1)  # (S, n, R, d, m)
@@ -85,6 +87,13 @@ class _Scan:
     def peaks(self):
         """The best kicks that are apart: gain, scene, body, instant, velocity."""
         left, batch = self.gains.copy(), self.batch
+        for s, (scene, bodies) in enumerate(
+            zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
+        ):
+            for r, body in enumerate(bodies):
+                first, last = self.spans[scene, body]
+                is_inside = (batch.times[:, s] >= first) & (batch.times[:, s] <= last)
+                left[s, ~is_inside, r] = 0.0
         for _ in range(N_STARTS):
             s, k, r = np.unravel_index(np.argmax(left), left.shape)
             if left[s, k, r] <= 0:
@@ -93,6 +102,18 @@ class _Scan:
             yield (float(left[s, k, r]), scene, body, float(batch.times[k, s]),
                    self.velocities[s, k, r])  # fmt: skip
             left[s, max(k - APART, 0) : k + APART + 1, r] = 0.0
+
+
+def _spans(dataset):
+    """First and last time at which enough rows of a body lie on both sides, by scene and body."""
+    found = {}
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            times = scene.times[np.isfinite(scene.positions[:, k]).all(axis=1)]
+            few = len(times) < 2 * LEAST_ROWS
+            ends = (np.inf, -np.inf) if few else times[[LEAST_ROWS - 1, -LEAST_ROWS]]
+            found[scene.name, scene.names[k]] = tuple(map(float, ends))
+    return found
 
 
 def _proposal(view, gain, name, body, time, velocity):
@@ -106,7 +127,7 @@ def _proposal(view, gain, name, body, time, velocity):
     number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
     part = Kick.of(
         name, body, f"kicked{number}", gains, instant, starts,
-        (scene.times[0], scene.times[-1]), BRIEF * float(np.diff(scene.times).min()),
+        _spans(view.dataset)[name, body], BRIEF * float(np.diff(scene.times).min()),
     )  # fmt: skip
     return Proposal(
         "contact", f"kick {body}[{name}, {time:.4g} s]", view.hypothesis + part,
