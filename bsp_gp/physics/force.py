@@ -36,6 +36,8 @@ __all__ = [
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
 _MASS = ("m_i", "mass_i")
+PURE = ("exp", "log", "sin", "cos", "tanh")
+"""Functions of pure numbers."""
 COPY = " copy "
 """Between the name of a scene and the number of a simulated copy."""
 
@@ -428,9 +430,13 @@ def constant_units(term):
         The linear constant turns the rest into a force; it is not among them if the rest has other
         constants with open units.
     """
-    units = added_units(term.formula)
+    units = added_units(term.formula) | _scale_units(term.formula)
     name, rest = split_linear(term.formula)
-    if name is None or rest.type.unit is None:
+    if name is None:
+        return units
+    if rest.type.unit is None:
+        rest = _with_units(rest, units)
+    if rest.type.unit is None:
         return units
     return {**units, name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
 
@@ -445,6 +451,46 @@ def added_units(formula):
                 if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
                     units[one.name] = other.type.unit
     return units
+
+
+def _scale_units(formula):
+    """Units of constants that make a quantity a pure number: L of ``exp(-x / L)``, by name."""
+    units = {}
+    for node in walk(formula):
+        if not isinstance(node, Call):
+            continue
+        if node.operator in PURE:
+            units |= _scales(node.args[0])
+        if node.operator in ("add", "sub"):
+            for one, other in (node.args, node.args[::-1]):
+                if isinstance(one, Number) and one.type.unit == Unit.of():
+                    units |= _scales(other)
+    return units
+
+
+def _scales(formula):
+    """Units of the constants by which an argument is a pure number, by name."""
+    if not isinstance(formula, Call):
+        return {}
+    if formula.operator in ("neg", "square", "pow"):
+        return _scales(formula.args[0])
+    if formula.operator not in ("div", "mul"):
+        return {}
+    (one, other), is_ratio = formula.args, formula.operator == "div"
+    if not is_ratio and isinstance(one, Constant):
+        one, other = other, one
+    if not (isinstance(other, Constant) and isinstance(one.type.unit, Unit)):
+        return {}
+    return {other.name: one.type.unit if is_ratio else Unit.of() / one.type.unit}
+
+
+def _with_units(formula, units):
+    """The formula with numbers of known units in place of constants, for its own unit."""
+    if isinstance(formula, Constant):
+        return Number(1.0, units[formula.name]) if formula.name in units else formula
+    if isinstance(formula, Call):
+        return Call(formula.operator, *(_with_units(arg, units) for arg in formula.args))
+    return formula
 
 
 def _coordinate(formula):

@@ -75,8 +75,9 @@ _WHOLE = (
 )  # fmt: skip
 """Texts of laws with constants inside that have a name of their own."""
 
+BEYOND = "beyond a threshold"
 _INNER = (
-    ("sign(t", "switched on and off in time"), ("sign(", "beyond a threshold"),
+    ("sign(t", "switched on and off in time"), ("sign(", BEYOND),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
     ("inverse(1 +", "levelling off"), ("^n", "to a fitted power of {}"), ("", "less a length"),
 )  # fmt: skip
@@ -101,6 +102,9 @@ def _inner_phrase(direction, formula, powers):
         for name, power in powers.items() if "centre_" in name or name not in inner
     }  # fmt: skip
     words = [_inner_word(each) for each in inner if "centre_" not in each]
+    if words.count(BEYOND) == 2:
+        words[words.index(BEYOND)] = "between two places"
+        words.remove(BEYOND)
     bare = text.removeprefix("normalize(").removesuffix(")")
     if is_place and not powers and not inner:
         return "spring to a rest point"
