@@ -418,6 +418,7 @@ def constant_estimates(found, dataset, bounds=None):
     priors = {}
     for part in found.law.frame:
         units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit is not None}
+        units |= dict.fromkeys(getattr(part, "angles", ()), "rad")
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
     for body in found.law.unseen:
         units |= {name: dataset.units.text(unit) for name, unit in body.units.items()}

@@ -157,8 +157,8 @@ class View:
     def odd_nats(self):
         """What a cause costs beforehand that nobody expects of the sky, nats; 0 elsewhere.
 
-        Nothing up there is held, or shaken along the axes of a picture; bodies move as the
-        declared law has it.
+        Nothing up there is held, rubbed, turned aside, or shaken along the axes of a picture;
+        bodies attract each other, and move as the declared law has it.
         """
         return self.criteria.cause_nats if self.is_sky else 0.0
 

@@ -52,7 +52,8 @@ def _variable(channel):
 
 
 def _share(channel):
-    return f"{100 * channel.share:.0f} %" if is_number(channel.share) else "–"
+    # A part of an estimate, which may be larger than what it is of.
+    return f"{100 * min(channel.share, 1.0):.0f} %" if is_number(channel.share) else "–"
 
 
 def trace_section(round_):

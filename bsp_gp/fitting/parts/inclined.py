@@ -30,7 +30,7 @@ class Inclined(Part):
     """
 
     values: tuple = (0.0, 0.0)
-    names = ("inclination", "node")
+    names = angles = ("inclination", "node")
     code = "inclined"
     kind = "instrument"
 

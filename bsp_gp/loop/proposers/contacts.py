@@ -131,5 +131,5 @@ def _proposal(view, gain, name, body, time, velocity):
     )  # fmt: skip
     return Proposal(
         "contact", f"kick {body}[{name}, {time:.4g} s]", view.hypothesis + part,
-        -view.criteria.cause_nats, gain, n_dims + 1, starts,
+        -view.criteria.cause_nats - view.odd_nats, gain, n_dims + 1, starts,
     )  # fmt: skip

@@ -106,6 +106,6 @@ def _proposal(view, spin, gain, has_centre):
     values |= dict(zip(of_spin, spin.tolist(), strict=True))
     return Proposal(
         "frame", to_text(formula), view.hypothesis + Forces(ForceLaw((Term(formula),), values)),
-        -2 * view.criteria.cause_nats, gain, len(values), starts=values, formulas=(formula,),
-        n_dims=len(axes),
+        -2 * view.criteria.cause_nats - view.odd_nats, gain, len(values), starts=values,
+        formulas=(formula,), n_dims=len(axes),
     )  # fmt: skip

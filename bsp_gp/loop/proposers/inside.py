@@ -219,7 +219,7 @@ def _proposal(view, search, scan):
     }
     starts[names["c"]] = search.strength(scan)
     law = ForceLaw((Term(formulas[0], scan.form.term.kind),), starts)
-    odd_nats = view.odd_nats if "centre" in scan.form.term.formula.inputs else 0.0
+    odd_nats = view.odd_nats if scan.form.term.kind == "field" else 0.0
     return Proposal(
         "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
         -view.criteria.cause_nats - odd_nats - scan.form.nats, scan.best, 1 + len(ranges),

@@ -193,7 +193,11 @@ class Laws:
             if any(kin) and candidate.kind == "pair":
                 candidate = _like(candidate, kin, view.criteria.cause_nats)
             others.append(candidate)
-        return sorted((*common, *others), key=lambda c: c.complexity - 0.5 * c.gain)
+        every = (
+            replace(c, complexity=c.complexity + view.odd_nats) if c.kind == "field" else c
+            for c in (*common, *others)
+        )
+        return sorted(every, key=lambda c: c.complexity - 0.5 * c.gain)
 
 
 def _are_one(one, other):
