@@ -70,6 +70,8 @@ _WHOLE = (
     (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
+    (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
+     "force along {0} about a place, gone a length away (a dip or a bump)"),
     (r"norm\(.*centre_.*\)\^n\d* \* normalize",
      "force to a point, to a fitted power of distance"),
 )  # fmt: skip
