@@ -125,10 +125,13 @@ class Conversion:
         missing = [kind for kind in ("time", "length") if kind not in kinds]
         if len(missing) == 1:
             example = {"time": "s", "length": "m"}[missing[0]]
+            other = {
+                "time": " (or --fps 25 where it counts frames)",
+                "length": ' (or "px" if the picture is not calibrated)',
+            }[missing[0]]
             self._fail(
                 f"[units] gives no unit of {missing[0]}",
-                remedy=f'add {missing[0]} = "{example}", or --units {missing[0]}={example}'
-                + (' (or "px" if the picture is not calibrated)' if missing == ["length"] else ""),
+                remedy=f'add {missing[0]} = "{example}", or --units {missing[0]}={example}{other}',
             )
         self._kinds = kinds
         self.system = UnitSystem.from_declared(kinds)

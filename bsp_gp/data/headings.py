@@ -124,8 +124,9 @@ _GUESSES = {
               " epoch time and und et"),
     "frame": _set("frame frames bild coords image slice video"),
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
-                  " wurf throw drop shot recording aufnahme repetition scene szene take"
-                  " durchgang durchlauf messreihe lancer lanzamiento lancio"),
+                  " wurf throw drop shot release flight fall swing attempt recording aufnahme"
+                  " repetition scene szene take durchgang durchlauf messreihe lancer lanzamiento"
+                  " lancio"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),

@@ -408,3 +408,19 @@ def test_a_mass_that_changes_is_no_property_of_a_body(tmp_path):
         load_dataset(path, units={"length": "m", "time": "s", "mass": "kg"})
     assert info.value.row == 3
     assert load_dataset(path, units={"length": "m", "time": "s"}).scenes[0].entities[0].mass != 9
+
+
+@pytest.mark.parametrize("word", ["release", "flight", "fall", "Swing"])
+def test_recordings_are_told_by_what_was_done_in_each(tmp_path, word):
+    rows = [f"{k},{0.1 * t:.1f},{t * t}" for k in (1, 2) for t in range(12)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"{word},t (s),x (m)", *rows]))
+    assert [scene.name for scene in load_dataset(path).scenes] == ["1", "2"]
+
+
+def test_frames_without_a_unit_of_time_ask_for_the_rate(tmp_path):
+    rows = [f"{t},{3 * t},{t * t}" for t in range(12)]
+    path = tmp_path / "film.csv"
+    path.write_text("\n".join(["frame,x_px,y_px", *rows]))
+    with pytest.raises(DataError, match="fps.25 where it counts frames"):
+        load_dataset(path)

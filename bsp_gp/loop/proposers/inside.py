@@ -146,17 +146,23 @@ def _gain(view, columns):
 
 
 def _shown(view, laws):
-    """Laws of which all bodies have what they name, and their moments, (n, c)."""
+    """Laws that the law cannot take up, and their moments beside it, (n, c).
+
+    All bodies have what they name.
+    """
     found = {}
     for law in laws:
         try:
             column = view.force_columns([split_linear(law)[1]], kind_of(law))
         except EvaluationError:  # some body lacks a property
             continue
-        if np.isfinite(column).all():
-            found[law] = column
+        if not np.isfinite(column).all():
+            continue
+        beside = view.beside(column)
+        if np.linalg.norm(beside) > SEPARATE * np.linalg.norm(column):
+            found[law] = beside
     nothing = np.zeros((len(view.left), 0))
-    return list(found), view.beside(np.concatenate([nothing, *found.values()], axis=1))
+    return list(found), np.concatenate([nothing, *found.values()], axis=1)
 
 
 def _sum(view, search, scan, own, laws, columns, wave=None):
