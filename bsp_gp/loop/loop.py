@@ -29,9 +29,9 @@ EXPLAINED = 1.5
 FAR_BEHIND = 100.0
 """Nats by which a promise is behind one that was kept and explained all there is: what explains as
 much is told from the same moments as it."""
-SPARE = 0.02
-"""Of a kept promise that rows make: what it may be off by, since they are not linear in the numbers
-of an instrument. Moments tell themselves: what the kept one leaves of them beyond the noise."""
+SPARE = {True: 0.02, False: 0.002}
+"""Of a kept promise: what others may be off by that rows make, since they are not linear in the
+numbers of an instrument; and moments, beside what the kept one leaves of them beyond the noise."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_OF_ALL = 0.9
@@ -408,8 +408,9 @@ class _Turn:
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
         is_kept = new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise
         if is_kept and proposal.promise > self.kept[measure]:
-            left = SPARE * proposal.promise if measure else 0.5 * (self.missing - proposal.gain)
-            self.kept[measure], self.spare[measure] = proposal.promise, left
+            left = 0.0 if measure else 0.5 * (self.missing - proposal.gain)
+            self.kept[measure] = proposal.promise
+            self.spare[measure] = max(SPARE[measure] * proposal.promise, left)
 
     def _tell_near(self, every, above, most):
         """Rows of what was scored only, in the terms of what was fitted of its family.

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import _Turn
 
+NOTHING = {False: 0.0, True: 0.0}
 
-def is_behind(promise, gain, *, found, missing, measures):
+
+def is_behind(promise, gain, *, missing, measures, found=NOTHING, kept=NOTHING, spare=NOTHING):
     turn = SimpleNamespace(
-        found=found, kept={False: 0.0, True: 0.0}, missing=missing,
+        found=found, kept=kept, spare=spare, missing=missing,
         run=SimpleNamespace(criteria=Criteria()),
     )  # fmt: skip
     proposal = SimpleNamespace(promise=promise, gain=gain)
@@ -25,3 +27,11 @@ def test_what_rows_have_gained_is_of_another_measure():
     found = {False: 0.0, True: 3000.0}
     assert not is_behind(1000.0, 2000.0, found=found, missing=8000.0, measures={False})
     assert is_behind(1000.0, 2000.0, found=found, missing=2100.0, measures={False, True})
+
+
+def test_what_is_far_behind_a_law_that_explains_all_is_not_fitted():
+    """By more than a hundred nats, and than moments are off by."""
+    of_all = {"missing": 2000.0, "measures": {False}, "kept": {False: 1000.0, True: 0.0}}
+    assert is_behind(890.0, 1900.0, **of_all)
+    assert not is_behind(910.0, 1900.0, **of_all)
+    assert not is_behind(890.0, 1900.0, **of_all, spare={False: 120.0, True: 0.0})
