@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from html import escape
 from itertools import count
 from types import MappingProxyType
@@ -447,10 +448,21 @@ def added_units(formula):
     for node in walk(formula):
         if isinstance(node, Call) and node.operator in ("add", "sub"):
             for one, other in (node.args, node.args[::-1]):
-                one = _coordinate(one)
-                if isinstance(one, Constant) and isinstance(other.type.unit, Unit):
-                    units[one.name] = other.type.unit
+                if not isinstance(other.type.unit, Unit):
+                    continue
+                unit, one = other.type.unit, _coordinate(one)
+                if _is_square(one):  # L of r^2 + L^2
+                    unit, one = unit ** Fraction(1, 2), one.args[0]
+                if isinstance(one, Constant):
+                    units[one.name] = unit
     return units
+
+
+def _is_square(formula):
+    if not isinstance(formula, Call):
+        return False
+    is_second = formula.operator == "pow" and to_text(formula.args[1]) == "2"
+    return is_second or formula.operator == "square"
 
 
 def _scale_units(formula):

@@ -166,3 +166,23 @@ def test_a_kick_is_told_with_its_body_size_instant_and_scene():
     effect = SimpleNamespace(name="kick red, 2[throw 1, 0.43 s]", constants=constants)
     told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
     assert kick(effect) == told
+
+
+@pytest.mark.parametrize(
+    ("law", "name"),
+    [
+        ("c * (1 + sign(x_i - a)) * (1 - sign(x_i - b)) * v_i",
+         "force along the velocity, between two places"),
+        ("c * (1 + sign(x_i - a)) * v_i", "force along the velocity, beyond a threshold"),
+        ("c * (1 + sign(t - a)) * (1 - sign(t - b)) * v_i",
+         "force along the velocity, switched on and off in time"),
+        ("c * exp(-((x_i - h) / D)^2) * (x_i - h) * e_x",
+         "force along x about a place, gone a length away (a dip or a bump)"),
+        ("c * ((y_i - h)^2 + D^2)^-1.5 * (y_i - h) * e_y",
+         "force along y about a place, gone a length away (a dip or a bump)"),
+        ("c * exp(-norm(p_i - p_j) / L) * (v_i - v_j)",
+         "force along the relative velocity, fading with a length"),
+    ],
+)  # fmt: skip
+def test_forces_with_constants_inside_are_told_by_where_they_act(law, name):
+    assert describe(formula(law)) == name
