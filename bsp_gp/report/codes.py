@@ -31,8 +31,8 @@ CAUSES = {
     "free_force": "a force of no listed form",
 }  # fmt: skip
 OWN_STRENGTHS = {
-    "law_by_body": ("of another strength for each body",),
-    "law_by_scene": ("of another strength in each scene",),
+    "law_by_body": "of another strength for each body",
+    "law_by_scene": "of another strength in each scene",
 }
 """What is said behind the name of a force."""
 KINDS = {

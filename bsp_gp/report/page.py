@@ -199,7 +199,8 @@ def _name(effect, parts, other):
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
         phrase = describe(effect.formula, value, other, effect.exponents)
-        return ", ".join([phrase, *OWN_STRENGTHS.get(effect.code, ())])
+        own = OWN_STRENGTHS.get(effect.code)
+        return f"{phrase}, {own}" if own else phrase
     if effect.kind == "declared_term_change":
         return effect.name
     if effect.code == "rod":

@@ -11,6 +11,7 @@ from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
@@ -18,8 +19,6 @@ __all__ = ["ByOwner"]
 
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
-SAME = 1e-9
-"""Relative difference of scores up to which two laws are one on these data."""
 SIZES = np.geomspace(1e-3, 1e3, 49)
 """Spreads of the numbers that are tried, in their typical standard error."""
 

@@ -35,15 +35,15 @@ class Contacts:
         """
         if view.fit.paper_steps:
             return Family(self.name)
-        scans, first = [], 0
+        scans, first, spans = [], 0, _spans(view.dataset)
         for batch in view.response.regression.batches:
             scans.append(_Scan(view, batch, first))
             first += batch.kept.size
         null = np.max([scan.null for scan in scans], axis=0)
-        peaks = [peak for scan in scans for peak in scan.peaks()]
+        peaks = [peak for scan in scans for peak in scan.peaks(spans)]
         peaks = sorted(peaks, key=lambda peak: -peak[0])[:N_STARTS]
         return Family(
-            self.name, tuple(_proposal(view, *peak) for peak in peaks),
+            self.name, tuple(_proposal(view, spans, *peak) for peak in peaks),
             max((peak[0] for peak in peaks), default=0.0), view.dataset.n_dims, null,
             n_tried=sum(scan.gains.size for scan in scans), is_continuum=True,
         )  # fmt: skip
@@ -60,7 +60,7 @@ class _Scan:
     """
 
     def __init__(self, view, batch, first):
-        self.batch, self.spans = batch, _spans(view.dataset)
+        self.batch = batch
         m, s = batch.kept.shape[:2]
         rows = slice(first, first + m * s)
         own = np.moveaxis(batch.whitener, 1, -1)  # (S, n, R, d, m)
@@ -84,14 +84,14 @@ class _Scan:
         step = np.gradient(np.nan_to_num(batch.times), axis=0).T
         self.velocities = found * step[..., None, None]
 
-    def peaks(self):
-        """The best kicks that are apart: gain, scene, body, instant, velocity."""
+    def peaks(self, spans):
+        """The best kicks that are apart, within spans: gain, scene, body, instant, velocity."""
         left, batch = self.gains.copy(), self.batch
         for s, (scene, bodies) in enumerate(
             zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
         ):
             for r, body in enumerate(bodies):
-                first, last = self.spans[scene, body]
+                first, last = spans[scene, body]
                 is_inside = (batch.times[:, s] >= first) & (batch.times[:, s] <= last)
                 left[s, ~is_inside, r] = 0.0
         for _ in range(N_STARTS):
@@ -116,7 +116,7 @@ def _spans(dataset):
     return found
 
 
-def _proposal(view, gain, name, body, time, velocity):
+def _proposal(view, spans, gain, name, body, time, velocity):
     """A kick as a cause that may be missing."""
     law, n_dims = view.fit.law, len(velocity)
     scene = next(s for s in view.dataset.scenes if s.name == name)
@@ -127,7 +127,7 @@ def _proposal(view, gain, name, body, time, velocity):
     number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
     part = Kick.of(
         name, body, f"kicked{number}", gains, instant, starts,
-        _spans(view.dataset)[name, body], BRIEF * float(np.diff(scene.times).min()),
+        spans[name, body], BRIEF * float(np.diff(scene.times).min()),
     )  # fmt: skip
     return Proposal(
         "contact", f"kick {body}[{name}, {time:.4g} s]", view.hypothesis + part,
