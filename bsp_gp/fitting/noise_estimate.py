@@ -65,7 +65,7 @@ def estimate(
     if not task.can_estimate:
         return model
     if not adopt:
-        return task.refit(model)
+        return task.averaged(task.refit(model))
     model = task.refit(task.start)
     findings, parts = [], [part for part in _parts(task, model) if part in parts]
     while parts:
@@ -82,7 +82,7 @@ def estimate(
         parts.remove(best)
     if NORMAL < model.degrees < math.inf:  # further parts have taken over what was told by tails
         model = task.refit(replace(model, degrees=math.inf))
-    return replace(model, findings=tuple(findings))
+    return replace(task.averaged(model), findings=tuple(findings))
 
 
 def estimate_beside(model, channels, residual, columns, local, probes):

@@ -27,6 +27,7 @@ _GROWTH = 7.0
 _LEAST = 1e-3
 """Degrees of freedom left on an axis, below which its level stays at the first guess."""
 _MIN_REMAINING = 0.05
+_N_MEAN = 8
 _N_PASSES = 60
 _N_ROUNDS = 8
 _N_TAILS = 12
@@ -177,6 +178,26 @@ class NoiseTask:
             steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
         low = self.tolerances.min_time * float(np.median(steps))
         return low, max(self.tolerances.max_time * float(span.max()), 2.0 * low)
+
+    def averaged(self, model):
+        """The model with the mean of the correlation time's logarithm in place of its maximum.
+
+        Short tracks hardly tell a long memory from a longer one: the likelihood is a plateau, and
+        its maximum lies at either end of it as chance will have it. The time has a log-uniform
+        prior within its bounds; share and sizes are those at the maximum beside each time.
+        """
+        if not model.correlated or model.is_correlation_known or math.isfinite(model.degrees):
+            return model
+        low, high = np.log(self.time_bounds())
+        best = math.log(model.correlation_time)
+        times = np.union1d(np.linspace(low, high, _N_MEAN), best)
+        values = [
+            self.rescale(replace(model, correlation_time=math.exp(t)), is_rough=True)[1]
+            for t in times
+        ]
+        weights = np.exp(np.array(values) - max(values)) * np.gradient(times)
+        time = float(weights @ times / weights.sum())
+        return self.rescale(replace(model, correlation_time=math.exp(time)))[0]
 
     def _shape(self, model):
         """Names of free numbers that are no mere factors of size, with their bounds."""
