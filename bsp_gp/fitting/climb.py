@@ -20,7 +20,7 @@ from bsp_gp.fitting.problem import Minimum, Settings
 from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
-from bsp_gp.fitting.tracks import TrackPoint, TrackProblem
+from bsp_gp.fitting.tracks import FlownProblem, TrackPoint, TrackProblem
 from bsp_gp.fitting.unseen import carried
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
@@ -167,6 +167,8 @@ class Climb:
         may_grow = not self.paper_steps and (self.is_coarse or self.run.parameters)
         may_grow = may_grow and not self.run.law.unseen
         ways = [self._climbed, self._grown] if may_grow else [self._climbed]
+        if walls_of(self.run.law):
+            ways = [self._flown, *ways]
         ends = []
         for way in ways[:: -1 if self.is_coarse else 1]:
             ends += way(points)
@@ -236,6 +238,27 @@ class Climb:
     def _is_found(self, ends):
         """Whether nothing better than the best can be hoped for."""
         return self._is_good(ends) and self._is_allowed(min(ends, key=_height))
+
+    def _flown(self, points):
+        """Minima that tracks flown through their contacts lead to."""
+        firsts = self._firsts(max(self.scales.rows, LEAST_ROWS), points)
+        ends = []
+        for minimum in _distinct(firsts)[:KEPT]:
+            if minimum.linearised is None:
+                continue
+            for rows in self.levels()[1:]:
+                problem = FlownProblem(
+                    self._shootings(rows), (None,) * len(self.flows), self.coordinates, self.pull
+                )
+                found = self._minimise(problem, problem.flown(minimum.point), FEW)
+                if found.linearised is None:
+                    break
+                minimum = found
+            problem = self.at(None, minimum.point)
+            ends.append(self._joined(self._minimise(problem, minimum.point, WHOLE), problem))
+            if self.run.is_over() or self._is_enough(ends):
+                break
+        return ends
 
     def _grown(self, points):
         """Minima that tracks grown from their calmest rows lead to."""
@@ -445,8 +468,16 @@ class Climb:
         if self.paper_steps:
             return tuple(map(stepped_nodes, self.run.groups, nodes))
         if walls_of(self.run.law):
-            return tuple(map(nodes_between, self.run.groups, nodes))
+            pairs = zip(self.run.groups, nodes, strict=True)
+            return tuple(nodes_between(*pair, self._stands) for pair in pairs)
         return nodes
+
+    @property
+    def _stands(self):
+        """Where walls stand to begin with, by axis and side."""
+        starts = {name: at for (name, _), at in self.run.starts.items()}
+        walls = [wall for wall in walls_of(self.run.law) if wall.names[0] in starts]
+        return {(wall.axis, wall.side): starts[wall.names[0]] for wall in walls}
 
     @property
     def is_coarse(self):

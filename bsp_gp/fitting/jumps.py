@@ -14,10 +14,16 @@ import numpy as np
 
 __all__ = ["SIDE_ROWS", "WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
 
-SIDE_ROWS = (4, 7, 12)
+SIDE_ROWS = (4, 7, 12, 20)
 """Rows on each side of a jump that are looked at."""
-CLEAR = 50.0
-"""Chi-squared by which a jump must explain them better than a motion that is smooth."""
+LONGEST, CURVED = 20, 6
+"""Those that are looked at only where fewer rows show nothing for their errors, and the degree of
+the smooth motion that a jump must explain so many better than."""
+CLEAR, CLEAR_THERE = 50.0, 12.0
+"""Chi-squared by which a jump must explain them better than a motion that is smooth, anywhere and
+where a wall is known to stand."""
+NEAR = 5.0
+"""Errors within which a jump is at a wall."""
 EXACT = 1e-6
 """Part of the extent below which errors are none."""
 WINDOW, LEAST_ROWS = 9, 5
@@ -50,7 +56,7 @@ class Jump:
     gain: float
 
 
-def jumps(times, places):
+def jumps(times, places, levels=None):
     """Instants at which the velocity of a track jumps, the rows on both sides being smooth.
 
     Parameters
@@ -58,6 +64,8 @@ def jumps(times, places):
     times : ndarray, shape (T,)
     places : ndarray, shape (T, d)
         nan where not seen.
+    levels : mapping of (int, int) to float, optional
+        Where walls are known to stand, by axis and side: jumps there need not be as clear.
 
     Returns
     -------
@@ -71,10 +79,11 @@ def jumps(times, places):
     error, every = scatter(places), []
     for rows in SIDE_ROWS:
         if len(times) >= 2 * rows:
-            every += _jumps(times, places, rows, error)
-    every.sort(key=lambda pair: -pair[1].gain)
+            own = _jumps(times, places, rows, error, levels or {})
+            every += [(rows == LONGEST, -jump.gain, at, jump) for at, jump in own]
+    every.sort(key=lambda found: found[:3])
     out = {}
-    for at, jump in every:
+    for *_, at, jump in every:
         if all(abs(at - other) >= SIDE_ROWS[0] for other in out):
             out[at] = jump
     return [out[at] for at in sorted(out)]
@@ -89,23 +98,23 @@ def scatter(places):
     return max(float(np.sqrt(np.mean(np.square(spread)) / 20)), EXACT * extent)
 
 
-def _jumps(times, places, rows, error):
+def _jumps(times, places, rows, error, levels):
     """Jumps as (row behind it, Jump), told by so many rows on each side."""
+    least = CLEAR_THERE if levels else CLEAR
     window = np.lib.stride_tricks.sliding_window_view
     t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
     middle = t[:, rows - 1 : rows + 1].mean(axis=1)
     t = t - middle[:, None]
     late = np.broadcast_to((np.arange(2 * rows) >= rows).astype(float), t.shape)
-    one = np.ones_like(t)
     broken = np.stack([1 - late, late, (1 - late) * t, late * t, t * t / 2], axis=-1)
-    smooth = np.stack([one, t, t * t, t**3, t**4], axis=-1)
-    (numbers, left), (_, rest) = _solved(broken, x), _solved(smooth[..., :4], x)
-    gains = (rest - left) / error**2
-    is_clear = gains > CLEAR
-    if rows > SIDE_ROWS[0]:  # where a wide swing turns it is no cubic, and no jump either
-        is_clear &= _solved(smooth, x)[1] - left > CLEAR * error**2
+    degree = CURVED if rows == LONGEST else 3
+    smooth = np.stack([(t / t[:, -1:]) ** k for k in range(max(degree, 4) + 1)], axis=-1)
+    (numbers, left), (_, rest) = _solved(broken, x), _solved(smooth[..., : degree + 1], x)
+    gains = surely = (rest - left) / error**2
+    if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
+        surely = np.minimum(gains, (_solved(smooth, x)[1] - left) / error**2)
     out = []
-    for k in np.flatnonzero(is_clear).tolist():
+    for k in np.flatnonzero(surely > least).tolist():
         if gains[k] < gains[max(k - SIDE_ROWS[0], 0) : k + SIDE_ROWS[0] + 1].max():
             continue
         first, second, before, after, pull = numbers[k]
@@ -116,8 +125,18 @@ def _jumps(times, places, rows, error):
             place = first + before * since + pull * since**2 / 2
             own = before + pull * since, after + pull * since, pull
             jump = Jump(float(middle[k]) + since, place, *own, error, float(gains[k]))
-            out.append((k + rows, jump))
+            if surely[k] > CLEAR or _is_at(jump, levels):
+                out.append((k + rows, jump))
     return out
+
+
+def _is_at(jump, levels):
+    """Whether a body is turned back at one of the walls."""
+    return any(
+        side * jump.before[axis] < 0 < side * jump.after[axis]
+        and abs(jump.place[axis] - level) <= NEAR * jump.error
+        for (axis, side), level in levels.items()
+    )
 
 
 def _solved(basis, x):
@@ -159,14 +178,17 @@ def between(times, places, found):
     return tuple(out)
 
 
-def nodes_between(chains, nodes):
-    """Nodes (2, R, d, T, S) with states that pass over no jump, where rows tell them."""
+def nodes_between(chains, nodes, levels):
+    """Nodes (2, R, d, T, S) with states that pass over no jump, where rows tell them.
+
+    Walls are known to stand at `levels`, as `jumps` takes them.
+    """
     nodes = nodes.copy()
     for s in range(chains.n_chains):
         n = int(chains.lengths[s])
         for r in range(chains.n_moving):
             track = chains.times[:n, s], chains.observed[:n, s, r]
-            told = np.stack(between(*track, jumps(*track))[:2])
+            told = np.stack(between(*track, jumps(*track, levels))[:2])
             own = nodes[:, r, :, :n, s]
             told = told.swapaxes(1, 2)
             nodes[:, r, :, :n, s] = np.where(np.isfinite(told), told, own)

@@ -27,6 +27,7 @@ from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
+from bsp_gp.fitting.weighing import bears_outliers, to_begin_with
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack, subset, under
 from bsp_gp.physics.engine.constrained import constraints_of
@@ -220,9 +221,9 @@ def respond(fit, dataset, scenes=None):
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
-        first = 0
+        first, (groups, dataset) = 0, _without_outliers(fit, dataset)
         for chains, nodes, batch in zip(
-            fit.groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
+            groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
             batch = replace(batch, bodies=under(fit.law, batch.bodies))
             count = int(np.prod(chains.observed.shape[1:]))
@@ -251,6 +252,27 @@ def respond(fit, dataset, scenes=None):
     return Response(
         regression, np.concatenate(columns), share, level, *free.tolist(), tuple(smoothed)
     )
+
+
+def _without_outliers(fit, dataset):
+    """Groups of chains of a fit, and data, in which rows far off their neighbours are not seen.
+
+    Tails of the noise that are told from the data weigh them in fits: here they would pull.
+    """
+    if not bears_outliers(fit.noise, is_exact=False):
+        return fit.groups, dataset
+    seen = to_begin_with(dataset, fit.noise)
+    if seen is dataset:
+        return fit.groups, dataset
+    scenes, groups = {scene.name: scene for scene in seen.scenes}, []
+    for chains in fit.groups:
+        observed = chains.observed.copy()
+        for s, (name, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+            scene, n = scenes[name], int(chains.lengths[s])
+            places = scene.positions[:n, [scene.names.index(body) for body in bodies]]
+            observed[:n, s] = np.where(np.isfinite(places), observed[:n, s], np.nan)
+        groups.append(replace(chains, observed=observed))
+    return groups, seen
 
 
 def _noise(fit, chains, part):

@@ -10,7 +10,7 @@ from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import Whitener
 from bsp_gp.physics.engine.flow import Flow
 
-__all__ = ["ChainNoise", "TrackLinearised", "TrackPoint", "TrackProblem"]
+__all__ = ["ChainNoise", "FlownProblem", "TrackLinearised", "TrackPoint", "TrackProblem"]
 
 
 class ChainNoise:
@@ -205,6 +205,36 @@ class TrackProblem:
             shooting.flow.motion.set_constants(constants)
             flow = shooting.flow
             meshes.append(flow.mesh(nodes) if is_checked else flow.quick_mesh(nodes))
-        return TrackProblem(self.shootings, meshes, self.coordinates, self.ridge)
+        return type(self)(self.shootings, meshes, self.coordinates, self.ridge)
 
 
+class FlownProblem(TrackProblem):
+    """Tracks of which every window is flown from its first state, for laws with walls.
+
+    Where an instant of contact passes a row, the state there jumps, and no linearisation moves a
+    node so: nodes are integrated anew behind every step, and their intervals join.
+    """
+
+    def linearise(self, point):
+        """The same with steps that end at the contacts of this point."""
+        return TrackProblem.linearise(self.with_meshes(point), point)
+
+    def move(self, point, linearised, values, share, reins):
+        """The point with these unknowns and first states, flown on from them."""
+        return self.flown(super().move(point, linearised, values, share, reins))
+
+    def flown(self, point):
+        """A point with the nodes of every window as its first leads to; nan where that fails."""
+        constants, _ = self.coordinates.constants(point.values)
+        out = []
+        for shooting, nodes in zip(self.shootings, point.nodes, strict=True):
+            flow, windows, nodes = shooting.flow, shooting.windows, nodes.copy()
+            flow.motion.set_constants(constants)
+            times = flow.chains.times
+            for step in range(1, int(windows.length.max(initial=0))):
+                on = windows.length > step
+                chain, row = windows.chain[on], windows.first[on] + step
+                begin, end = times[row - 1, chain], times[row, chain]
+                nodes[..., row, chain] = flow.advance(nodes[..., row - 1, chain], chain, begin, end)
+            out.append(nodes)
+        return TrackPoint(point.values, tuple(out))

@@ -142,7 +142,7 @@ def test_states_are_read_off_one_side_of_a_jump():
     law = law_with(data)
     (chains,) = build_chains(law, data.scenes, data.up, data.velocity)
     exact = roll(law, chains, start(0.4, data.scenes[0].positions[0, 0, 1]), np.full(1, 1e-8))
-    nodes = nodes_between(chains, np.zeros_like(exact))
+    nodes = nodes_between(chains, np.zeros_like(exact), {})
     early = chains.times[:, 0] < 1.0
     assert nodes[1, 0, 1, early, 0] == pytest.approx(exact[1, 0, 1, early, 0], abs=0.05)
 

@@ -61,15 +61,12 @@ class Walls:
         """
         if view.is_astronomical or view.fit.paper_steps:
             return Family(self.name)
-        found = {
-            (scene.name, k): [
-                jump for jump in jumps(scene.times, scene.positions[:, k])
-                if not _is_foreseen(jump, scene, k, view.fit)
-            ]
-            for scene in view.dataset.scenes for k in scene.dynamic
-        }  # fmt: skip
+        found = _jumps_of(view)
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
         groups = _walls([jump for own in found.values() for jump in own], view.dataset)
+        if groups:  # where a wall stands other bounces show that are not as clear
+            found = _jumps_of(view, _levels(groups))
+            groups = _walls([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
         most = _unexplained(view)
         if not groups or most <= 0:
@@ -80,6 +77,17 @@ class Walls:
             self.name, proposals, best.gain, best.rank, np.zeros(1),
             n_tried=2 * view.dataset.n_dims,
         )  # fmt: skip
+
+
+def _jumps_of(view, levels=None):
+    """Jumps of every track that the law does not foresee, by scene and number of the body."""
+    return {
+        (scene.name, k): [
+            jump for jump in jumps(scene.times, scene.positions[:, k], levels)
+            if not _is_foreseen(jump, scene, k, view.fit)
+        ]
+        for scene in view.dataset.scenes for k in scene.dynamic
+    }  # fmt: skip
 
 
 def _is_foreseen(jump, scene, k, fit):
