@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 
+from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant, Number, factors, walk
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
@@ -34,7 +36,7 @@ class Declared:
         ----------
         view : View
         """
-        proposals, null = [], np.zeros(view.moment_draws.shape[1])
+        proposals, numbers, null = [], [], np.zeros(view.moment_draws.shape[1])
         for index, term in view.single_terms:
             if not term.is_declared:
                 continue
@@ -46,23 +48,45 @@ class Declared:
                 if score.rank:
                     proposals.append(self._exponent(view, index, base, typical, score))
             if not term.formula.constants:
+                numbers.append((index, term))
                 score, chance = self._scored(view, term)
                 null = np.maximum(null, chance)
                 if score.rank:
                     proposals.append(self._number(view, index, score))
+        if len(numbers) > 1:  # none of them need be better than it was while the others stay
+            score, chance = self._scored(view, *(term for _, term in numbers))
+            null = np.maximum(null, chance)
+            if score.rank == len(numbers):
+                proposals.append(self._numbers(view, [index for index, _ in numbers], score))
         proposals.sort(key=lambda p: -p.promise)
-        best = max(proposals, key=lambda p: p.gain, default=None)
+        best = max((as_pair(p.gain, p.rank) for p in proposals), default=0.0)
         return Family(
-            self.name, tuple(proposals), best.gain if best else 0.0, best.rank if best else 0,
-            null, n_tried=len(proposals),
+            self.name, tuple(proposals), float(best), 2, null, n_tried=len(proposals)
         )  # fmt: skip
 
-    def _scored(self, view, term):
-        """Score of a term with the constants of the law, and its gains on noise."""
-        law = view.fit.law
-        known = {name: law.constants[name] for name in term.formula.constants}
-        column = view.response.moments_of(ForceLaw((term,), known))[:, None]
-        return view.score_forces(column), view.null_forces(column)
+    def _scored(self, view, *terms):
+        """Score of terms with the constants of the law, and its gains on noise, as if of two."""
+        law, columns = view.fit.law, []
+        for term in terms:
+            known = {name: law.constants[name] for name in term.formula.constants}
+            columns.append(view.response.moments_of(ForceLaw((term,), known)))
+        columns = np.stack(columns, axis=1)
+        score = view.score_forces(columns)
+        return score, as_pair(view.null_forces(columns), max(score.rank, 1))
+
+    def _numbers(self, view, places, score):
+        """All declared numbers at once, each a cause that is doubted."""
+        law, hypothesis, starts = view.fit.law, view.hypothesis, {}
+        for index, amount in zip(places, score.amplitudes, strict=True):
+            name = next(n for k in count(1) if (n := f"s{k}") not in {*law.names, *starts})
+            starts[name] = float(amount)
+            formula = Call("mul", _changed(name), law.terms[index].formula)
+            hypothesis = with_term_at(hypothesis, index, formula, {name: 0.0})
+        text = "numbers of " + " and ".join(to_text(law.terms[k].formula) for k in places)
+        return Proposal(
+            "number", text, hypothesis, -len(places) * view.criteria.cause_nats, score.statistic,
+            score.rank, starts=starts,
+        )  # fmt: skip
 
     def _exponent(self, view, index, base, typical, score):
         law = view.fit.law
@@ -76,7 +100,7 @@ class Declared:
     def _number(self, view, index, score):
         law = view.fit.law
         name = fresh_name(law, "s")
-        factor = Call("add", Number(1.0), Constant(name))
+        factor = _changed(name)
         text = f"number of {to_text(law.terms[index].formula)}"
         found = _freed(view, index, "number", text, factor, name, score)
         if abs(score.amplitudes[0]) <= rounding_of(law.terms[index].formula):
@@ -97,6 +121,11 @@ def rounding_of(formula):
         if len(digits) >= FEWEST_DIGITS:
             total += 0.5 / int(digits)
     return total
+
+
+def _changed(name):
+    """One and a number that is 0 where nothing changes."""
+    return Call("add", Number(1.0), Constant(name))
 
 
 def _freed(view, index, code, text, factor, name, score):
