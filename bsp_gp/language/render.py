@@ -57,6 +57,7 @@ def to_text(formula, values=None, units=None):
 
 
 def _text(node, values, units):
+    node = _as_one_number(node, values)
     if isinstance(node, Number):
         text = node.text
         return text, _NEGATIVE if text.startswith("-") else _ATOM
@@ -90,6 +91,31 @@ def _text(node, values, units):
     return f"{name}({', '.join(text for text, _ in parts)})", _ATOM
 
 
+def _as_one_number(node, values):
+    """A term times one and a change with a value: its number is written as what it has become."""
+    if not isinstance(node, Call) or node.operator != "mul":
+        return node
+    change, term = node.args
+    if not isinstance(change, Call) or change.operator != "add":
+        return node
+    one, by = change.args
+    if not (isinstance(one, Number) and one.value == 1.0 and isinstance(by, Constant)):
+        return node
+    return (by.name in values and _times(term, 1.0 + values[by.name])) or node
+
+
+def _times(node, factor):
+    """A product with its leading number times a factor; None where none leads it."""
+    if isinstance(node, Number):
+        digits, *unit = node.text.split(" ", 1)
+        text = " ".join([f"{float(digits) * factor:.6g}", *unit])
+        return Number(node.value * factor, node.type.unit, text)
+    if isinstance(node, Call) and node.operator in ("mul", "div", "neg"):
+        first = _times(node.args[0], factor)
+        return first and Call(node.operator, first, *node.args[1:])
+    return None
+
+
 def _wrap(part, level):
     text, own = part
     return text if own >= level else f"({text})"
@@ -101,6 +127,7 @@ def to_latex(formula, values=None, units=None):
 
 
 def _latex(node, values, units, level):
+    node = _as_one_number(node, values)
     if isinstance(node, Number):
         return _latex_number(node.text)
     if isinstance(node, Input):
