@@ -59,6 +59,9 @@ class Cause:
         if self.text.startswith("exponent of "):
             base, _, term = self.text.removeprefix("exponent of ").partition(" in ")
             return f"({base})^n * ({term})"
+        if self.text.startswith("numbers of "):
+            changed = self.text.removeprefix("numbers of ").split(" and ")
+            return " + ".join(f"s{k} * ({text})" for k, text in enumerate(changed))
         if self.text.startswith("number of "):
             return f"s * ({self.text.removeprefix('number of ')})"
         return self.text if self.code in (*ADDED, *CHANGED) else ""

@@ -34,7 +34,9 @@ def describe(formula, value=None, other="the other body", exponents=()):
     direction, conditions, powers = _parts(formula)
     loose = [e for e in exponents if not e.get("is_told", True) and e["stated"]]
     powers = {name: power for name, power in powers.items() if name not in _bases(loose)}
-    if split_linear(formula)[1].constants:
+    if _OBLATE.search(to_text(formula)):
+        phrase = "pull of an oblate centre (its flattening, about z)"
+    elif split_linear(formula)[1].constants:
         phrase = _inner_phrase(direction, formula, powers)
     else:
         condition = conditions[-1] if conditions else None
@@ -66,12 +68,19 @@ def is_untold(exponent):
     return not exponent["high"] - exponent["low"] <= WIDEST
 
 
+_OBLATE = re.compile(r"norm\((p_i - \w+)\)\^-5 \* \(\(1 - 5 \* .* \* \(\1\) \+ 2 \* ")
 _WHOLE = (
+    (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*\* ([xyz])_i \* e_\1$",
+     "force along {0} in proportion to {0}, with a period (an oscillating trap)"),
     (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
+    (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",
+     "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
+    (r"norm\(.*centre_.*\)\^n\d* \* perp\(",
+     "force round a point (a vortex), to a fitted power of distance"),
     (r"norm\(.*centre_.*\)\^n\d* \* normalize",
      "force to a point, to a fitted power of distance"),
 )  # fmt: skip
@@ -110,7 +119,8 @@ def _inner_phrase(direction, formula, powers):
     bare = text.removeprefix("normalize(").removesuffix(")")
     if is_place and not powers and not inner:
         return "spring to a rest point"
-    along = "to a point" if is_place else f"along the {_DIRECTIONS.get(bare, bare)}"
+    point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
+    along = point if is_place else f"along the {_DIRECTIONS.get(bare, bare)}"
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     if of_bodies:

@@ -1,5 +1,7 @@
 """Numbers of declared terms: what was rounded as it was typed is no cause to be doubted."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,28 @@ def test_a_number_that_was_rounded_is_told_as_that():
     assert report.rounds[0].adopted
     assert report.constants[0].value == pytest.approx(8.01846 / 8.018 - 1, abs=4e-5)
     assert report.rounds[-1].reason == "not_significant"
+
+
+def damped(stiffness, damping, sigma=1e-3):
+    """A body on a spring let go at rest in several places, linear drag, per unit mass."""
+    rng, scenes = np.random.default_rng(3), []
+    rate = -damping / 2 + 1j * np.sqrt(stiffness - damping**2 / 4)
+    for k, start in enumerate((0.2, -0.1, 0.15)):
+        z = start * (1 + 1j * np.real(rate) / np.imag(rate))
+        x = np.real(z * np.exp(rate * TIMES)) + sigma * rng.standard_normal(len(TIMES))
+        places = np.column_stack([x, np.zeros_like(x)])[:, None]
+        scenes.append(Scene(str(k), TIMES, places, (Entity("cart"),)))
+    return Dataset("damped", tuple(scenes), units=SI)
+
+
+def test_declared_numbers_that_are_all_wrong_are_told_together():
+    laws = ("-16 [1/s^2] * m_i * (p_i - origin)", "-6 [1/s] * m_i * v_i")
+    report = close_loop(damped(10.6, 1.7), *laws, rng=0, n_bootstrap=0)
+    effect = report.rounds[0].effect
+    assert (report.verdict, effect.code) == ("effect adopted", "number")
+    assert effect.name.startswith("numbers of ")
+    changed = {c.name: c.value for c in report.constants}
+    assert -16 * (1 + changed["s1"]) == pytest.approx(-10.6, abs=0.05)
+    assert -6 * (1 + changed["s2"]) == pytest.approx(-1.7, abs=0.05)
+    stiffness = re.match(r"-(10\.\d+) \[1/s\^2\] \* m_i", report.law_text)
+    assert float(stiffness[1]) == pytest.approx(10.6, abs=0.05)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import solve_ivp
 
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.evidence import log_evidence
@@ -11,6 +13,7 @@ from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.view import selected
 from tests.loop_views import throws, view_of
+from tests.throws import SI
 
 RATE = 4 * np.pi
 
@@ -70,7 +73,7 @@ def test_gains_are_those_of_a_score_test_of_the_same_columns():
 def test_equal_masses_make_one_variant_with_a_tie():
     data = throws(np.random.default_rng(5), n_scenes=1)
     proposals = Periods().propose(view_of(data)).proposals
-    assert len(proposals) == 3
+    assert len(proposals) == 6  # of one axis, the other, both: everywhere alike, and a trap's
     assert all("m_i" not in p.text and "m_i" in p.ties[0] for p in proposals)
 
 
@@ -97,3 +100,28 @@ def test_gains_of_many_numbers_are_told_as_of_two():
     # Beyond what a chance can be as a number: of four, exp(-x/2) (1 + x/2).
     assert as_pair(5000.0, 4) == pytest.approx(5000 - 2 * np.log(2501), abs=1e-3)
     assert as_pair(5000.0, 2) == pytest.approx(5000)
+
+
+def test_a_trap_that_oscillates_is_found():
+    rate, scenes = 60.0, []
+    t = np.linspace(0.0, 0.6, 121)
+
+    def push(t, state):
+        pull = 500.0 * np.cos(rate * t) * np.array([1.0, -1.0])
+        return np.concatenate([state[2:], pull * state[:2]])
+
+    rng = np.random.default_rng(4)
+    for k in range(4):
+        first = np.concatenate([rng.uniform(-0.1, 0.1, 2), rng.uniform(-0.5, 0.5, 2)])
+        path = solve_ivp(push, (0, 0.6), first, t_eval=t, rtol=1e-9, atol=1e-12).y[:2].T
+        path = path + 5e-4 * rng.standard_normal(path.shape)
+        scenes.append(Scene(str(k), t, path[:, None], (Entity("ion"),)))
+    data = Dataset("trap", tuple(scenes), noise=(5e-4,), units=SI)
+    best = Periods().propose(view_of(data, "-c * v_i")).proposals[0]
+    assert "* x_i * e_x" in best.text
+    assert "* y_i * e_y" in best.text
+    found = fit(best.hypothesis, data, starts=best.starts, bounds=best.bounds)
+    assert found.law.constants["w1"] == pytest.approx(rate, rel=1e-3)
+    assert found.law.constants["a1"] == pytest.approx(500.0, rel=0.02)
+    assert found.law.constants["g1"] == pytest.approx(-500.0, rel=0.02)
+    assert found.chi2_red == pytest.approx(1.0, abs=0.15)

@@ -171,3 +171,14 @@ def test_noise_whose_chance_is_below_all_numbers_is_counted_without_a_warning():
     null = np.full(20, 5000.0)  # of one column, exp(-2500)
     assert selected(4000.0, 1, null) == pytest.approx(1.0)
     assert selected(9000.0, 1, null) == pytest.approx(1 / 21)
+
+
+def test_rows_far_off_their_neighbours_do_not_pull_where_causes_are_looked_for():
+    dataset = thrown(drag=0.3, noise=0.005)
+    plain = replace(dataset, noise=None)
+    positions = plain.scenes[0].positions.copy()
+    positions[12, 0, 0] += 0.4
+    far = replace(plain, scenes=(replace(plain.scenes[0], positions=positions), *plain.scenes[1:]))
+    (clean, seen), noise = (score(view_of(each, GRAVITY), "v_i") for each in (plain, far)), 0.4
+    assert seen.amplitudes[0] == pytest.approx(clean.amplitudes[0], rel=0.03)
+    assert seen.statistic > noise * clean.statistic

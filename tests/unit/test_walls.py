@@ -267,3 +267,35 @@ def test_what_is_kept_along_a_floor_is_not_read_off_noise():
     starts = {p.name: p.start for p in found}
     assert starts["k1"] == 1.0
     assert starts["e1"] == pytest.approx(0.67, abs=0.03)
+
+
+
+def drops(seed, sigma=0.025):
+    """A ball dropped four times, its height alone, read off with errors as large as it falls."""
+    rng, t, scenes = np.random.default_rng(seed), np.arange(100) / 60, []
+    for k in range(4):
+        heights = flights([rng.uniform(0.9, 1.4)], [0.0], t, kept=0.8)
+        heights = np.column_stack([np.zeros(100), heights[:, 0] + sigma * rng.standard_normal(100)])
+        scenes.append(Scene(str(k), t, heights[:, None], (Entity("ball"),)))
+    return Dataset("drops", tuple(scenes), units=SI)
+
+
+def test_bounces_that_errors_hide_show_by_many_rows_and_where_a_wall_is_known():
+    data = drops(8)
+    alone, known = (
+        sum(len(jumps(s.times, s.positions[:, 0], levels)) for s in data.scenes)
+        for levels in ({}, {(1, 1): 0.0})
+    )
+    assert 2 <= alone < known
+    t = data.scenes[0].times
+    swing = np.random.default_rng(9).normal(np.cos(5 * t), 0.025)[:, None]
+    assert jumps(t, swing, {(0, 1): -1.0}) == []
+
+
+def test_a_ball_that_bounces_in_noise_is_told():
+    report = close_loop(drops(8), WEIGHT, rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert report.rounds[0].effect.code == "bounce"
+    (kept,) = (c for c in report.constants if c.name == "e1")
+    assert kept.value == pytest.approx(0.8, abs=1.5 * (kept.high - kept.low))
+    assert report.rounds[-1].reason == "not_significant"

@@ -1,4 +1,4 @@
-"""A push with a period: the same for all bodies, or in proportion to their masses."""
+"""A push with a period: one for all bodies, or in proportion to their masses or coordinates."""
 
 from __future__ import annotations
 
@@ -48,15 +48,17 @@ class Periods:
             return Family(self.name, null=null)
         scan = Scan(view, rates, np.column_stack([view.left, view.draws_left]))
         proposals, best = [], 0.0
-        for has_mass, weights, ties in _variants(view):
-            kernels = [scan.kernels(weights, axis) for axis in axes]
+        for (has_mass, weights, ties), is_placed in _kinds(view):
+            kernels = [scan.kernels(weights, axis, is_placed) for axis in axes]
             for along, gain in scan.gains(kernels).items():
                 even = as_pair(gain, 2 * len(along))  # all as if of two numbers
                 null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
                 k = int(np.argmax(gain[:, 0]))
                 rate, most = scan.closer([kernels[a] for a in along], rates[k], gain[k, 0])
                 chosen = tuple(axes[list(along)])
-                proposals.append(_proposal(view, rates, rate, chosen, has_mass, most, ties))
+                proposals.append(
+                    _proposal(view, rates, rate, chosen, has_mass, is_placed, most, ties)
+                )
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), float(best), 2, null,
@@ -149,10 +151,15 @@ class Scan:
         self.view, self.rates, self.targets, self.basis = view, rates, targets, basis
         self.batches = view.response.regression.batches
 
-    def kernels(self, weights, axis):
-        """Moments by the push along an axis at every instant, (S, m, n) per batch."""
+    def kernels(self, weights, axis, is_placed=False):
+        """Moments by the push along an axis at every instant, (S, m, n) per batch.
+
+        It grows with the coordinate along that axis where it `is_placed`.
+        """
         out = []
         for batch, weight in zip(self.batches, weights, strict=True):
+            if is_placed:
+                weight = weight * batch.positions[:, :, batch.bodies.receivers, axis]
             acting = np.where(batch.valid[..., axis], weight, 0.0)  # (n, S, R)
             out.append(np.einsum("smnr,nsr->smn", batch.whitener[..., axis], acting))
         return out
@@ -246,14 +253,21 @@ def _variants(view):
         yield True, [np.ones(b.valid.shape[1:3]) for b in batches], False
 
 
-def _proposal(view, rates, rate, axes, has_mass, gain, ties):
-    terms, constants = _push(view, axes, has_mass)
+def _kinds(view):
+    """Variants of a push that is the same everywhere, then of one as an oscillating trap has it."""
+    for is_placed in (False, True):
+        for variant in _variants(view):
+            yield variant, is_placed
+
+
+def _proposal(view, rates, rate, axes, has_mass, is_placed, gain, ties):
+    terms, constants = _push(view, axes, has_mass, is_placed)
     name = next(reversed(constants))
     constants[name] = rate
-    other = [_text(_push(view, axes, True)[0])] if ties else []
+    other = [_text(_push(view, axes, True, is_placed)[0])] if ties else []
     return Proposal(
         "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
-        -(1 + has_mass) * view.criteria.cause_nats - view.odd_nats, float(gain),
+        -(1 + has_mass + is_placed) * view.criteria.cause_nats - view.odd_nats, float(gain),
         2 * len(axes) + 1, {name: rate}, {name: (float(rates[0]), float(rates[-1]))},
         ties=tuple(other),
     )  # fmt: skip
@@ -263,7 +277,7 @@ def _text(terms):
     return " + ".join(to_text(term.formula) for term in terms)
 
 
-def _push(view, axes, has_mass):
+def _push(view, axes, has_mass, is_placed=False):
     """Terms of one rate, one per axis, and their constants, the rate last."""
     types, constants = dataset_types(view.dataset), {}
     rate = Constant(fresh_name(view.fit.law, "w"))
@@ -279,6 +293,10 @@ def _push(view, axes, has_mass):
         if has_mass:
             formula = Call("mul", formula, Input("m_i", types["m_i"]))
         direction = f"e_{'xyz'[axis]}"
+        if is_placed:
+            along = Call("sub", Input("p_i", types["p_i"]), Input("origin", types["origin"]))
+            along = Call("dot", along, Input(direction, types[direction]))
+            formula = Call("mul", formula, along)
         formula = Call("mul", formula, Input(direction, types[direction]))
         terms.append(Term(formula, "field"))
     return tuple(terms), {**constants, rate.name: np.nan}
