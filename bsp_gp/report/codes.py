@@ -9,7 +9,8 @@ __all__ = [
 
 CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
-    "pulsing": "a strength with a period", "growing": "a strength that grows or fades",
+    "ripple": "a force that repeats along an axis", "pulsing": "a strength with a period",
+    "growing": "a strength that grows or fades",
     "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
     "law_by_body": "a force of another strength for each body",

@@ -73,6 +73,8 @@ _WHOLE = (
     (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*\* ([xyz])_i \* e_\1$",
      "force along {0} in proportion to {0}, with a period (an oscillating trap)"),
     (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
+    (r"cos\(\w+ \* ([xyz])_i\).*\* e_\1$",
+     "force along {0} that repeats with {0} (a washboard, an egg crate)"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",

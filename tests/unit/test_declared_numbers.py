@@ -61,7 +61,7 @@ def damped(stiffness, damping, sigma=1e-3):
 
 def test_declared_numbers_that_are_all_wrong_are_told_together():
     laws = ("-16 [1/s^2] * m_i * (p_i - origin)", "-6 [1/s] * m_i * v_i")
-    report = close_loop(damped(10.6, 1.7), *laws, rng=0, n_bootstrap=0)
+    report = close_loop(damped(10.6, 1.7), laws, rng=0, n_bootstrap=0)
     effect = report.rounds[0].effect
     assert (report.verdict, effect.code) == ("effect adopted", "number")
     assert effect.name.startswith("numbers of ")

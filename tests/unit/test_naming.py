@@ -186,3 +186,27 @@ def test_a_kick_is_told_with_its_body_size_instant_and_scene():
 )  # fmt: skip
 def test_forces_with_constants_inside_are_told_by_where_they_act(law, name):
     assert describe(formula(law)) == name
+
+
+CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
+
+
+@pytest.mark.parametrize(
+    ("law", "name"),
+    [
+        (f"c1 * inverse(norm{CENTRE}) * perp(normalize{CENTRE})",
+         "force round a point (a vortex), as distance⁻¹"),
+        (f"c1 * norm{CENTRE}^n1 * perp(normalize{CENTRE})",
+         "force round a point (a vortex), to a fitted power of distance"),
+        (f"c1 * inverse(norm{CENTRE}) * normalize{CENTRE}", "force to a point, as distance⁻¹"),
+        ("c1 * (1 - ((dot(p_i - origin, e_x) - h_x1) / D1)^2) * v_i",
+         "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
+        ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x", "push with a period along x"),
+        ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * dot(p_i - origin, e_x) * e_x",
+         "force along x in proportion to x, with a period (an oscillating trap)"),
+        ("(a1 * cos(q1 * dot(p_i - origin, e_y)) + b1 * sin(q1 * dot(p_i - origin, e_y))) * e_y",
+         "force along y that repeats with y (a washboard, an egg crate)"),
+    ],
+)  # fmt: skip
+def test_laws_with_constants_inside_are_named_by_what_they_do(law, name):
+    assert describe(formula(law)) == name

@@ -20,6 +20,7 @@ from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.pulsing import Pulsing
+from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
@@ -41,6 +42,6 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), ByOwner(laws), Declared(), Varying(), Growing(), Periods(),
-        Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(),
-        Walls(), Rods(), Measurement(), LateLogs(), Defects(), Noise(),
+        Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(), Companions(), Kicks(),
+        Contacts(), Walls(), Rods(), Measurement(), LateLogs(), Defects(), Noise(),
     ]  # fmt: skip

@@ -16,7 +16,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Periods", "Scan", "Wave", "rates_of", "wave_beside", "waves_alone"]
+__all__ = ["Periods", "Scan", "Wave", "rates_of", "variants", "wave_beside", "waves_alone"]
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
@@ -95,7 +95,7 @@ def waves_alone(view):
     if not len(rates):
         return rates, {}
     alone = Scan(view, rates, view.left[:, None])
-    (_, weights, _), *_ = _variants(view)
+    (_, weights, _), *_ = variants(view)
     axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
     kernels = {axis: alone.kernels(weights, axis) for axis in axes}
     return rates, {axis: (k, [r for r, _ in alone.peaks(k)]) for axis, k in kernels.items()}
@@ -115,7 +115,7 @@ def wave_beside(view, columns, alone):
     basis = orthonormal(columns, len(columns))
     target = view.left - basis @ (basis.T @ view.left)
     scan = Scan(view, rates, target[:, None], basis)
-    (has_mass, *_), *_ = _variants(view)
+    (has_mass, *_), *_ = variants(view)
     best = None
     for axis, (kernel, known) in pushes.items():
         # Beside what imitates it a peak is much narrower than that of the push alone.
@@ -206,9 +206,14 @@ class Scan:
 
     def waves(self, kernel, rates):
         """Moments of cosines and sines, (n, F, 2)."""
+        return self.waves_of([batch.times.T for batch in self.batches], kernel, rates)
+
+    @staticmethod
+    def waves_of(phases, kernel, rates):
+        """The same for phases (S, n) per unit of rate."""
         parts = []
-        for batch, matrix in zip(self.batches, kernel, strict=True):
-            angle = np.nan_to_num(batch.times).T[:, :, None] * rates  # (S, n, F)
+        for phase, matrix in zip(phases, kernel, strict=True):
+            angle = np.nan_to_num(phase)[:, :, None] * rates  # (S, n, F)
             waves = [np.swapaxes(matrix @ f(angle), 0, 1) for f in (np.cos, np.sin)]  # (m, S, F)
             parts.append(np.stack(waves, axis=-1).reshape(-1, len(rates), 2))
         return np.concatenate(parts)
@@ -243,7 +248,7 @@ def rates_of(view):
     return low * (1 + np.arange(min(count, MOST_FREQUENCIES)) / OVERSAMPLING) if high > low else []
 
 
-def _variants(view):
+def variants(view):
     """The push as a force and in proportion to the mass: (has mass, weights per batch, ties)."""
     batches, masses = view.response.regression.batches, view.masses
     is_one = masses is not None and np.ptp(np.concatenate([m.ravel() for m in masses])) == 0
@@ -256,7 +261,7 @@ def _variants(view):
 def _kinds(view):
     """Variants of a push that is the same everywhere, then of one as an oscillating trap has it."""
     for is_placed in (False, True):
-        for variant in _variants(view):
+        for variant in variants(view):
             yield variant, is_placed
 
 

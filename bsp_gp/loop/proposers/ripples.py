@@ -1,0 +1,127 @@
+"""Forces that repeat along an axis: a washboard, an egg crate, an optical lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.language.formula import Call, Constant, Input
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.periods import MOST_FREQUENCIES, NYQUIST, OVERSAMPLING, Scan, variants
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+
+__all__ = ["Ripples"]
+
+FEWEST = 2.0
+"""Periods within the extent of the tracks; of fewer nobody knows that they repeat."""
+SHORTEST = 1.0
+"""Radians by which a standard deviation of a place may move a wave."""
+
+
+class Ripples:
+    """Forces along axes that repeat with the coordinate, one period for all axes."""
+
+    name = "ripples"
+
+    def propose(self, view):
+        """The family of all wavenumbers.
+
+        Parameters
+        ----------
+        view : View
+        """
+        null, proposals, best = np.zeros(view.moment_draws.shape[1]), [], 0.0
+        axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
+        numbers = _wavenumbers(view, axes)
+        if view.is_astronomical or not len(numbers):
+            return Family(self.name, null=null)
+        scan = _Placed(view, numbers, np.column_stack([view.left, view.draws_left]))
+        for has_mass, weights, ties in variants(view):
+            kernels = [scan.kernels(weights, axis) for axis in axes]
+            for along, gain in scan.gains(kernels).items():
+                even = as_pair(gain, 2 * len(along))
+                null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
+                k = int(np.argmax(gain[:, 0]))
+                number, most = scan.closer([kernels[a] for a in along], numbers[k], gain[k, 0])
+                chosen = tuple(axes[list(along)])
+                proposals.append(_proposal(view, numbers, number, chosen, has_mass, most, ties))
+        proposals.sort(key=lambda p: -p.promise)
+        return Family(
+            self.name, tuple(proposals), float(best), 2, null,
+            n_tried=len(numbers) * len(proposals), is_continuum=True,
+        )  # fmt: skip
+
+
+class _Placed(Scan):
+    """Gains of waves along the coordinates of bodies in place of time."""
+
+    def kernels(self, weights, axis):
+        """An axis, and moments by the push along it of every body at every instant."""
+        out = []
+        for batch, weight in zip(self.batches, weights, strict=True):
+            acting = np.where(batch.valid[..., axis], weight, 0.0)  # (n, S, R)
+            each = np.einsum("smnr,nsr->smnr", batch.whitener[..., axis], acting)
+            out.append(each.reshape(*each.shape[:2], -1))
+        return axis, out
+
+    def waves(self, kernel, rates):
+        """Moments of cosines and sines, (n, F, 2)."""
+        axis, matrices = kernel
+        places = [b.positions[:, :, b.bodies.receivers, axis] for b in self.batches]
+        phases = [np.moveaxis(place, 1, 0).reshape(place.shape[1], -1) for place in places]
+        return self.waves_of(phases, matrices, rates)
+
+
+def _wavenumbers(view, axes):
+    """From few periods within the tracks up to the Nyquist limit of their steps, rad/m."""
+    extent, steps = 0.0, []
+    for scene in view.dataset.scenes:
+        places = scene.positions[:, scene.dynamic][..., axes]
+        extent = max(extent, float(np.nanmax(np.nanmax(places, 0) - np.nanmin(places, 0))))
+        steps.append(np.abs(np.diff(places, axis=0)).ravel())
+    step = float(np.nanmedian(np.concatenate(steps)))
+    error = float(np.nanmax(view.fit.noise.levels))
+    if not (extent > 0 and step > 0 and error > 0):
+        return np.array([])
+    low, high = FEWEST * 2 * np.pi / extent, min(NYQUIST * np.pi / step, SHORTEST / error)
+    count = int(OVERSAMPLING * FEWEST * (high / low - 1)) + 1 if high > low else 0
+    return low * (1 + np.arange(min(count, MOST_FREQUENCIES)) / (OVERSAMPLING * FEWEST))
+
+
+def _proposal(view, numbers, number, axes, has_mass, gain, ties):
+    terms, constants = _ripple(view, axes, has_mass)
+    name = next(reversed(constants))
+    constants[name] = number
+    other = [_text(_ripple(view, axes, True)[0])] if ties else []
+    return Proposal(
+        "ripple", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
+        -(1 + has_mass) * view.criteria.cause_nats, float(gain), 2 * len(axes) + 1,
+        {name: number}, {name: (float(numbers[0]), float(numbers[-1]))}, ties=tuple(other),
+    )  # fmt: skip
+
+
+def _text(terms):
+    return " + ".join(to_text(term.formula) for term in terms)
+
+
+def _ripple(view, axes, has_mass):
+    """Terms of one wavenumber, one per axis, and their constants, the wavenumber last."""
+    types, constants = dataset_types(view.dataset), {}
+    number = Constant(fresh_name(view.fit.law, "q"))
+    terms, stems = [], iter(("a", "b", "g", "h", "k", "l"))
+    for axis in axes:
+        direction = Input(f"e_{'xyz'[axis]}", types[f"e_{'xyz'[axis]}"])
+        place = Call("sub", Input("p_i", types["p_i"]), Input("origin", types["origin"]))
+        angle, parts = Call("mul", number, Call("dot", place, direction)), []
+        for wave in ("cos", "sin"):
+            name = fresh_name(view.fit.law, next(stems))
+            constants[name] = np.nan
+            parts.append(Call("mul", Constant(name), Call(wave, angle)))
+        formula = Call("add", *parts)
+        if has_mass:
+            formula = Call("mul", formula, Input("m_i", types["m_i"]))
+        terms.append(Term(Call("mul", formula, direction), "field"))
+    return tuple(terms), {**constants, number.name: np.nan}
