@@ -18,6 +18,7 @@ from bsp_gp.loop.proposers.late import LateLogs
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
+from bsp_gp.loop.proposers.own_laws import OwnLaws
 from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.ripples import Ripples
@@ -41,7 +42,8 @@ def standard(grammar, dataset, **settings):
     """
     laws = Laws(grammar, dataset, **settings)
     return [
-        laws, Inside(laws, dataset), ByOwner(laws), Declared(), Varying(), Growing(), Periods(),
-        Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(), Companions(), Kicks(),
-        Contacts(), Walls(), Rods(), Measurement(), LateLogs(), Defects(), Noise(),
+        laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
+        Growing(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(),
+        Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(), Defects(),
+        Noise(),
     ]  # fmt: skip

@@ -15,7 +15,7 @@ from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
-__all__ = ["ByOwner"]
+__all__ = ["ByOwner", "evidence_of"]
 
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
@@ -60,8 +60,8 @@ class ByOwner:
                 n_tried += 1
                 null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
                 best = max(best, float(as_pair(score.statistic, score.rank)))
-                height = _evidence(view, columns)
-                together = _evidence(view, columns.sum(axis=1, keepdims=True))
+                height = evidence_of(view, columns)
+                together = evidence_of(view, columns.sum(axis=1, keepdims=True))
                 promised = max(promised, together - view.criteria.cause_nats)
                 if height - together > least:
                     own = _proposal(view, rest, by, keys, score, height, ties)
@@ -88,7 +88,7 @@ def _add(found, statistic, proposal):
     found.append((statistic, proposal))
 
 
-def _evidence(view, columns):
+def evidence_of(view, columns):
     """Log-evidence of independent normal numbers before columns beside none, nats."""
     basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
     squares, sizes = np.square(basis.T @ view.left), np.square(sizes)

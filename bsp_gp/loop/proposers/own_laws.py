@@ -1,0 +1,145 @@
+"""Laws of their own for each of a few bodies: one that hunts, one that flees, each as it does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.errors import EvaluationError, LawError, UnitError
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal, with_term
+from bsp_gp.loop.proposers.by_owner import evidence_of
+from bsp_gp.loop.proposers.varying import columns_by
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import Term, split_linear
+
+__all__ = ["OwnLaws"]
+
+FEWEST, MOST = 2, 4
+"""Bodies that may each have laws of their own."""
+MOST_FORMS = 4
+"""Forms of all bodies together."""
+SHARE = 0.05
+"""Part of what is left that a form must take off: far from the tracks moments err by as much."""
+LEAST = 1e-3
+"""Part of a column that must be left beside others."""
+FORMS = (
+    *(f"norm(p_i - p_j)^{n} * normalize(p_i - p_j)" for n in (-3, -2, -1, 1)),
+    "normalize(p_i - p_j)", "perp(normalize(p_i - p_j))", "v_i - v_j", "v_j", "v_i",
+    "norm(v_i) * v_i", "normalize(v_i)", "perp(v_i)",
+)  # fmt: skip
+
+
+class OwnLaws:
+    """Sums of forms, every one with a strength for each body, chosen body by body.
+
+    Parameters
+    ----------
+    laws : Laws
+        Asked before in every round.
+    """
+
+    name = "own_laws"
+
+    def __init__(self, laws):
+        self.laws = laws
+
+    def propose(self, view):
+        """The family of the sum that suits each body best.
+
+        Parameters
+        ----------
+        view : View
+        """
+        null = np.zeros(view.moment_draws.shape[1])
+        names = {s.names[k] for s in view.dataset.scenes for k in s.dynamic}
+        meet = any(len(s.dynamic) > 1 for s in view.dataset.scenes)
+        if view.is_astronomical or not (meet and FEWEST <= len(names) <= MOST):
+            return Family(self.name, null=null)
+        forms, keys, columns = self._columns(view)
+        if not forms:
+            return Family(self.name, null=null)
+        flat = np.moveaxis(columns, 2, 1).reshape(-1, columns.shape[1])
+        unit, told = _unit(view.beside(flat.T), flat)
+        null = as_pair(np.square(unit.T @ view.draws_left).max(axis=0), 1)
+        best = float(as_pair(np.square(unit.T @ view.left).max(), 1))
+        chosen = sorted({k // len(keys) for k in _chosen(view, flat)})
+        family = Family(self.name, (), best, 2 if told.any() else 0, null, n_tried=len(flat))
+        if not chosen:
+            return family
+        own = columns[chosen].transpose(1, 0, 2).reshape(columns.shape[1], -1)
+        score, height = view.score_forces(own), evidence_of(view, own)
+        together = evidence_of(view, columns[chosen].sum(axis=2).T)
+        if height - together <= view.criteria.noise_nats:
+            return family
+        proposal = _proposal(view, [forms[k] for k in chosen], keys, score, height)
+        return replace(family, proposals=(proposal,))
+
+    def _columns(self, view):
+        """Forms, names of bodies, and moments of each form on each body, (F, n, B)."""
+        types, forms = dataset_types(view.dataset), []
+        for text in FORMS:
+            try:
+                forms.append(parse_formula(text, types))
+            except (LawError, UnitError):  # none across in space
+                continue
+        forms += [split_linear(f)[1] for f in (*self.laws.common, *view.leading)]
+        known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
+        kept, keys, out = [], [], []
+        for form in dict.fromkeys(forms):
+            if form.constants or form in known:
+                continue
+            try:
+                keys, columns = columns_by(view, Term(form), {}, "body")
+            except EvaluationError:
+                continue
+            if np.isfinite(columns).all() and columns.any(axis=0).all():
+                kept.append(form)
+                out.append(columns)
+        return kept, keys, np.array(out)
+
+
+def _chosen(view, columns):
+    """Which columns (C, n) are needed one beside the other, the one that explains most first."""
+    left, rest = view.left, view.beside(columns.T)
+    total, out = float(left @ left), []
+    for _ in range(MOST_FORMS):
+        unit, _ = _unit(rest, columns)
+        gains = np.square(left @ unit)
+        k = int(np.argmax(gains))
+        # What chance gives the best of so many, and a cause more.
+        needed = 2 * (np.log(len(gains)) + view.criteria.cause_nats)
+        if gains[k] < max(needed, SHARE * total):
+            break
+        out.append(k)
+        left = left - unit[:, k] * (unit[:, k] @ left)
+        rest = rest - np.outer(unit[:, k], unit[:, k] @ rest)
+    return out
+
+
+def _unit(rest, columns):
+    """What is left of columns (n, C) in units, 0 where it is all but nothing; and where it is."""
+    lengths = np.linalg.norm(rest, axis=0)
+    told = lengths > LEAST * np.linalg.norm(columns, axis=1)
+    return np.where(told, rest / np.where(told, lengths, 1.0), 0.0), told
+
+
+def _proposal(view, forms, keys, score, height):
+    hypothesis, formulas = view.hypothesis, []
+    amplitudes = score.amplitudes.reshape(len(forms), len(keys))
+    names = set(view.fit.law.names)
+    for form, own in zip(forms, amplitudes, strict=True):
+        name = next(n for k in range(1, 99) if (n := f"c{k}[body]") not in names)
+        names.add(name)
+        formulas.append(Call("mul", Constant(name), form))
+        table = dict(zip(keys, own.tolist(), strict=True))
+        hypothesis = with_term(hypothesis, Term(formulas[-1]), {name: table})
+    return Proposal(
+        "law_by_body", " + ".join(map(to_text, formulas)), hypothesis,
+        -len(forms) * view.criteria.cause_nats, 2 * height, score.rank, is_wide=True,
+        formulas=tuple(formulas), n_dims=view.dataset.n_dims,
+    )  # fmt: skip
