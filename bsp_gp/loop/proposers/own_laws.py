@@ -28,9 +28,10 @@ SHARE = 0.05
 LEAST = 1e-3
 """Part of a column that must be left beside others."""
 FORMS = (
-    *(f"norm(p_i - p_j)^{n} * normalize(p_i - p_j)" for n in (-3, -2, -1, 1)),
-    "normalize(p_i - p_j)", "perp(normalize(p_i - p_j))", "v_i - v_j", "v_j", "v_i",
-    "norm(v_i) * v_i", "normalize(v_i)", "perp(v_i)",
+    *(f"norm(p_i - p_j)^{n} * normalize(p_i - p_j)" for n in (-3, -2, -1)),
+    "norm(p_i - p_j) * normalize(p_i - p_j)", "normalize(p_i - p_j)",
+    "perp(normalize(p_i - p_j))", "v_i - v_j", "v_j", "v_i", "norm(v_i) * v_i", "normalize(v_i)",
+    "perp(v_i)",
 )  # fmt: skip
 
 
@@ -104,21 +105,34 @@ class OwnLaws:
 
 
 def _chosen(view, columns):
-    """Which columns (C, n) are needed one beside the other, the one that explains most first."""
-    left, rest = view.left, view.beside(columns.T)
-    total, out = float(left @ left), []
+    """Which columns (C, n) are needed one beside the other, those that later ones replace aside."""
+    beside = view.beside(columns.T)
+    left, rest, out = view.left, beside, []
+    # What chance gives the best of so many, and a cause more.
+    needed = 2 * (np.log(len(columns)) + view.criteria.cause_nats)
+    least = max(needed, SHARE * float(left @ left))
     for _ in range(MOST_FORMS):
         unit, _ = _unit(rest, columns)
         gains = np.square(left @ unit)
         k = int(np.argmax(gains))
-        # What chance gives the best of so many, and a cause more.
-        needed = 2 * (np.log(len(gains)) + view.criteria.cause_nats)
-        if gains[k] < max(needed, SHARE * total):
+        if gains[k] < least:
             break
         out.append(k)
         left = left - unit[:, k] * (unit[:, k] @ left)
         rest = rest - np.outer(unit[:, k], unit[:, k] @ rest)
+    while len(out) > 1:
+        gain = _gain(view.left, beside[:, out])
+        losses = [gain - _gain(view.left, beside[:, [k for k in out if k != one]]) for one in out]
+        if min(losses) > needed:
+            break
+        del out[int(np.argmin(losses))]
     return out
+
+
+def _gain(left, columns):
+    """Chi-squared that columns (n, c) take off together."""
+    q, _ = np.linalg.qr(columns)
+    return float(np.square(q.T @ left).sum())
 
 
 def _unit(rest, columns):
