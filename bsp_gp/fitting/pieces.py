@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.shooting import cut_windows
+from bsp_gp.fitting.shooting import Windows, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.bodies import Bodies
 from bsp_gp.physics.engine.driven import Driven
@@ -17,6 +17,8 @@ __all__ = ["Pieces", "cut_pieces"]
 MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""
 LEAST_ROWS = 12
+LEAST_FLOWN = 4
+"""Rows between two bounces that tell of a force."""
 MOST_PIECES, FEWEST_PIECES = 64, 16
 """Pieces of a group of chains that are looked at, spread evenly over it; fewer where they are
 large."""
@@ -137,7 +139,7 @@ class Pieces:
         return whole[0], whole[1]
 
 
-def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
+def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     """Cut chains into pieces.
 
     Parameters
@@ -150,12 +152,16 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
     per_row : int
         Instants of forces for each row.
+    hits : collection of (int, int)
+        Chains, and rows behind which they bounce: there pieces end, and the next ones begin anew.
     """
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
     n_own = chains.n_moving * chains.n_dims
     rows = max(MOST_COORDINATES // max(n_own - n_held, 1), LEAST_ROWS)
     windows = cut_windows(chains.lengths[:n_scenes], rows)
+    if hits:
+        windows = _between_hits(windows, {(chain % n_scenes, row) for chain, row in hits})
     chosen = np.arange(len(windows.chain))
     n_instants = per_row * int(windows.length.max(initial=1))
     most = MOST_CHANGES // (2 * (n_instants * n_own) ** 2 * n_groups)
@@ -168,6 +174,7 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
     groups = [moving] if n_groups == 1 else [np.array([k]) for k in moving]
     order = [np.concatenate([own, np.setdiff1d(moving, own), driven]).astype(int) for own in groups]
     follows = (scene[1:] == scene[:-1]) & (np.diff(chosen) == 1)
+    follows &= windows.first[chosen][1:] == windows.stop[chosen][:-1]
     return Pieces(
         chain=np.concatenate([g * n_scenes + scene for g in range(n_groups)]),
         first=np.tile(windows.first[chosen], n_groups),
@@ -176,6 +183,19 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1):
         count=len(scene),
         bodies=_bodies(batch.bodies, scene, order, len(groups[0])),
     )
+
+
+def _between_hits(windows, hits):
+    """Windows that end a row before a bounce, and begin again a row behind it."""
+    out = []
+    for chain, first, stop in zip(windows.chain, windows.first, windows.stop, strict=True):
+        begin = first
+        for row in sorted(row for s, row in hits if s == chain and first - 1 <= row < stop):
+            out.append((chain, begin, row))
+            begin = row + 2
+        out.append((chain, begin, stop))
+    out = [piece for piece in out if piece[2] - piece[1] >= LEAST_FLOWN]
+    return Windows(*np.array(out, dtype=int).reshape(-1, 3).T) if out else windows
 
 
 def _bodies(bodies, scene, order, n_own):

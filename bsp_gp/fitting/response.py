@@ -34,6 +34,7 @@ from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
+from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 
@@ -43,6 +44,8 @@ PHASE = 0.4
 """Radians that a motion may turn between two instants at which forces are evaluated."""
 MOST_INSTANTS = 8
 """Instants per row at the most."""
+HIT_ERROR = 1e-6
+"""Error of an interval, in the largest coordinate, when bounces are counted."""
 MOST_LOOKED_AT = 20_000
 """Intervals by which that is told, spread evenly."""
 LOST, LEAST_SHOWN = 0.1, 100.0
@@ -232,8 +235,9 @@ def respond(fit, dataset, scenes=None):
             pairs = [pair for part in constraints_of(fit.law) for pair in part.pairs]
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
-            pieces = cut_pieces(chains, noise, batch, n_held, per_row)
-            group = _Group(fit, chains, nodes, noise, pieces, per_row)
+            hits = _hits(fit, chains, nodes)
+            pieces = cut_pieces(chains, noise, batch, n_held, per_row, hits)
+            group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row)
             own = group.batches()
             columns += group.columns(own)
             batches += own
@@ -283,6 +287,24 @@ def _noise(fit, chains, part):
         chains.times, white[: shape[0], part].reshape(shape),
         np.nan_to_num(amplitude[: shape[0], part]).reshape(shape), fit.noise.correlation_time,
     )  # fmt: skip
+
+
+def _hits(fit, chains, nodes):
+    """Chains and rows behind which bodies bounce under the law of a fit."""
+    if not walls_of(fit.law) or fit.paper_steps:
+        return ()
+    motion = Motion(fit.law, chains, fit.parameters)
+    motion.set_constants(fit.values)
+    size = np.nanmax(np.abs(chains.observed), initial=0.0)
+    flow = Flow(motion, np.full(chains.n_chains, HIT_ERROR * size))
+    found = flow.quick_mesh(nodes).n_hits > 0
+    return list(zip(flow.chain[found].tolist(), flow.row[found].tolist(), strict=True))
+
+
+def _flying(fit):
+    """A fit between bounces: no wall is met there."""
+    law = fit.law
+    return replace(fit, law=replace(law, frame=tuple(p for p in law.frame if p.kind != "wall")))
 
 
 def _instants_per_row(fit, chains, nodes):

@@ -13,6 +13,7 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
+from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw
 
 __all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "continued", "with_term", "with_term_at",
@@ -147,8 +148,9 @@ class Proposal:
         }  # fmt: skip
         near = None if self.is_afresh else base
         found = fit(self.hypothesis, dataset, near=near, effort=criteria.effort, **known)
-        if self.patience > 1 and found.status == "unconverged":  # on from where it was left
-            effort = self.patience * criteria.effort
+        patience = max(self.patience, PATIENT if walls_of(self.hypothesis.law) else 1)
+        if patience > 1 and found.status == "unconverged":  # on from where it was left
+            effort = patience * criteria.effort
             if np.isfinite(found.values).all():
                 known["starts"] = dict(zip(found.parameters, found.values.tolist(), strict=True))
             found = fit(self.hypothesis, dataset, near=found, effort=effort, **known)
