@@ -20,7 +20,7 @@ import numpy as np
 from bsp_gp.errors import UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["OPERATORS", "SHAPES", "Operator", "Type"]
+__all__ = ["OPERATORS", "SHAPES", "Operator", "Type", "is_across_in"]
 
 SHAPES = ("scalar", "vector", "point", "bool", "shape")
 GUARD = 1e-9
@@ -553,3 +553,8 @@ def _table():
 
 
 OPERATORS = _table()
+
+
+def is_across_in(text, n_dims):
+    """Whether what a law's text has across a vector is defined: `perp` in a plane, `cross` not."""
+    return f"{'cross' if n_dims == 2 else 'perp'}(" not in text

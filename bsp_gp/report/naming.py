@@ -79,6 +79,8 @@ _WHOLE = (
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
+    (r"^\(1 [-+] sign\(([xyz])_i - \w+\)\) \* \(\w+ - \1_i\) \* e_\1$",
+     "spring along {0} on one side of a place (a bumper)"),
     (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",
      "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
     (r"norm\(.*centre_.*\)\^n\d* \* perp\(",

@@ -17,7 +17,7 @@ import numpy as np
 from bsp_gp.errors import BspError, GrammarError
 from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute, walk
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
-from bsp_gp.language.operators import Type
+from bsp_gp.language.operators import Type, is_across_in
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.evaluation import Settling
@@ -186,7 +186,8 @@ def read_forms(grammar, dataset, properties, available):
                 formula = parse_formula(each.removeprefix("1 * "), types, units=dataset.units)
             except BspError:  # it names what these data do not have
                 continue
-            if formula.inputs <= available and _are_told(formula, dataset):
+            is_defined = is_across_in(each, dataset.n_dims)
+            if is_defined and formula.inputs <= available and _are_told(formula, dataset):
                 _check(formula, each, table.get("ranges", {}))
                 own[formula] = None
         forms += [Form(Term(f, kind_of(f)), float(np.log(len(own)))) for f in own]

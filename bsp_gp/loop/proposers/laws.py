@@ -12,6 +12,7 @@ from bsp_gp.fitting.response import RESOLVED
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.grammar import PLACED
 from bsp_gp.language.inputs import SHORT, property_of
+from bsp_gp.language.operators import is_across_in
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
@@ -265,8 +266,7 @@ def _read(texts, lists, available, types, dataset):
             formula = parse_formula(text, types, units=dataset.units)
         except BspError:  # it names what these data do not have
             continue
-        absent = "cross" if dataset.n_dims == 2 else "perp"
-        if f"{absent}(" not in text and formula.inputs <= available:
+        if is_across_in(text, dataset.n_dims) and formula.inputs <= available:
             yield formula
 
 

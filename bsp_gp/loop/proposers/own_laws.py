@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.errors import EvaluationError, LawError, UnitError
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.operators import is_across_in
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
@@ -82,12 +83,8 @@ class OwnLaws:
 
     def _columns(self, view):
         """Forms, names of bodies, and moments of each form on each body, (F, n, B)."""
-        types, forms = dataset_types(view.dataset), []
-        for text in FORMS:
-            try:
-                forms.append(parse_formula(text, types))
-            except (LawError, UnitError):  # none across in space
-                continue
+        types, n_dims = dataset_types(view.dataset), view.dataset.n_dims
+        forms = [parse_formula(text, types) for text in FORMS if is_across_in(text, n_dims)]
         forms += [split_linear(f)[1] for f in (*self.laws.common, *view.leading)]
         known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
         kept, keys, out = [], [], []
