@@ -16,7 +16,10 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Periods", "Scan", "Wave", "rates_of", "variants", "wave_beside", "waves_alone"]
+__all__ = [
+    "Periods", "Scan", "Wave", "coordinate_of", "rates_of", "text_of", "variants", "wave_beside",
+    "waves_alone", "waving",
+]  # fmt: skip
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
@@ -269,39 +272,61 @@ def _proposal(view, rates, rate, axes, has_mass, is_placed, gain, ties):
     terms, constants = _push(view, axes, has_mass, is_placed)
     name = next(reversed(constants))
     constants[name] = rate
-    other = [_text(_push(view, axes, True, is_placed)[0])] if ties else []
+    other = [text_of(_push(view, axes, True, is_placed)[0])] if ties else []
     return Proposal(
-        "period", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
+        "period", text_of(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
         -(1 + has_mass + is_placed) * view.criteria.cause_nats - view.odd_nats, float(gain),
         2 * len(axes) + 1, {name: rate}, {name: (float(rates[0]), float(rates[-1]))},
         ties=tuple(other),
     )  # fmt: skip
 
 
-def _text(terms):
+def text_of(terms):
+    """Terms as one text."""
     return " + ".join(to_text(term.formula) for term in terms)
+
+
+def coordinate_of(types, axis):
+    """The coordinate along an axis, and the axis, as formulas."""
+    direction = Input(f"e_{'xyz'[axis]}", types[f"e_{'xyz'[axis]}"])
+    place = Call("sub", Input("p_i", types["p_i"]), Input("origin", types["origin"]))
+    return Call("dot", place, direction), direction
 
 
 def _push(view, axes, has_mass, is_placed=False):
     """Terms of one rate, one per axis, and their constants, the rate last."""
-    types, constants = dataset_types(view.dataset), {}
+    types = dataset_types(view.dataset)
     rate = Constant(fresh_name(view.fit.law, "w"))
     angle = Call("mul", rate, Input("t", types["t"]))
+    return waving(view, axes, rate, lambda axis: angle, has_mass, is_placed)
+
+
+def waving(view, axes, rate, angle_of, has_mass, is_placed=False):
+    """Terms with a cosine and a sine along every axis, and their constants, the rate last.
+
+    Parameters
+    ----------
+    view : View
+    axes : sequence of int
+    rate : Constant
+    angle_of : callable
+        Of an axis, with the rate in it.
+    has_mass, is_placed : bool
+        Whether they grow with the mass, and with the coordinate along their axis.
+    """
+    types, constants = dataset_types(view.dataset), {}
     terms, stems = [], iter(("a", "b", "g", "h", "k", "l"))
     for axis in axes:
         parts = []
         for wave in ("cos", "sin"):
             name = fresh_name(view.fit.law, next(stems))
             constants[name] = np.nan
-            parts.append(Call("mul", Constant(name), Call(wave, angle)))
+            parts.append(Call("mul", Constant(name), Call(wave, angle_of(axis))))
         formula = Call("add", *parts)
         if has_mass:
             formula = Call("mul", formula, Input("m_i", types["m_i"]))
-        direction = f"e_{'xyz'[axis]}"
+        coordinate, direction = coordinate_of(types, axis)
         if is_placed:
-            along = Call("sub", Input("p_i", types["p_i"]), Input("origin", types["origin"]))
-            along = Call("dot", along, Input(direction, types[direction]))
-            formula = Call("mul", formula, along)
-        formula = Call("mul", formula, Input(direction, types[direction]))
-        terms.append(Term(formula, "field"))
+            formula = Call("mul", formula, coordinate)
+        terms.append(Term(Call("mul", formula, direction), "field"))
     return tuple(terms), {**constants, rate.name: np.nan}

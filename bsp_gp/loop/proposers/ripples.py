@@ -6,12 +6,20 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Constant, Input
-from bsp_gp.language.render import to_text
+from bsp_gp.language.formula import Call, Constant
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.proposers.periods import MOST_FREQUENCIES, NYQUIST, OVERSAMPLING, Scan, variants
+from bsp_gp.loop.proposers.periods import (
+    MOST_FREQUENCIES,
+    NYQUIST,
+    OVERSAMPLING,
+    Scan,
+    coordinate_of,
+    text_of,
+    variants,
+    waving,
+)
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.physics.force import ForceLaw, fresh_name
 
 __all__ = ["Ripples"]
 
@@ -41,13 +49,13 @@ class Ripples:
         scan = _Placed(view, numbers, np.column_stack([view.left, view.draws_left]))
         for has_mass, weights, ties in variants(view):
             kernels = [scan.kernels(weights, axis) for axis in axes]
-            for along, gain in scan.gains(kernels).items():
-                even = as_pair(gain, 2 * len(along))
+            for chosen, gain in scan.gains(kernels).items():
+                even = as_pair(gain, 2 * len(chosen))
                 null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
                 k = int(np.argmax(gain[:, 0]))
-                number, most = scan.closer([kernels[a] for a in along], numbers[k], gain[k, 0])
-                chosen = tuple(axes[list(along)])
-                proposals.append(_proposal(view, numbers, number, chosen, has_mass, most, ties))
+                number, most = scan.closer([kernels[a] for a in chosen], numbers[k], gain[k, 0])
+                own = tuple(axes[list(chosen)])
+                proposals.append(_proposal(view, numbers, number, own, has_mass, most, ties))
         proposals.sort(key=lambda p: -p.promise)
         return Family(
             self.name, tuple(proposals), float(best), 2, null,
@@ -95,33 +103,19 @@ def _proposal(view, numbers, number, axes, has_mass, gain, ties):
     terms, constants = _ripple(view, axes, has_mass)
     name = next(reversed(constants))
     constants[name] = number
-    other = [_text(_ripple(view, axes, True)[0])] if ties else []
+    other = [text_of(_ripple(view, axes, True)[0])] if ties else []
     return Proposal(
-        "ripple", _text(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
+        "ripple", text_of(terms), view.hypothesis + Forces(ForceLaw(terms, constants)),
         -(1 + has_mass) * view.criteria.cause_nats, float(gain), 2 * len(axes) + 1,
         {name: number}, {name: (float(numbers[0]), float(numbers[-1]))}, ties=tuple(other),
     )  # fmt: skip
 
 
-def _text(terms):
-    return " + ".join(to_text(term.formula) for term in terms)
-
-
 def _ripple(view, axes, has_mass):
     """Terms of one wavenumber, one per axis, and their constants, the wavenumber last."""
-    types, constants = dataset_types(view.dataset), {}
-    number = Constant(fresh_name(view.fit.law, "q"))
-    terms, stems = [], iter(("a", "b", "g", "h", "k", "l"))
-    for axis in axes:
-        direction = Input(f"e_{'xyz'[axis]}", types[f"e_{'xyz'[axis]}"])
-        place = Call("sub", Input("p_i", types["p_i"]), Input("origin", types["origin"]))
-        angle, parts = Call("mul", number, Call("dot", place, direction)), []
-        for wave in ("cos", "sin"):
-            name = fresh_name(view.fit.law, next(stems))
-            constants[name] = np.nan
-            parts.append(Call("mul", Constant(name), Call(wave, angle)))
-        formula = Call("add", *parts)
-        if has_mass:
-            formula = Call("mul", formula, Input("m_i", types["m_i"]))
-        terms.append(Term(Call("mul", formula, direction), "field"))
-    return tuple(terms), {**constants, number.name: np.nan}
+    types, number = dataset_types(view.dataset), Constant(fresh_name(view.fit.law, "q"))
+
+    def angle(axis):
+        return Call("mul", number, coordinate_of(types, axis)[0])
+
+    return waving(view, axes, number, angle, has_mass)
