@@ -27,6 +27,9 @@ _REFUSALS = 8
 _HUGE = 1e125
 """Residuals and columns longer than this are those of a model that runs away."""
 _BLOCK = 256
+_KINK, _SLIGHT = 0.01, 1e-5
+"""Fall of chi-squared, in variances of the noise and as a part of it, that is none where no step
+makes it: friction that stops a body leaves kinks in the sum of squares."""
 _ACCEPTED, _POOR, _GOOD = 1e-4, 0.25, 0.75
 """Parts of the fall foreseen: from the first a step is taken, below the second the radius shrinks,
 above the third it grows."""
@@ -145,6 +148,8 @@ class _Descent:
                 code = "fall"
             else:
                 here, radius = released, np.inf
+        if code == "stalled" and self.settings.absolute:
+            code = "fall" if whole.fall < min(_KINK, _SLIGHT * here.chisqr) else code
         if code == "fall":
             here, whole = self.polish(here, self.solve(here, here.lengths, np.inf))
         return self.finish(here, whole, code, least)

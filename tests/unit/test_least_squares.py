@@ -360,3 +360,17 @@ def test_a_descent_that_gains_nothing_however_short_its_steps_is_given_up():
     found = minimise(problem, np.zeros(2), settings=Settings(max_linearised=60))
     assert (found.status, found.code) == ("unconverged", "stalled")
     assert problem.n_seen < 15
+
+
+def test_a_kink_in_which_no_step_gains_what_is_foreseen_is_an_end():
+    middle = float(np.mean(X + NOISE))
+
+    def kinked(p):  # whichever way it goes, more is left than the slope says
+        return np.append(X - p[0] + NOISE, 20.0 + 0.01 * np.abs(p[0] - middle))
+
+    problem = dense_problem(kinked, lambda p: np.append(-np.ones_like(X), -0.01)[:, None])
+    for slight, status in ((1e-6, "converged"), (0.0, "unconverged")):
+        settings = Settings(absolute=slight, max_linearised=60)
+        found = minimise(problem, [middle], settings=settings)
+        assert found.status == status
+        assert found.values[0] == pytest.approx(middle, abs=1e-2)
