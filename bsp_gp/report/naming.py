@@ -81,6 +81,8 @@ _WHOLE = (
      "force along {0} about a place, gone a length away (a dip or a bump)"),
     (r"^\(1 [-+] sign\(([xyz])_i - \w+\)\) \* \(\w+ - \1_i\) \* e_\1$",
      "spring along {0} on one side of a place (a bumper)"),
+    (r"^\(\(1 - sign\(([xyz])_i - \w+\)\) .*\(1 \+ sign\(\1_i - \w+\)\) .*\) \* e_\1$",
+     "springs along {0} at both ends (bumpers)"),
     (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",
      "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
     (r"norm\(.*centre_.*\)\^n\d* \* perp\(",
