@@ -108,6 +108,8 @@ def _times(node, factor):
     """A product with its leading number times a factor; None where none leads it."""
     if isinstance(node, Number):
         digits, *unit = node.text.split(" ", 1)
+        if digits.lstrip("-") == "pi":
+            return None
         text = " ".join([f"{float(digits) * factor:.6g}", *unit])
         return Number(node.value * factor, node.type.unit, text)
     if isinstance(node, Call) and node.operator in ("mul", "div", "neg"):

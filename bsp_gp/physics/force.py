@@ -393,7 +393,7 @@ def fresh_name(law, stem="c"):
 
 def fresh_names(law, names, stem=None):
     """New names for constants that the law does not use: their own or a stem, with numbers."""
-    taken, out = set(law.names), {}
+    taken, out = {name.partition("[")[0] for name in law.names}, {}
     for name in names:
         own = name.rstrip("0123456789") if stem is None else stem
         out[name] = next(n for k in count(1) if (n := f"{own}{k}") not in taken)

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposers.exponents import rounding_of
 from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import fresh_name
 from tests.planted import SI
 
 TIMES = np.arange(240) / 60.0
@@ -70,3 +73,18 @@ def test_declared_numbers_that_are_all_wrong_are_told_together():
     assert -6 * (1 + changed["s2"]) == pytest.approx(-1.7, abs=0.05)
     stiffness = re.match(r"-(10\.\d+) \[1/s\^2\] \* m_i", report.law_text)
     assert float(stiffness[1]) == pytest.approx(10.6, abs=0.05)
+
+
+def test_a_changed_number_is_printed_where_a_number_leads_the_term():
+    types = dataset_types(swings())
+    law = parse_formula("(1 + s1) * (-9.81 [m/s^2] * m_i * e_y)", types)
+    assert to_text(law, {"s1": 0.5}) == "-14.715 [m/s^2] * m_i * e_y"
+    named = parse_formula("(1 + s1) * (pi * m_i * e_y)", types)
+    assert to_text(named, {"s1": 0.5}) == "(1 + 0.5) * (pi * m_i * e_y)"
+    assert to_text(law) == "(1 + s1) * (-9.81 [m/s^2] * m_i * e_y)"
+
+
+def test_a_new_constant_is_none_that_bodies_have_of_their_own():
+    data = swings()
+    law = read_law(data, ["c1[body] * v_i"])
+    assert fresh_name(law) == "c2"

@@ -15,7 +15,7 @@ from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
-__all__ = ["ByOwner", "evidence_of"]
+__all__ = ["ByOwner", "evidence_of", "forms_of"]
 
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
@@ -46,7 +46,7 @@ class ByOwner:
         """
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
-        for rest in self._forms(view):
+        for rest in forms_of(self.laws, view):
             for by, ties in owners(view, FEWEST).items():
                 try:
                     keys, columns = columns_by(view, Term(rest), {}, by)
@@ -71,12 +71,21 @@ class ByOwner:
         proposals.sort(key=lambda p: -p.promise)
         return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
 
-    def _forms(self, view):
-        """Formulas without constants of their own that the law has not yet."""
-        known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
-        forms = [*self.laws.common, *view.leading]
-        forms = dict.fromkeys(split_linear(f)[1] for f in forms)
-        return [f for f in forms if not f.constants and f not in known]
+
+def forms_of(laws, view, more=()):
+    """Formulas without constants of their own that the law has not yet.
+
+    Parameters
+    ----------
+    laws : Laws
+        Asked before in this round.
+    view : View
+    more : sequence of Formula
+        Forms beside those of textbooks and the leading ones of the search.
+    """
+    known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
+    forms = dict.fromkeys(split_linear(f)[1] for f in (*more, *laws.common, *view.leading))
+    return [f for f in forms if not f.constants and f not in known]
 
 
 def _add(found, statistic, proposal):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from bsp_gp.language.formula import Call, Constant, Number, factors, walk
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
-from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 
 __all__ = ["Declared", "base_of", "is_size", "power_of", "rounding_of", "typical_value"]
 
@@ -77,8 +76,9 @@ class Declared:
     def _numbers(self, view, places, score):
         """All declared numbers at once, each a cause that is doubted."""
         law, hypothesis, starts = view.fit.law, view.hypothesis, {}
+        names = fresh_names(law, places, "s")
         for index, amount in zip(places, score.amplitudes, strict=True):
-            name = next(n for k in count(1) if (n := f"s{k}") not in {*law.names, *starts})
+            name = names[index]
             starts[name] = float(amount)
             formula = Call("mul", _changed(name), law.terms[index].formula)
             hypothesis = with_term_at(hypothesis, index, formula, {name: 0.0})

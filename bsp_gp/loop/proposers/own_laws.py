@@ -13,10 +13,10 @@ from bsp_gp.language.operators import is_across_in
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
-from bsp_gp.loop.proposers.by_owner import evidence_of
+from bsp_gp.loop.proposers.by_owner import evidence_of, forms_of
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import Term, split_linear
+from bsp_gp.physics.force import Term, fresh_names
 
 __all__ = ["OwnLaws"]
 
@@ -84,13 +84,9 @@ class OwnLaws:
     def _columns(self, view):
         """Forms, names of bodies, and moments of each form on each body, (F, n, B)."""
         types, n_dims = dataset_types(view.dataset), view.dataset.n_dims
-        forms = [parse_formula(text, types) for text in FORMS if is_across_in(text, n_dims)]
-        forms += [split_linear(f)[1] for f in (*self.laws.common, *view.leading)]
-        known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
+        own = [parse_formula(text, types) for text in FORMS if is_across_in(text, n_dims)]
         kept, keys, out = [], [], []
-        for form in dict.fromkeys(forms):
-            if form.constants or form in known:
-                continue
+        for form in forms_of(self.laws, view, own):
             try:
                 keys, columns = columns_by(view, Term(form), {}, "body")
             except EvaluationError:
@@ -103,8 +99,7 @@ class OwnLaws:
 
 def _chosen(view, columns):
     """Which columns (C, n) are needed one beside the other, those that later ones replace aside."""
-    beside = view.beside(columns.T)
-    left, rest, out = view.left, beside, []
+    left, rest, out = view.left, view.beside(columns.T), []
     # What chance gives the best of so many, and a cause more.
     needed = 2 * (np.log(len(columns)) + view.criteria.cause_nats)
     least = max(needed, SHARE * float(left @ left))
@@ -118,18 +113,13 @@ def _chosen(view, columns):
         left = left - unit[:, k] * (unit[:, k] @ left)
         rest = rest - np.outer(unit[:, k], unit[:, k] @ rest)
     while len(out) > 1:
-        gain = _gain(view.left, beside[:, out])
-        losses = [gain - _gain(view.left, beside[:, [k for k in out if k != one]]) for one in out]
+        fewer = [[k for k in out if k != one] for one in out]
+        gain, *others = (view.score_forces(columns[own].T).statistic for own in (out, *fewer))
+        losses = [gain - other for other in others]
         if min(losses) > needed:
             break
         del out[int(np.argmin(losses))]
     return out
-
-
-def _gain(left, columns):
-    """Chi-squared that columns (n, c) take off together."""
-    q, _ = np.linalg.qr(columns)
-    return float(np.square(q.T @ left).sum())
 
 
 def _unit(rest, columns):
@@ -142,10 +132,9 @@ def _unit(rest, columns):
 def _proposal(view, forms, keys, score, height):
     hypothesis, formulas = view.hypothesis, []
     amplitudes = score.amplitudes.reshape(len(forms), len(keys))
-    names = set(view.fit.law.names)
-    for form, own in zip(forms, amplitudes, strict=True):
-        name = next(n for k in range(1, 99) if (n := f"c{k}[body]") not in names)
-        names.add(name)
+    names = fresh_names(view.fit.law, range(len(forms)), "c").values()
+    for stem, form, own in zip(names, forms, amplitudes, strict=True):
+        name = f"{stem}[body]"
         formulas.append(Call("mul", Constant(name), form))
         table = dict(zip(keys, own.tolist(), strict=True))
         hypothesis = with_term(hypothesis, Term(formulas[-1]), {name: table})

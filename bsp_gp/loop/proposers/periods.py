@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
 __all__ = [
-    "Periods", "Scan", "Wave", "coordinate_of", "rates_of", "text_of", "variants", "wave_beside",
-    "waves_alone", "waving",
+    "Periods", "Scan", "Wave", "coordinate_of", "rates_of", "scanned", "text_of", "variants",
+    "wave_beside", "waves_alone", "waving",
 ]  # fmt: skip
 
 OVERSAMPLING = 4
@@ -46,27 +47,42 @@ class Periods:
         """
         rates = rates_of(view)
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
-        null = np.zeros(view.moment_draws.shape[1])
         if not len(rates):
-            return Family(self.name, null=null)
+            return Family(self.name, null=np.zeros(view.moment_draws.shape[1]))
         scan = Scan(view, rates, np.column_stack([view.left, view.draws_left]))
-        proposals, best = [], 0.0
-        for (has_mass, weights, ties), is_placed in _kinds(view):
-            kernels = [scan.kernels(weights, axis, is_placed) for axis in axes]
-            for along, gain in scan.gains(kernels).items():
-                even = as_pair(gain, 2 * len(along))  # all as if of two numbers
-                null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
-                k = int(np.argmax(gain[:, 0]))
-                rate, most = scan.closer([kernels[a] for a in along], rates[k], gain[k, 0])
-                chosen = tuple(axes[list(along)])
-                proposals.append(
-                    _proposal(view, rates, rate, chosen, has_mass, is_placed, most, ties)
-                )
-        proposals.sort(key=lambda p: -p.promise)
-        return Family(
-            self.name, tuple(proposals), float(best), 2, null,
-            n_tried=len(rates) * len(proposals), is_continuum=True,
+        kinds = (
+            ([scan.kernels(weights, axis, is_placed) for axis in axes],
+             partial(_proposal, view, rates, has_mass, is_placed, ties))
+            for (has_mass, weights, ties), is_placed in _kinds(view)
         )  # fmt: skip
+        return scanned(self.name, scan, axes, kinds)
+
+
+def scanned(name, scan, axes, kinds):
+    """The family of the best rate along every axis, and along all, of every kind of wave.
+
+    Parameters
+    ----------
+    name : str
+    scan : Scan
+        Of the data and draws of noise.
+    axes : ndarray of int
+    kinds : iterable of (list, callable)
+        Kernels by axis, and ``proposal(axes, rate, gain)``.
+    """
+    null, proposals, best = np.zeros(scan.targets.shape[1] - 1), [], 0.0
+    for kernels, proposal in kinds:
+        for along, gain in scan.gains(kernels).items():
+            even = as_pair(gain, 2 * len(along))  # all as if of two numbers
+            null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
+            k = int(np.argmax(gain[:, 0]))
+            rate, most = scan.closer([kernels[a] for a in along], scan.rates[k], gain[k, 0])
+            proposals.append(proposal(tuple(axes[list(along)]), rate, most))
+    proposals.sort(key=lambda p: -p.promise)
+    return Family(
+        name, tuple(proposals), float(best), 2, null,
+        n_tried=len(scan.rates) * len(proposals), is_continuum=True,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +284,7 @@ def _kinds(view):
             yield variant, is_placed
 
 
-def _proposal(view, rates, rate, axes, has_mass, is_placed, gain, ties):
+def _proposal(view, rates, has_mass, is_placed, ties, axes, rate, gain):
     terms, constants = _push(view, axes, has_mass, is_placed)
     name = next(reversed(constants))
     constants[name] = rate

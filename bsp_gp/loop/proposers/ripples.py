@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces
-from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.periods import (
@@ -14,6 +15,7 @@ from bsp_gp.loop.proposers.periods import (
     OVERSAMPLING,
     Scan,
     coordinate_of,
+    scanned,
     text_of,
     variants,
     waving,
@@ -41,26 +43,17 @@ class Ripples:
         ----------
         view : View
         """
-        null, proposals, best = np.zeros(view.moment_draws.shape[1]), [], 0.0
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         numbers = _wavenumbers(view, axes)
         if view.is_astronomical or not len(numbers):
-            return Family(self.name, null=null)
+            return Family(self.name, null=np.zeros(view.moment_draws.shape[1]))
         scan = _Placed(view, numbers, np.column_stack([view.left, view.draws_left]))
-        for has_mass, weights, ties in variants(view):
-            kernels = [scan.kernels(weights, axis) for axis in axes]
-            for chosen, gain in scan.gains(kernels).items():
-                even = as_pair(gain, 2 * len(chosen))
-                null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
-                k = int(np.argmax(gain[:, 0]))
-                number, most = scan.closer([kernels[a] for a in chosen], numbers[k], gain[k, 0])
-                own = tuple(axes[list(chosen)])
-                proposals.append(_proposal(view, numbers, number, own, has_mass, most, ties))
-        proposals.sort(key=lambda p: -p.promise)
-        return Family(
-            self.name, tuple(proposals), float(best), 2, null,
-            n_tried=len(numbers) * len(proposals), is_continuum=True,
+        kinds = (
+            ([scan.kernels(weights, axis) for axis in axes],
+             partial(_proposal, view, numbers, has_mass, ties))
+            for has_mass, weights, ties in variants(view)
         )  # fmt: skip
+        return scanned(self.name, scan, axes, kinds)
 
 
 class _Placed(Scan):
@@ -99,7 +92,7 @@ def _wavenumbers(view, axes):
     return low * (1 + np.arange(min(count, MOST_FREQUENCIES)) / (OVERSAMPLING * FEWEST))
 
 
-def _proposal(view, numbers, number, axes, has_mass, gain, ties):
+def _proposal(view, numbers, has_mass, ties, axes, number, gain):
     terms, constants = _ripple(view, axes, has_mass)
     name = next(reversed(constants))
     constants[name] = number
