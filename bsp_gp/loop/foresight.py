@@ -19,6 +19,9 @@ N_COPIES = 40
 LEVEL = 0.01
 """At which they are: causes of which predictions hardly depend are many."""
 WIDER = special.ndtri(LEVEL) / special.ndtri(0.05)
+WORSE = 1.01
+"""Ratio of errors up to which predictions are as before: a thrust that is over when they begin
+changes nothing of them but rounding."""
 NO_BETTER = 0.95
 """Ratio of errors above which predictions are no better: a law beside which something is left is
 worth what it foresees."""
@@ -64,7 +67,7 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
 
         ratios.append(ratio(0).value)
         # Only where predictions are worse does it matter whether that is chance.
-        if ratios[-1] > 1 and _is_surely_worse(ratio(N_COPIES)):
+        if ratios[-1] > WORSE and _is_surely_worse(ratio(N_COPIES)):
             ratios.pop()
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break

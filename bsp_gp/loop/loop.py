@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import operator
 import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
@@ -16,6 +18,7 @@ from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
+from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -32,6 +35,13 @@ much is told from the same moments as it."""
 SPARE = {True: 0.02, False: 0.002}
 """Of a kept promise: what others may be off by that rows make, since they are not linear in the
 numbers of an instrument; and moments, beside what the kept one leaves of them beyond the noise."""
+UNEVEN = 0.02
+"""Of the greatest promise, for each number that a cause adds: by so much promises are off far from
+the tracks, and of those that differ by less the simpler is fitted first."""
+WITHIN_NOISE = 3.0
+"""Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
+LITTLE = 0.1
+"""Of what a fit left, that forces beside it must promise to be fitted."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_OF_ALL = 0.9
@@ -259,6 +269,8 @@ class _Turn:
         # greatest promise that was kept by what leaves no misfit, and what that may be off by.
         self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
         self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
+        self.enough = math.inf  # laws that leave nothing beyond the noise
+        self.explained = None  # what the first of those says of others
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -304,13 +316,16 @@ class _Turn:
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
         n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
+        heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
+        broken = []  # proposals of all there is that left much, and nats that they left
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
                 break
-            # A single cause is of its family's own measure, like the first.
-            is_first = k < n_first and proposal.rank < asked.get(source, math.inf)
+            # A single cause is of its family's own measure, like the best.
+            is_lesser = proposal.rank < asked.get(source, math.inf)
+            is_first = k < n_first and (is_lesser or proposal is heads[source])
             asked[source] = min(proposal.rank, asked.get(source, math.inf))
             measure, is_again = self.measure.get(source, False), k >= n_first
             measures = {measure} if is_first else {False, True}
@@ -320,6 +335,13 @@ class _Turn:
                 continue  # whatever its measure, when all is explained
             if is_again and not self._is_ahead(left[k]):
                 continue  # of another fit since less is left
+            if len(proposal.formulas) > self.enough:
+                continue  # a sum, where fewer laws leave nothing
+            if any(_adds_little(proposal, *failed) for failed in broken):
+                continue
+            near = 0.0 if is_again else 2 * self.run.criteria.class_nats
+            if self._nats_behind(proposal) > near:
+                continue
             if len(controls) <= k < n_first:
                 if not n_left:
                     continue
@@ -334,6 +356,9 @@ class _Turn:
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
+            if proposal.is_sole and row.id in self.judged:
+                left_of = 0.5 * (self.judged[row.id] - 1.0) * self.fits[row.id].n_rows
+                broken.append((proposal, left_of))
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
             if row.is_fit:
@@ -384,6 +409,19 @@ class _Turn:
             return False  # moments cannot promise more
         return REACH * (proposal.promise + self.run.criteria.class_nats) < found
 
+    def _explained(self, row, proposal, found):
+        """What a law that leaves nothing says of others, where that is more than they promise."""
+        if not proposal.promise > FAR_BEHIND or self.run.clock.is_over:
+            return None
+        try:
+            return Explained(row, proposal, found, self.run.dataset)
+        except FAULTS:
+            return None
+
+    def _nats_behind(self, proposal):
+        """How far a proposal is behind a law that leaves nothing; nan where that is not told."""
+        return self.explained.behind(proposal) if self.explained else math.nan
+
     def _is_ahead(self, row):
         """Whether a descent was left where less is unexplained than beside any fit so far."""
         others = (self._left(f) for k, f in self.fits.items() if k != row.id and not f.is_failed)
@@ -404,6 +442,10 @@ class _Turn:
         # Promises are made under the pure error; the base may have been fitted under a larger one.
         dof = new.n_rows - new.n_free
         left = max(self._left(new) - 1.0, 0.0) * dof
+        if proposal.formulas and left < WITHIN_NOISE * math.sqrt(2.0 * dof):
+            self.enough = min(len(proposal.formulas), self.enough)
+            if self.explained is None and row.log_posterior > self.rows[0].log_posterior:
+                self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
         is_kept = new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise
@@ -430,9 +472,12 @@ class _Turn:
         equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
         for source, proposal in every:
-            if source not in above:
+            if source not in above or len(proposal.formulas) > self.enough:
                 continue
             own = above[source]
+            if not math.isnan(self._nats_behind(proposal)):  # told by more than promises
+                self._tell_told(source, proposal, least, equal, known)
+                continue
             # Where none of so many numbers was fitted, no more is expected than of any other.
             offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
             evidence = offset + proposal.promise - proposal.log_prior
@@ -445,6 +490,18 @@ class _Turn:
                     height + 0.5 * proposal.gain,
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
+
+    def _tell_told(self, source, proposal, least, equal, known):
+        """A row of a law of which another has told how it would do."""
+        row, mine, loss = self.explained.row, self.explained.proposal, self.explained.loss(proposal)
+        evidence = row.log_evidence - loss + proposal.volume - mine.volume
+        is_near = evidence + proposal.log_prior > least or evidence > equal
+        if is_near and proposal.key not in known:
+            known.add(proposal.key)
+            self._add(
+                source, proposal, "scored", evidence, row.log_likelihood - loss,
+                self.base.n_free + proposal.rank, HeldOut(),
+            )  # fmt: skip
 
     def _fits(self, queue):
         """The fits of a queue of proposals, as `Work`; what is far behind is not begun early."""
@@ -537,6 +594,16 @@ def _fit_of(shared, job):
     return new, best, evidence
 
 
+def _adds_little(proposal, failed, left):
+    """Whether a proposal adds forces to one that failed, which promise little of what it left."""
+    mine, theirs = (
+        [part for part in p.hypothesis.parts if not isinstance(part, Forces)]
+        for p in (proposal, failed)
+    )
+    is_same = len(mine) == len(theirs) and all(map(operator.is_, mine, theirs))
+    return is_same and proposal.promise - failed.promise < LITTLE * left
+
+
 def _without_weakest(proposal, found, criteria):
     """A sum of laws without its weakest term, from where its fit is; None if all are strong."""
     strengths = {}
@@ -580,9 +647,16 @@ def _chosen(every, clear, criteria):
                 others.setdefault((name, proposal.rank), (name, proposal))
                 others.setdefault((name, proposal.lead), (name, proposal))
     near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
-    chosen, keys = [], set()
-    for name, proposal in [*best.values(), *simplest.values(), *others.values(), *near]:
-        if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
-            chosen.append((name, proposal))
-            keys.add(proposal.key)
+    chosen, keys, groups = [], set(), ([*best.values(), *simplest.values()], others.values(), near)
+    for group in groups:
+        # Far from the tracks the simpler may explain all, where a sum does not converge.
+        for name, proposal in sorted(group, key=lambda pair: -_evened(pair[1], top)):
+            if (name, proposal) not in chosen and (proposal.key not in keys or proposal.starts):
+                chosen.append((name, proposal))
+                keys.add(proposal.key)
     return sorted(chosen, key=lambda pair: (not pair[1].is_first, not pair[1].is_sole))
+
+
+def _evened(proposal, top):
+    """What a proposal promises, of those that differ by less than promises are off the simplest."""
+    return proposal.promise - UNEVEN * top * proposal.rank

@@ -183,12 +183,13 @@ def held_out_gain(base, other):
     Returns
     -------
     HeldOut
-        nan where there are fewer than two scenes, or numbers that no other scene tells differ.
+        nan where there are fewer than two scenes, where numbers that no other scene tells differ,
+        or rows are left out, of which nothing is foreseen.
     """
     names = np.unique(base.row_scenes)
     if len(names) < 2 or base.is_failed or other.is_failed:
         return HeldOut()
-    if _count_alone(base, names) != _count_alone(other, names):
+    if _count_alone(base, names) != _count_alone(other, names) or other.n_rows < base.n_rows:
         return HeldOut()
     scale = _level(other) / _level(base)
     a, b = _scores(base, names, scale), _scores(other, names, 1.0)

@@ -188,7 +188,7 @@ def powers_sentence(round_):
     """Which powers of speed and distance the data allow in what a round found; "" if none."""
     effect, told = round_.effect, {}
     for e in effect.exponents if effect is not None else ():
-        if not e["stated"] and e["low"] <= 0 <= e["high"]:
+        if not e["stated"] and _is_about_zero(e):
             continue  # what a law rightly lacks is not told
         size = _SIZES.get(e["of"], e["of"])
         text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
@@ -209,6 +209,12 @@ def powers_sentence(round_):
         varies = _joined(dict.fromkeys(varies))
         parts.append(f"Its strength is not constant: it changes with {varies}.")
     return " ".join(parts)
+
+
+def _is_about_zero(exponent):
+    """Whether zero is within twice the interval: one in ten intervals at 90 % is beside it."""
+    low, value, high = (exponent[key] for key in ("low", "value", "high"))
+    return not (low > 0 or high < 0) or 2 * low - value <= 0 <= 2 * high - value
 
 
 _SIZES = {

@@ -14,6 +14,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.by_owner import evidence_of, forms_of
+from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_names
@@ -106,7 +107,8 @@ def _chosen(view, columns):
     for _ in range(MOST_FORMS):
         unit, _ = _unit(rest, columns)
         gains = np.square(left @ unit)
-        k = int(np.argmax(gains))
+        # Laws that differ by what a constant of a body takes up are one: the first has no more.
+        k = int(np.argmax(gains >= (1 - SAME) * gains.max()))
         if gains[k] < least:
             break
         out.append(k)
