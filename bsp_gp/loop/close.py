@@ -38,7 +38,7 @@ from bsp_gp.loop.backward import prune
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
-from bsp_gp.loop.foresight import that_foresee
+from bsp_gp.loop.foresight import is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
@@ -173,7 +173,7 @@ def close_loop(
             earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
         )
     rounds = look(ready, round_rng, begun, on_round=on_round, earlier=earlier)
-    is_cut = is_swapped = False
+    is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
         says("looking at what was held out")
@@ -181,9 +181,9 @@ def close_loop(
         found = look(other, swapped_rng, other.begin(starts, bounds, clock))
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
-            ready, rounds, is_swapped = other, found, True
+            ready, rounds = other, found
     foreseen: dict = {}
-    if not is_swapped:  # what acts in those scenes only foresees nothing of the others
+    if not ready.is_swapped:  # what acts in those scenes only foresees nothing of the others
         left = None if time_limit is None else time_limit - (time.monotonic() - began)
         until = Clock(None if left is None else left + LATE_S)
         rounds = that_foresee(
@@ -242,7 +242,11 @@ class _Ready:
     lost : tuple of str
         Scenes that are not learned from, since no path under the declared law follows them.
     noise : NoiseEstimate
+    is_swapped : bool
+        Whether train and test were swapped.
     """
+
+    is_swapped = False
 
     def __init__(self, dataset, declared, rng):
         latents = declared_latents(dataset) if dataset.latents else None
@@ -278,12 +282,19 @@ class _Ready:
         """Whether scenes are held out that are not learned from."""
         return bool(self.split.test) and self.before_cut is None
 
+    @property
+    def everything(self):
+        """All scenes as fits take them."""
+        scenes = (*self.split.learned, *self.split.test)
+        return training_part(self.dataset, scenes, self.noise)[0]
+
     def swapped(self, noise):
         """The same with train and test swapped; a memory of the noise that was told is known there.
 
         Few scenes tell little of it, and what it does there would pass for a force.
         """
         other = copy(self)
+        other.is_swapped = True
         other._learn_from(self.split.swapped)
         model = other.hypothesis.noise
         if noise.correlated and model.is_free.any() and not model.is_correlation_known:
@@ -390,10 +401,14 @@ def _written(
     scenes = () if is_late else ready.split.test
     accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew, foreseen)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
+    refuted = last is not first and not is_late and ready.has_more and not ready.is_swapped
+    refuted = refuted and is_refuted(
+        last, pruned.hypothesis, accounts, ready.everything, late.left
+    )  # fmt: skip
     records = [
         writing_up.record_of(
             done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed,
-            asked, criteria,
+            asked, criteria, refuted,
         )
         for done in rounds
     ]

@@ -8,11 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from scipy import special
+from scipy import special, stats
 
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
+from bsp_gp.loop.proposal import FAULTS, continued
 
-__all__ = ["that_foresee"]
+__all__ = ["FORESEEING", "is_refuted", "that_foresee"]
 
 N_COPIES = 40
 """Simulated copies of the held-out scenes that say whether predictions are surely worse."""
@@ -25,6 +28,8 @@ changes nothing of them but rounding."""
 NO_BETTER = 0.95
 """Ratio of errors above which predictions are no better: a law beside which something is left is
 worth what it foresees."""
+BEYOND = 1.5
+"""Times the error that noise makes, above which it is asked whether a law holds there."""
 FORESEEING = ("force", "constraint", "wall", "hidden_body")
 """Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 
@@ -74,6 +79,39 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     if rounds[-1].decision.verdict == "nothing missing":
         return list(rounds)
     return _that_help(rounds, ratios)
+
+
+def is_refuted(found, hypothesis, accounts, whole, deadline=None):
+    """Whether what was held out does not follow a law within the noise, whatever its numbers.
+
+    All scenes are fitted together under the noise of those that the law was found in: what the
+    others add to chi-squared is compared with what these leave.
+
+    Parameters
+    ----------
+    found : Fit
+        The final law, to the scenes that it was found in.
+    hypothesis : Hypothesis
+    accounts : Accounts
+        Errors of its predictions are the last there.
+    whole : Dataset
+        All scenes, as fits take them.
+    deadline : float, optional
+        Seconds.
+    """
+    error, floor = accounts.errors(-1).rollout_rmse, accounts.floor.rollout_rmse
+    if found.is_failed or not error > BEYOND * floor:
+        return False
+    noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
+    try:
+        every = fit(continued(hypothesis, found) + TrackNoise(noise), whole, deadline=deadline)
+    except FAULTS:
+        return False
+    more = every.n_rows - every.n_free - (found.n_rows - found.n_free)
+    if every.is_failed or more < 1:
+        return False
+    left = (every.chisqr - found.chisqr) / more / max(found.chi2_red, 1.0)
+    return bool(stats.f.sf(left, more, found.n_rows - found.n_free) < LEVEL)
 
 
 def _that_help(rounds, ratios):

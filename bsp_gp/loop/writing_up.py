@@ -17,6 +17,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.decide import share_of_listed
+from bsp_gp.loop.foresight import FORESEEING
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
@@ -33,6 +34,8 @@ HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
+DESCRIBES = {*UNLISTED.values(), "held_out_disagrees"}
+"""Why a law only describes the tracks."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -40,7 +43,9 @@ LEAST_LIKELY = 1e-4
 """Rows less likely are told without their constants."""
 
 
-def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, criteria):
+def record_of(
+    done, scored, accounts, dataset, bounds, is_removed, constancy, criteria, is_refuted=False
+):  # fmt: skip
     """The record of a round.
 
     Parameters
@@ -57,6 +62,8 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
     constancy : Constancy or None
         Of the final law; None where there was no time to ask.
     criteria : Criteria
+    is_refuted : bool
+        Whether what was held out does not follow the final law.
 
     Returns
     -------
@@ -71,6 +78,8 @@ def record_of(done, scored, accounts, dataset, bounds, is_removed, constancy, cr
         verdict, reason = "effective law", "strength_varies"
     elif verdict == "effect adopted" and unlisted is not None:
         verdict, reason = "effective law", UNLISTED[unlisted.code]
+    elif verdict == "effect adopted" and is_refuted and decision.best.kind in FORESEEING:
+        verdict, reason = "effective law", "held_out_disagrees"
     return RoundRecord(
         number=done.number,
         missing=Missing(
@@ -103,7 +112,7 @@ def judged_together(records):
     something is left that nothing explains, no form is a fact.
     """
     reasons = {r.reason for r in records if r.adopted}
-    is_description = bool(reasons & set(UNLISTED.values()))
+    is_description = bool(reasons & DESCRIBES)
     last = records[-1]
     is_left = not last.adopted and last.verdict != "nothing missing"
     if not (is_description or is_left):

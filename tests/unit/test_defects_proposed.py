@@ -9,6 +9,7 @@ import pytest
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted, Swapped
+from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import CAUSES
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.defects import Defects
@@ -169,3 +170,13 @@ def test_evidence_of_a_defect_does_not_change_with_the_unit_of_length():
             log_evidence(new, best.hypothesis) - log_evidence(view.fit, view.hypothesis)
         )
     assert gains[0] == pytest.approx(gains[1], abs=1e-4)
+
+
+def test_rows_that_are_left_out_are_foreseen_by_nobody():
+    """Of another scene's outlier no scene foretells anything: it was refused for that."""
+    data = replace(throws(np.random.default_rng(1), n_scenes=5, n_rows=50), noise=None)
+    for scene, row, by in ((3, 20, 0.2), (2, 0, -0.15)):
+        data = edited(data, lambda p, row=row, by=by: p.__setitem__(row, p[row] + by), scene)
+    report = close_loop(data, [GRAVITY], rng=0, n_bootstrap=20)
+    assert [r.reason for r in report.rounds] == ["adopted", "not_significant"]
+    assert report.rounds[0].effect.code == "bad_row"

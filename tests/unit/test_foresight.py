@@ -8,9 +8,9 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
-from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.accounts import Accounts, Ratio
 from bsp_gp.loop.decide import Decision
-from bsp_gp.loop.foresight import _is_surely_worse, that_foresee
+from bsp_gp.loop.foresight import _is_surely_worse, is_refuted, that_foresee
 from bsp_gp.loop.loop import Round
 from tests.unit.test_response import GRAVITY, thrown
 
@@ -64,6 +64,34 @@ def test_what_came_before_a_cause_that_changes_nothing_stays(world):
     first, second = looked_at(world, good, same)
     assert first.decision.is_adopted
     assert (second.decision.is_adopted, second.decision.reason) == (False, "predictions_no_better")
+
+
+def test_a_cause_that_changes_predictions_by_rounding_makes_them_no_worse(world):
+    hardly = [GRAVITY], [GRAVITY, "1e-13 [m/s^2] * m_i * e_x"]
+    (done,) = looked_at(world, hardly)
+    assert done.decision.reason == "predictions_no_better"  # and so for the other way round
+    (done,) = looked_at(world, hardly[::-1])
+    assert done.decision.reason == "predictions_no_better"
+
+
+def asked_of(dataset, laws, n_copies=40):
+    """Whether what was held out follows laws that were fitted to the other scenes."""
+    train, test = replace(dataset, scenes=dataset.scenes[:4]), dataset.scenes[4:]
+    hypothesis = Hypothesis.from_laws(train, laws)
+    found = fit(hypothesis, train)
+    accounts = Accounts([found], dataset, test, np.random.default_rng(0), n_copies)
+    return is_refuted(found, hypothesis, accounts, dataset)
+
+
+def test_a_law_that_held_out_scenes_do_not_follow_is_refuted(world):
+    laws = ["-c * m_i * e_y"]
+    assert not asked_of(world, laws)
+    times = world.scenes[-1].times
+    pushed = np.array(world.scenes[-1].positions)
+    pushed[..., 0] += 0.3 * np.square(times)[:, None]  # 0.6 m/s^2 in one of them alone
+    other = replace(world, scenes=(*world.scenes[:-1], replace(world.scenes[-1], positions=pushed)))
+    assert asked_of(other, laws)
+    assert not asked_of(other, laws, n_copies=0)  # without a floor nothing is said
 
 
 def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
