@@ -126,7 +126,7 @@ _GUESSES = {
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
                   " wurf throw drop shot release flight fall swing attempt recording aufnahme"
                   " repetition scene szene take durchgang durchlauf messreihe lancer lanzamiento"
-                  " lancio"),
+                  " lancio clip video launch toss kick"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
     "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),

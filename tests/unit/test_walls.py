@@ -236,12 +236,20 @@ def test_a_cart_between_two_bumpers_is_told_with_its_drag():
 
 @pytest.mark.parametrize(
     "text", ["bounce(y_i)", "bounce(z_i > h, e)", "bounce(y_i > h, 0.8)", "bounce(y_i = h)",
-             "bounce(y_i > 3x, e)", "bounce(y_i > h, a, b, c, d)"],
+             "bounce(y_i > 3x, e)", "bounce(y_i > h, a, b, c, d)", "bounce(y_i > 3 [s], e)",
+             "bounce(y_i > 3 [m, e)", "bounce(y_i > 2*3 [m], e)"],
 )  # fmt: skip
 def test_a_wall_that_says_no_place_is_refused_with_what_is_right(text):
     data = bounces(np.random.default_rng(0))
     with pytest.raises(LawError, match="bounce"):
         read_law(data, [text])
+
+
+@pytest.mark.parametrize("place, at", [("0.2", 0.2), ("-25 [cm]", -0.25), ("0.2[m]", 0.2)])
+def test_the_place_of_a_wall_may_have_a_unit(place, at):
+    data = bounces(np.random.default_rng(0))
+    (wall,) = read_law(data, [f"bounce(y_i > {place}, e)"]).frame
+    assert wall.parameters[0].start == pytest.approx(at)
 
 
 def test_a_wall_is_written_as_it_is_typed():

@@ -10,12 +10,14 @@ import numpy as np
 from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
+from bsp_gp.language.formula import Number
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS, Unit
 
 __all__ = ["Wall", "count_of", "is_wall", "places_of", "read_wall", "wall_of"]
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
-_SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,]+)\s*")
+_SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,\[\]]+(?:\s*\[[^\[\]]*\])?)\s*")
 LENGTH = Unit.of(m=1)
 TILTED = 0.05
 """Radians by which a wall is likely to stand askew of an axis."""
@@ -110,6 +112,26 @@ def wall_of(names, axis, side, n_dims, values, extent):
     return Wall(axis, side, n_dims, numbers)
 
 
+def _place(dataset, text, number, axis):
+    """Where a wall is said to be, m."""
+    declared = dict(dataset.units.declared)
+    try:
+        return float(number) * Conversion(declared, declared).length(axis)
+    except ValueError:
+        pass
+    sign, digits = ("-", number[1:]) if number.startswith("-") else ("", number)
+    try:
+        place, why = parse_formula(digits, {}, units=dataset.units), ""
+    except LawError as error:
+        place, why = None, f"; {error}"
+    if not isinstance(place, Number) or place.type.unit != LENGTH:
+        raise LawError(
+            f"{text!r}: the place {number!r} is neither a name nor a length, as in "
+            f"{axis}_i > 0.12 [m]{why}"
+        )
+    return float(f"{sign}1") * place.value
+
+
 def is_wall(text):
     """Whether a typed law is one."""
     return re.match(r"\s*bounce\s*\(", text) is not None
@@ -122,9 +144,9 @@ def read_wall(dataset, text):
     ----------
     dataset : Dataset
     text : str
-        The place is a name, or a number in the unit of the data where the fit begins; then follow
-        names of what is fitted as well: the parts of the speed across and along the wall that are
-        kept, and its tilt in rad.
+        The place is a name, or a number where the fit begins, ``0.12 [m]`` or in the unit of the
+        data; then follow names of what is fitted as well: the parts of the speed across and along
+        the wall that are kept, and its tilt in rad.
 
     Returns
     -------
@@ -136,7 +158,7 @@ def read_wall(dataset, text):
     """
     from bsp_gp.fitting.parts.constraints import extent_of
 
-    n_dims, declared = dataset.n_dims, dict(dataset.units.declared)
+    n_dims = dataset.n_dims
     parts = match[1].split(",") if (match := _CALL.fullmatch(text)) else [""]
     side, more = _SIDE.fullmatch(parts[0]), [part.strip() for part in parts[1:]]
     count = count_of(dataset)
@@ -149,10 +171,7 @@ def read_wall(dataset, text):
     axis, way = "xyz".index(side[1]), 1 if side[2] == ">" else -1
     start, name = way * float(np.nanmin(way * places_of(dataset)[:, axis])), side[3]
     if not name.isidentifier():
-        try:
-            start = float(side[3]) * Conversion(declared, declared).length(side[1])
-        except ValueError:
-            raise LawError(f"{text!r}: {side[3]!r} is neither a number nor a name") from None
+        start = _place(dataset, text, side[3], side[1])
         name = f"{side[1]}_wall"
     usual = (name, f"kept_{name}", f"along_{name}", f"tilt_{name}")
     names = (name, *more, *usual[1 + len(more) :])[:count]
