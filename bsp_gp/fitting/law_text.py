@@ -41,11 +41,7 @@ def fit_text(found):
         f"    log evidence       = {found.log_evidence:.6g} nats",
         f"    noise              = {_noise(found.noise)}",
         f"    status             = {found.status}: {found.message}",
-        "[[Held-out Errors]]",
-        f"    rollout rms        = {e.rollout_rmse:.4g} {e.unit}",
-        f"    end point (median) = {e.endpoint:.4g} {e.unit}",
-        f"    one-step nrmse     = {e.one_step_nrmse:.4g} {e.unit}",
-        f"    residual accel.    = {e.residual_acceleration:.4g} {e.acceleration_unit}",
+        "[[Held-out Errors]]", *(_errors(e) or ["    none: nothing was held out"]),
         "[[Variables]] (± half of the 90 % interval)",
         *(list(variables(found.constants)) or ["    none: every number of the law is given"]),
     ]  # fmt: skip
@@ -59,6 +55,20 @@ def fit_text(found):
         ]
     lines += [f"Note: {note}" for note in found.notes]
     return "\n".join(lines)
+
+
+def _errors(e):
+    """A line for every error that is known: of what a rod holds none of accelerations is."""
+    told = {
+        "rollout rms       ": (e.rollout_rmse, e.unit),
+        "end point (median)": (e.endpoint, e.unit),
+        "one-step nrmse    ": (e.one_step_nrmse, e.unit),
+        "residual accel.   ": (e.residual_acceleration, e.acceleration_unit),
+    }  # fmt: skip
+    return [
+        f"    {name} = {value:.4g} {unit}"
+        for name, (value, unit) in told.items() if not math.isnan(value)
+    ]  # fmt: skip
 
 
 def how_it_ended(found, constants, time_limit=None):
