@@ -9,9 +9,10 @@ from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
+from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
 
-__all__ = ["constant_distance", "describe", "inclination", "is_untold", "kick"]
+__all__ = ["bad_rows", "constant_distance", "describe", "inclination", "is_untold", "kick"]
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -21,6 +22,8 @@ _DIRECTIONS = {
 }
 
 
+MOST_ROWS = 4
+"""Places of bad rows that are named."""
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 
@@ -170,6 +173,21 @@ def inclination(effect):
         f"an orbit whose plane is inclined to the sky by {by}, its line of nodes at a position "
         f"angle of {nodes} deg"
     )
+
+
+def bad_rows(effect):
+    """In plain words, rows counted from 1: "2 bad rows: ball of 4, row 21; ball of 3, row 1"."""
+    every = re.findall(r"(?:^|; )(.+?) left out\[(.+?), (\d+):(\d+)\]", effect.name)
+    told, count = [], 0
+    for body, scene, first, stop in every:
+        first, stop = int(first) + 1, int(stop)
+        count += stop - first + 1
+        rows = f"row {first}" if stop == first else f"rows {first} to {stop}"
+        told.append(f"{body} of {scene}, {rows}")
+    if len(told) > MOST_ROWS:
+        told[MOST_ROWS - 1 :] = [f"and others in {len(told) - MOST_ROWS + 1} places"]
+    what = "a bad row" if count == 1 else f"{count} bad rows"
+    return f"{what}: {'; '.join(told)}" if told else CAUSES["bad_row"]
 
 
 def kick(effect):

@@ -19,7 +19,7 @@ from bsp_gp.report.codes import (
     REASONS,
     STOPS,
 )
-from bsp_gp.report.naming import constant_distance, describe, inclination, kick
+from bsp_gp.report.naming import bad_rows, constant_distance, describe, inclination, kick
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
@@ -190,6 +190,8 @@ def _name(effect, parts, other):
         return kick(effect)
     if effect.code == "inclined":
         return inclination(effect)
+    if effect.code == "bad_row":
+        return bad_rows(effect)
     if effect.code == "frame":
         return CAUSES["frame"]
     if parts:

@@ -13,7 +13,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
-from bsp_gp.report.naming import describe, kick
+from bsp_gp.report.naming import bad_rows, describe, kick
 from bsp_gp.report.sentences import powers_sentence
 from tests.worlds import WEIGHT, flights, linear_drag
 
@@ -166,6 +166,28 @@ def test_a_kick_is_told_with_its_body_size_instant_and_scene():
     effect = SimpleNamespace(name="kick red, 2[throw 1, 0.43 s]", constants=constants)
     told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
     assert kick(effect) == told
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("ball left out[4, 20:21]", "a bad row: ball of 4, row 21"),
+        ("red, 2 left out[run 3, 0:1]; all left out[b, 4:7]",
+         "4 bad rows: red, 2 of run 3, row 1; all of b, rows 5 to 7"),
+        ("; ".join(f"A left out[{k}, 1:2]" for k in range(6)),
+         "6 bad rows: A of 0, row 2; A of 1, row 2; A of 2, row 2; and others in 3 places"),
+    ],
+)  # fmt: skip
+def test_bad_rows_are_told_with_their_places(name, told):
+    assert bad_rows(SimpleNamespace(name=name)) == told
+
+
+@pytest.mark.parametrize("low, high, is_said", [(1e-4, 7e-4, False), (0.3, 0.5, True)])
+def test_a_power_that_a_law_lacks_is_said_where_zero_is_far(low, high, is_said):
+    power = {"of": "norm(v_i)", "stated": 0.0, "value": (low + high) / 2, "low": low, "high": high,
+             "is_told": True, "term": "c1 * e_x"}  # fmt: skip
+    effect = SimpleNamespace(exponents=[power], varies_with=())
+    assert bool(powers_sentence(SimpleNamespace(effect=effect))) is is_said
 
 
 @pytest.mark.parametrize(
