@@ -284,7 +284,9 @@ class _Run:
             p.width(self.starts.get((p.name, p.entity), 0.0)) for p in hypothesis.parameters
         ])  # fmt: skip
         self.groups = tuple(
-            build_chains(self.law, dataset.scenes, dataset.up, dataset.velocity)
+            build_chains(
+                self.law, dataset.scenes, dataset.up, dataset.velocity, may_lead=True
+            )
         )
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)

@@ -3,6 +3,10 @@
 Where no force passes between moving bodies, each body of each scene is a chain of its own, and its
 unknown initial state touches no other; else the moving bodies of a scene are one chain. Chains of
 like build are stacked with the points of their tracks on the last axis of every array.
+
+The derivatives of a common state cost as the cube of its bodies. Fits lead each of many bodies by
+where the others were seen: chains of one body, beside all others on curves through their rows. What
+these curves err by is the noise of the rows, which a force at a distance hardly feels.
 """
 
 from __future__ import annotations
@@ -15,7 +19,10 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.geometry import DISC, MAT, WALL
 from bsp_gp.physics.series import Series
 
-__all__ = ["Chains", "build_chains", "is_coupled"]
+__all__ = ["MOST_TOGETHER", "Chains", "build_chains", "is_coupled"]
+
+MOST_TOGETHER = 10
+"""Moving bodies that fits follow in one state where a force passes between them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +188,7 @@ def is_coupled(law, batch):
     return len(batch.bodies.receivers) > 1 and passes
 
 
-def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None):
+def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_lead=False):
     """Stack scenes into chains for a law.
 
     Parameters
@@ -194,25 +201,31 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None):
     coupled : bool, optional
         Whether the moving bodies of a scene make one chain; by default where a force passes
         between them.
+    may_lead : bool
+        Whether each of more than `MOST_TOGETHER` bodies may be led by where the others were seen.
 
     Returns
     -------
     list of Chains
         One for every build of scenes.
     """
-    return [
-        _chains(batch, is_coupled(law, batch) if coupled is None else coupled)
-        for batch in stack(scenes, up, velocity)
-    ]
+    out = []
+    for batch in stack(scenes, up, velocity):
+        together = is_coupled(law, batch) if coupled is None else coupled
+        led = may_lead and together and len(batch.bodies.receivers) > MOST_TOGETHER
+        led = led and not any(part.is_coupling for part in law.frame)
+        out.append(_chains(batch, together and not led, led))
+    return out
 
 
-def _chains(batch, coupled):
+def _chains(batch, coupled, led):
     n_scenes, n_entities = batch.positions.shape[1:3]
-    moving = batch.bodies.receivers
-    driven = np.setdiff1d(np.arange(n_entities), moving)
+    moving, everyone = batch.bodies.receivers, np.arange(n_entities)
     groups = [moving] if coupled else [np.array([k]) for k in moving]
+    # Beside a body stand those that forces do not move, and all where it is led by them.
+    beside = [np.setdiff1d(everyone, group if led else moving) for group in groups]
     # Chain number g * S + s is group g of scene s.
-    order = np.array([np.concatenate([group, driven]) for group in groups])
+    order = np.array([np.concatenate(each) for each in zip(groups, beside, strict=True)])
     n_own = len(groups[0])
 
     def gathered(values):
@@ -236,7 +249,10 @@ def _chains(batch, coupled):
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
-        fixed=tuple(tuple(name[k] for k in driven) for name in names),
+        fixed=tuple(
+            tuple(name[k] for k in beside[g])
+            for g in range(len(groups)) for name in batch.bodies.names[:n_scenes]
+        ),
         times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],

@@ -32,11 +32,9 @@ class Driven:
         first = np.take_along_axis(track, np.argmax(seen, axis=0)[None, ..., None], axis=0)[0]
         self.first = np.moveaxis(first, 0, -1)  # (D, d, S)
         moving = np.any((track != first) & seen[..., None], axis=(0, -1))
+        known = {}  # chains that stand side by side share the bodies that lead them
         self.curves = _Curves(
-            {
-                (k, s): _curve(chains, s, k, np.flatnonzero(seen[:, s, k]))
-                for s, k in np.argwhere(moving).tolist()
-            },
+            {(k, s): _shared(known, chains, s, k, seen) for s, k in np.argwhere(moving).tolist()},
             (self.count, track.shape[1]),
         )
 
@@ -64,6 +62,12 @@ class Driven:
         return np.stack([first, np.zeros_like(first)])
 
     def _moved(self, times, chain):
+        number = self.curves.number[:, chain]
+        instants, at = np.unique(times, return_inverse=True)
+        n_apart = self.curves.count * len(instants)
+        if 2 * n_apart <= number.size and (number >= 0).all():  # many are asked for the same
+            table = self.curves.table(instants)
+            return np.ascontiguousarray(np.moveaxis(table[:, number, at], -1, 2))
         out = self._at_rest(chain)
         which, beyond, (places, velocities) = self.curves.at(times, chain, 2)
         # Before the first and after the last seen row: straight on.
@@ -79,6 +83,16 @@ class Driven:
             (body, point), beyond, (*_, pulls) = self.curves.at(times, chain, 3)
             out[body, :, point] = np.where(beyond[:, None], 0.0, pulls)
         return out
+
+
+def _shared(known, chains, s, k, seen):
+    """The curve of one body, made once for all chains of its scene."""
+    rows = np.flatnonzero(seen[:, s, k])
+    places = np.ascontiguousarray(chains.driven[rows, s, k])
+    key = chains.scenes[s], chains.driven_times[rows, s].tobytes(), places.tobytes()
+    if key not in known:
+        known[key] = _curve(chains, s, k, rows)
+    return known[key]
 
 
 def _curve(chains, s, k, rows):
@@ -108,12 +122,13 @@ class _Curves:
     """
 
     def __init__(self, curves, shape):
-        self.number, self._count = np.full(shape, -1), len(curves)
-        for n, key in enumerate(curves):
-            self.number[key] = n
+        each = list({id(curve): curve for curve in curves.values()}.values())
+        self.number, self.count = np.full(shape, -1), len(each)
+        place = {id(curve): n for n, curve in enumerate(each)}
+        for key, curve in curves.items():
+            self.number[key] = place[id(curve)]
         if not curves:
             return
-        each = list(curves.values())
         self.begin, self.end = (np.array([curve.x[k] for curve in each]) for k in (0, -1))
         count = np.array([len(curve.x) - 1 for curve in each])
         self.last = np.cumsum(count) - 1
@@ -129,7 +144,7 @@ class _Curves:
             first += n
 
     def __bool__(self):
-        return self._count > 0
+        return self.count > 0
 
     def _keys(self, times, number):
         begin, end = self.begin[number], self.end[number]
@@ -155,7 +170,20 @@ class _Curves:
         """
         number = self.number[:, chain]
         which = np.nonzero(number >= 0)
-        number, times = number[which], times[which[1]]
+        return which, *self._of(number[which], times[which[1]], count)
+
+    def table(self, times):
+        """Places and velocities of all curves at some instants, shape (2, C, M, d).
+
+        Straight on before the first and after the last seen row.
+        """
+        number = np.repeat(np.arange(self.count), len(times))
+        beyond, (places, velocities) = self._of(number, np.tile(times, self.count), 2)
+        places = places + velocities * beyond[:, None]
+        return np.stack([places, velocities]).reshape(2, self.count, len(times), -1)
+
+    def _of(self, number, times, count):
+        """Values and derivatives of curves at times, and how far these are beyond their ends."""
         inside = np.clip(times, self.begin[number], self.end[number])
         piece = np.searchsorted(self.keys, self._keys(inside, number), side="right") - 1
         piece = np.minimum(piece, self.last[number])
@@ -165,4 +193,4 @@ class _Curves:
             for order in range(count - 1, 0, -1):
                 values[order] = values[order] * past + order * values[order - 1]
             values[0] = values[0] * past + power
-        return which, times - inside, values
+        return times - inside, values
