@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+from bsp_gp.data.folder import ENTITIES, TRAJECTORIES
 from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError
 
-__all__ = ["joined", "name_of_several"]
+__all__ = ["joined", "name_of_several", "tables_of"]
+
+TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq")
+"""Endings of files that may be recordings."""
 
 _REMEDY = "files given together need the same columns and units; convert it, or leave it out"
 
@@ -20,6 +25,29 @@ def name_of_several(paths):
     stems = [Path(path).stem for path in paths]
     common = os.path.commonprefix(stems).rstrip(" _-.#([")
     return common if len(common) > 1 else f"{stems[0]}-and-{len(stems) - 1}-more"
+
+
+def tables_of(path):
+    """The tables of a folder that holds nothing else, as people count; () of all others.
+
+    Parameters
+    ----------
+    path : path-like
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return ()
+    files = [file for file in path.iterdir() if not file.name.startswith(".")]
+    is_table = all(file.is_file() and file.suffix.lower() in TABLES for file in files)
+    own = {TRAJECTORIES, Path(TRAJECTORIES).with_suffix(".parquet").name, ENTITIES}
+    if not files or not is_table or own & {file.name for file in files}:
+        return ()
+    return tuple(sorted(files, key=lambda file: _counted(file.name)))
+
+
+def _counted(name):
+    """A key by which clip10 comes after clip9."""
+    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", name)]
 
 
 def joined(datasets, paths):

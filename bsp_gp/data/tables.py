@@ -22,7 +22,7 @@ import pandas as pd
 from bsp_gp.data.apart import recordings_apart
 from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, inputs_of, unwrapped
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
-from bsp_gp.data.conversion import COLUMN_KINDS, Conversion
+from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
@@ -32,7 +32,7 @@ from bsp_gp.data.properties import LEFT_OUT, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
-from bsp_gp.data.several import joined
+from bsp_gp.data.several import joined, tables_of
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
@@ -60,8 +60,8 @@ def load_dataset(
     ----------
     path : path-like, or sequence of them
         A folder with ``trajectories.csv`` (or ``.parquet``), or a text file (CSV, a Tracker
-        export, a trackpy table). Of several every file is a scene that is called like it, or keeps
-        its scenes; see `bsp_gp.data.several.joined`.
+        export, a trackpy table). Of several, or of a folder with nothing but tables, every file is
+        a scene that is called like it, or keeps its scenes; see `bsp_gp.data.several.joined`.
     units : mapping of str to str, optional
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
@@ -91,13 +91,17 @@ def load_dataset(
     """
     reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
                "sky": sky}  # fmt: skip
-    if isinstance(path, str | os.PathLike):
+    is_one = isinstance(path, str | os.PathLike)
+    tables = tables_of(path) if is_one else ()
+    if is_one and not tables:
         dataset = _loaded(Path(path), train=train, test=test, **reading)
     else:
-        paths = list(path)
+        paths = list(tables or path)
         if not paths:
             raise DataError("no file is given; at least one is needed")
         dataset = joined([_loaded(Path(each), **reading) for each in paths], paths)
+        if tables:
+            dataset = dataclasses.replace(dataset, name=Path(path).resolve().name)
         if train is not None or test is not None:
             said = Declaration(file="arguments").override(train=train, test=test)
             sides = _split(said, [scene.name for scene in dataset.scenes])
@@ -282,6 +286,7 @@ def _assemble(table, roster, declaration, default_name):
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, is_star = read_stars(table, declaration)
+    declaration = _with_their_names(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(
         table, declaration.units, start=declaration.angle_from or "x",
@@ -291,6 +296,8 @@ def _assemble(table, roster, declaration, default_name):
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
+    alike, units = _with_unit_of_x(table, units)
+    units_notes += alike
     known = {*OWN_COLUMNS, *declaration.properties}
     known |= {latent.name for latent in declaration.latents}
     for each in tables:
@@ -400,6 +407,28 @@ def _left_out_bodies(table, inputs):
         in_python(f"{LEFT_OUT}{', '.join(map(repr, columns))}; bodies side by side are named "
                   f"--columns {options}, with names of yours for ONE and OTHER")
     ]  # fmt: skip
+
+
+def _with_their_names(table, declaration):
+    """The declaration with units under our names that are declared under those of the file."""
+    bare = {theirs: re.sub(r"\s*[\[(].*", "", theirs).strip() for theirs in table.theirs.values()}
+    ours = {bare[theirs]: name for name, theirs in table.theirs.items() if name in table.frame}
+    taken = {*table.frame.columns, *KINDS}
+    return dataclasses.replace(declaration, units={
+        ours.get(name, name) if name not in taken else name: unit
+        for name, unit in declaration.units.items()
+    })  # fmt: skip
+
+
+def _with_unit_of_x(table, units):
+    """Units of all axes where only x has one, and a note."""
+    if "x" not in units or "length" in units:
+        return [], units
+    more = [axis for axis in "yz" if axis in table.frame and axis not in units]
+    if not more:
+        return [], units
+    note = f"{' and '.join(more)} without a unit: taken as that of x, {units['x']}"
+    return [note], units | dict.fromkeys(more, units["x"])
 
 
 def _with_angles(table, declaration):

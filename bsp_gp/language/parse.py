@@ -9,6 +9,7 @@ components of place and velocity; ``pi`` is the number.
 from __future__ import annotations
 
 import ast
+import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -168,7 +169,18 @@ class _Builder:
         try:
             return Call(operator, *args)
         except UnitError as error:
+            away = self.from_origin(args)
+            if away is not None and operator != "add":
+                with contextlib.suppress(UnitError):
+                    return Call(operator, *away)
             self.fail(str(error))
+
+    def from_origin(self, args):
+        """The same with places as ways from the origin, as people write them: -k * p_i."""
+        if "origin" not in self.types or all(arg.type.shape != "point" for arg in args):
+            return None
+        origin = Input("origin", self.types["origin"])
+        return [Call("sub", a, origin) if a.type.shape == "point" else a for a in args]
 
     def build(self, node):
         self.depth += 1

@@ -200,7 +200,7 @@ class _Run:
         asked, view = {}, None
         if found.shows_tracks:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
-            view.tick = self.clock.tick
+            view.tick, view.seconds_left = self.clock.tick, self.clock.left
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             turn.propose(number, view)

@@ -49,6 +49,8 @@ class View:
     ----------
     tick : callable or None
         Asked by long work as it goes on; raises where the time is up.
+    seconds_left : float or None
+        Seconds that are left for fits; None = no limit.
     explained, promised : float
         Chi-squared that the likeliest law without inner constants explains, and its promise, once
         they are known.
@@ -66,6 +68,7 @@ class View:
         self.criteria = criteria or Criteria()
         self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
         self.dataset = hypothesis.seen(dataset)
+        self.seconds_left = None
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
         self.noise_findings, self.drawn, self.leading = (), (), ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
@@ -101,7 +104,10 @@ class View:
             return None
         plain = TrackNoise(replace(noise, correlated=0.0, correlation_time=0.0), is_given=True)
         try:
-            found = fit(self.hypothesis + plain, self._dataset)
+            found = fit(
+                self.hypothesis + plain, self._dataset, near=self._fit,
+                effort=self.criteria.effort, deadline=self.seconds_left,
+            )  # fmt: skip
         except FAULTS:
             return None
         if found.is_failed:

@@ -134,7 +134,7 @@ DEFECTS = {
     "split range": ({T: SPLIT, D: '[split]\ntest = "7..9"\n'}, [D, "'7..9'", "matches nothing"]),
     "split type": ({T: SPLIT, D: "[split]\ntest = [1.5]\n"}, [D, "1.5", "a..b"]),
     "evaluation": ({T: GOOD, D: "[evaluation]\nendpoint_row = 0\n"}, [D, "endpoint_row", "from 1"]),
-    "no trajectories": ({"tracks.csv": GOOD}, [f"no {T}", "tracks.csv"]),
+    "no trajectories": ({"tracks.csv": GOOD, "film.mp4": ""}, [f"no {T}", "tracks.csv"]),
 }  # fmt: skip
 
 

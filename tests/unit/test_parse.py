@@ -7,7 +7,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import LawError
 from bsp_gp.language.formula import Call, Constant, Formula, Number, evaluate
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.language.inputs import input_types
+from bsp_gp.language.inputs import STATE_INPUTS, input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.units import FORCE, Unit, UnitSystem
@@ -103,6 +103,20 @@ def test_gravity_is_a_force():
 
 
 @pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("-b * p_i", "-b * (p_i - origin)"),
+        ("-b * p_i / norm(p_i)^3", "-b * (p_i - origin) / norm(p_i - origin)^3"),
+        ("b * dot(p_i, e_x) * e_x", "b * dot(p_i - origin, e_x) * e_x"),
+        ("-p_i * b", "-(p_i - origin) * b"),
+    ],
+)
+def test_a_place_is_read_as_the_way_from_the_origin(typed, meant):
+    types = TYPES | {"origin": STATE_INPUTS["origin"]}
+    assert parse(typed, types) == parse(meant, types)
+
+
+@pytest.mark.parametrize(
     ("text", "parts"),
     [
         ("1 [kg] + 1 [m]", ("adds", "kg", "m", "different units")),
@@ -110,7 +124,7 @@ def test_gravity_is_a_force():
         ("exp(norm(v_i))", ("exp takes a dimensionless number", "m/s")),
         ("2^norm(v_i)", ("exponent must be dimensionless", "m/s")),
         ("p_i + p_j", ("cannot add a point and a point",)),
-        ("norm(p_i)", ("difference of points",)),
+        ("norm(p_i + v_i)", ("adds", "m/s")),
         ("v_i * v_j", ("write dot(a, b)",)),
         ("does_collide(p_i, s_i, p_j, s_j)", ("takes (s_i, p_i, s_j, p_j)",)),
         ("1 [furlongsss]", ("unknown unit", "furlongsss")),

@@ -32,6 +32,19 @@ def test_every_file_is_a_scene(ramps):
     assert data.scenes[1].positions[0, 0, 0] == pytest.approx(0.33)
 
 
+def test_a_folder_of_nothing_but_tables_is_all_of_them(ramps, tmp_path):
+    folder = tmp_path / "ramps"
+    folder.mkdir()
+    for k in (9, 10):
+        write(folder / f"clip{k}.csv")
+    data = bsp_gp.load_dataset(folder, properties={"mass": 0.3})
+    assert [scene.name for scene in data.scenes] == ["clip9", "clip10"] and data.name == "ramps"
+    assert main(["check", str(folder)]) == 0
+    (folder / "film.mp4").touch()  # who knows what else is there
+    with pytest.raises(DataError, match="no trajectories.csv"):
+        bsp_gp.load_dataset(folder)
+
+
 @pytest.mark.parametrize("words", [["check"], ["fit", "--law", "a * m_i * e_x"]])
 def test_commands_take_several(ramps, words, capsys):
     assert main([words[0], *ramps, *words[1:]]) == 0

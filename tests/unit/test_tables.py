@@ -54,6 +54,20 @@ def test_units_become_si(folder):
     assert dataset.up == "-y"
 
 
+def test_a_unit_may_be_told_by_the_heading_of_the_file(tmp_path):
+    path = tmp_path / "cart.csv"
+    path.write_text("t [s],Place [km]\n" + "".join(f"{k},{2 * k}\n" for k in range(5)))
+    data = load_dataset(path, units={"Place": "cm"}, columns={"x": "Place [km]"})
+    assert data.scenes[0].positions[1, 0, 0] == pytest.approx(0.02)
+
+
+def test_a_unit_of_x_alone_is_that_of_all_axes(tmp_path):
+    path = tmp_path / "puck.csv"
+    path.write_text("t,x,y\n" + "".join(f"{k},{2 * k},{k}\n" for k in range(5)))
+    data = load_dataset(path, units={"x": "px", "t": "s"})
+    assert any("y without a unit: taken as that of x, px" in note for note in data.notes)
+
+
 def test_pixels_are_kept_and_named(folder):
     dataset = load_dataset(folder(toml='noise = 0.5\n[units]\nlength = "px"\ntime = "s"\n'))
     assert dataset.scenes[0].positions[1, 0, 0] == 2.0
