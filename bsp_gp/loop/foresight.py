@@ -66,13 +66,14 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
             refitted(done.entering, done.hypotheses[0]), refitted(done.after, done.continuing)
         ]  # fmt: skip
 
-        def ratio(n_copies, pair=pair, stream=stream):
-            accounts = Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
-            return accounts.ratio(0, 1)
+        def accounts(n_copies, pair=pair, stream=stream):
+            return Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
 
-        ratios.append(ratio(0).value)
+        plain = accounts(0)
+        ratios.append(plain.ratio(0, 1).value)
         # Only where predictions are worse does it matter whether that is chance.
-        if ratios[-1] > WORSE and _is_surely_worse(ratio(N_COPIES)):
+        is_worse = ratios[-1] > WORSE and _is_surely_worse(accounts(N_COPIES).ratio(0, 1))
+        if is_worse or _runs_away(plain):
             ratios.pop()
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
@@ -122,6 +123,12 @@ def _that_help(rounds, ratios):
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept
+
+
+def _runs_away(accounts):
+    """Whether tracks that were foreseen before run away with the cause."""
+    before, after = (accounts.errors(k).rollout_rmse for k in (0, 1))
+    return math.isfinite(before) and bool(accounts.rows[1]) and not math.isfinite(after)
 
 
 def _refused(done, reason):

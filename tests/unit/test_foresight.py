@@ -98,3 +98,15 @@ def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
     sure, close = Ratio(1.5, 1.3, 1.7, "resampled"), Ratio(1.2, 1.01, 1.4, "resampled")
     assert _is_surely_worse(sure) and not _is_surely_worse(close)
     assert not _is_surely_worse(Ratio(1.5))
+
+
+def test_a_cause_with_which_tracks_run_away_is_refused(world):
+    away = "2 [1/s^2] * m_i * norm(p_i - origin)^4 / 1 [m^4] * (p_i - origin)"
+    train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
+    done = round_of(1, train, [GRAVITY], [GRAVITY])
+    other = Hypothesis.from_laws(train, [GRAVITY, away])
+    wild = replace(done.fits[1], law=other.law)
+    fits, hypotheses = {0: done.fits[0], 1: wild}, {0: done.hypotheses[0], 1: other}
+    done, rng = replace(done, fits=fits, hypotheses=hypotheses), np.random.default_rng(0)
+    (done,) = that_foresee([done], lambda found, hypothesis: found, world, test, rng)
+    assert done.decision.reason == "predictions_worse"
