@@ -382,6 +382,7 @@ def _instants(flow, scheme, points, keys, at, low, high):
 
     def margin(length, which):
         here = picked.pick(which)
+        flow.count(len(which))  # of bodies that stop again and again these are most of all work
         end, stages, _ = flow.step(scheme, here, length)
         out = np.empty(len(which))
         for program in np.unique(programs[which]).tolist():

@@ -178,6 +178,10 @@ class Flow:
         """What a step of some intervals costs, as a share of a step of all of them."""
         return (n_open + CALL) / (self.n_intervals + CALL)
 
+    def count(self, n_open):
+        """Count a step of some intervals as work."""
+        self.is_over(self._share(n_open))
+
     # --- points ----------------------------------------------------------------------------------
 
     def points(self, state, times, chain, modes=None):
