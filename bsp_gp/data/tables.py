@@ -91,17 +91,17 @@ def load_dataset(
     """
     reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
                "sky": sky}  # fmt: skip
-    is_one = isinstance(path, str | os.PathLike)
-    tables = tables_of(path) if is_one else ()
-    if is_one and not tables:
-        dataset = _loaded(Path(path), train=train, test=test, **reading)
+    one = Path(path) if isinstance(path, str | os.PathLike) else None
+    tables = () if one is None else tables_of(one)
+    if one is not None and not tables:
+        dataset = _loaded(one, train=train, test=test, **reading)
     else:
-        paths = list(tables or path)
+        paths = list(tables) if isinstance(path, str | os.PathLike) else list(path)
         if not paths:
             raise DataError("no file is given; at least one is needed")
         dataset = joined([_loaded(Path(each), **reading) for each in paths], paths)
-        if tables:
-            dataset = dataclasses.replace(dataset, name=Path(path).resolve().name)
+        if one is not None:
+            dataset = dataclasses.replace(dataset, name=one.resolve().name)
         if train is not None or test is not None:
             said = Declaration(file="arguments").override(train=train, test=test)
             sides = _split(said, [scene.name for scene in dataset.scenes])

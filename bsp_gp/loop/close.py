@@ -401,14 +401,16 @@ def _written(
     scenes = () if is_late else ready.split.test
     accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew, foreseen)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
-    refuted = last is not first and not is_late and ready.has_more and not ready.is_swapped
-    refuted = refuted and is_refuted(
-        last, pruned.hypothesis, accounts, ready.everything, late.left
-    )  # fmt: skip
+    doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else ""
+    may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
+    if may_ask and not doubt:
+        everything = ready.everything
+        refuted = is_refuted(last, pruned.hypothesis, accounts, everything, late.left)
+        doubt = "held_out_disagrees" if refuted else ""
     records = [
         writing_up.record_of(
             done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed,
-            asked, criteria, refuted,
+            asked, criteria, doubt,
         )
         for done in rounds
     ]

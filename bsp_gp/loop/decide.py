@@ -57,6 +57,8 @@ def decide(table, criteria=None):
         return Decision("nothing missing", "not_significant")
     candidates = table.candidates
     if not candidates:
+        if table.noise_p <= criteria.alpha:  # and no free force explains more than noise does
+            return Decision("the noise is not as assumed", "noise_explains")
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
     noise = next((row for row in candidates if row.kind == "noise"), None)

@@ -34,8 +34,11 @@ HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
-DESCRIBES = {*UNLISTED.values(), "held_out_disagrees"}
+DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes"}
 """Why a law only describes the tracks."""
+MOST_CAUSES = 3
+"""Forces that may be missing from what people declare: more of them add up to one of another form
+as terms of a series do."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -44,7 +47,7 @@ LEAST_LIKELY = 1e-4
 
 
 def record_of(
-    done, scored, accounts, dataset, bounds, is_removed, constancy, criteria, is_refuted=False
+    done, scored, accounts, dataset, bounds, is_removed, constancy, criteria, doubt=""
 ):  # fmt: skip
     """The record of a round.
 
@@ -62,8 +65,8 @@ def record_of(
     constancy : Constancy or None
         Of the final law; None where there was no time to ask.
     criteria : Criteria
-    is_refuted : bool
-        Whether what was held out does not follow the final law.
+    doubt : str
+        Why the final law only describes the tracks, of `DESCRIBES`, or "".
 
     Returns
     -------
@@ -78,8 +81,8 @@ def record_of(
         verdict, reason = "effective law", "strength_varies"
     elif verdict == "effect adopted" and unlisted is not None:
         verdict, reason = "effective law", UNLISTED[unlisted.code]
-    elif verdict == "effect adopted" and is_refuted and decision.best.kind in FORESEEING:
-        verdict, reason = "effective law", "held_out_disagrees"
+    elif verdict == "effect adopted" and doubt and decision.best.kind in FORESEEING:
+        verdict, reason = "effective law", doubt
     return RoundRecord(
         number=done.number,
         missing=Missing(
@@ -103,6 +106,24 @@ def record_of(
         seconds=done.seconds,
         trace=done.trace,
     )  # fmt: skip
+
+
+def is_many(rounds, removed):
+    """Whether rounds have added more forces, and what else moves bodies, than may be missing.
+
+    Parameters
+    ----------
+    rounds : sequence of Round
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    """
+    adopted = [r for r in rounds if r.decision.is_adopted and r.number not in removed]
+    causes = [
+        max(len(r.proposals[r.decision.best.id].formulas), 1)
+        for r in adopted
+        if r.decision.best.kind in FORESEEING and r.decision.best.code != "contact"
+    ]  # someone may have kicked a ball often
+    return sum(causes) > MOST_CAUSES
 
 
 def judged_together(records):

@@ -70,6 +70,7 @@ REASONS = {
     "superseded": "what was found later made it superfluous",
     "beside_description": "it makes up for a law beside it that only describes these tracks",
     "force_beside": "it describes these tracks, but a force of no listed form acts beside it",
+    "many_causes": "it takes many causes to describe these tracks, rather than one of another form",
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "
     "does not follow it within the noise",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",

@@ -1,6 +1,7 @@
 """Verdicts follow from tables alone; the evidence knows no units."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from bsp_gp.loop.criteria import CAUSES, REASONS, VERDICTS, Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row
+from bsp_gp.loop.writing_up import is_many
 from tests.unit.test_response import thrown
 
 BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, -250.0, 4)
@@ -52,6 +54,28 @@ def test_a_failed_fit_is_never_nothing_missing():
         assert (said.verdict, said.reason) == ("cannot tell", "declared_model_not_fitted")
     assert decided(row(1), p=np.nan).reason == "not_tested"
     assert decided(row(1, status="unconverged")).verdict == "seen, not adopted"
+
+
+def test_odd_noise_is_told_where_nothing_else_can_be_fitted():
+    lost = row(1, status="unconverged")
+    said = decided(lost, noise_p=1e-5)
+    assert (said.verdict, said.reason) == ("the noise is not as assumed", "noise_explains")
+    assert decided(lost, noise_p=0.3).reason == "no_candidate_fits"
+
+
+@pytest.mark.parametrize(("n_laws", "is_said"), [(3, False), (4, True)])
+def test_many_forces_only_describe(n_laws, is_said):
+    """As many terms as of a series: rather one force of another form."""
+    best, formulas = row(1), ("c1 * v_i",) * 2
+    rounds = [
+        SimpleNamespace(
+            number=k, proposals={1: SimpleNamespace(formulas=own)},
+            decision=SimpleNamespace(is_adopted=True, best=best),
+        )
+        for k, own in enumerate([formulas, formulas[: n_laws - 2]], 1)
+    ]  # fmt: skip
+    assert is_many(rounds, ()) is is_said
+    assert not is_many(rounds, {2})
 
 
 @pytest.mark.parametrize(("nats", "is_told"), [(1.0, False), (4.0, True)])
