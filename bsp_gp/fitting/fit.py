@@ -417,7 +417,7 @@ class _Run:
         if dataset is self.dataset:
             return self
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
-        led.low, led.high = self.low, self.high
+        led.low, led.high, led.near = self.low, self.high, self.near
         led.is_over = self.is_over
         return led
 

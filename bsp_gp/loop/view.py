@@ -130,7 +130,12 @@ class View:
 
     @property
     def near(self):
-        """The fit as it was made, at smoothed tracks: where fits of what may be missing begin."""
+        """The fit as it was made, at smoothed tracks: where fits of what may be missing begin.
+
+        Where no free force is likelier than noise its own tracks are nearer.
+        """
+        if self.free_gain <= self.criteria.noise_nats:
+            return self._fit
         smoothed, nodes = self.response.nodes, self._fit.nodes
         is_same = [a.shape for a in smoothed] == [a.shape for a in nodes]
         return replace(self._fit, nodes=smoothed) if is_same else self._fit
