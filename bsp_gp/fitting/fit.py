@@ -373,13 +373,27 @@ class _Run:
             new = self.noise_beside(climb, minimum, paper_steps)
             for _ in range(self.tolerances.noise_passes):
                 is_settled, model = _same_noise(new, model), new
+                before = climb, minimum
                 climb, minimum = weighed(self, climb, minimum, model)
+                if self.is_memory_in_the_way(before[1], minimum, model):
+                    model = replace(model, correlated=0.0, correlation_time=0.0)
+                    climb, minimum = weighed(self, *before, model)
+                    break
                 # What is left of a misfit is no noise: its level is that of the pure error.
                 is_over = is_settled or minimum.linearised is None or self.is_over()
                 if is_over or self.has_misfit(minimum):
                     break
                 new = self.estimated(climb, minimum, model, adopt=False)
         return self.result(climb, minimum, model, paper_steps)
+
+    def is_memory_in_the_way(self, before, minimum, model):
+        """Whether no minimum was found only since noise was given a memory.
+
+        Beside a law that is far off it is what the law lacks that has one: the steps that such
+        noise allows are then many, and lead to no end.
+        """
+        may_be = model.correlated and not model.is_correlation_known and not self.is_over()
+        return may_be and minimum.status == "unconverged" and before.status == "converged"
 
     def resolved(self, model, minimum):
         """The noise of exact data: rounding, or what a law leaves that misses them by little more.
