@@ -345,6 +345,10 @@ class _Group:
         self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
         self.free = FreeForce(np.zeros((0, 0, 0)), self.fine.times)
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
+        # Axes along which nothing moves; what a rounding error leads to there is nothing either.
+        levels = np.array(fit.noise.levels)
+        seen = np.isfinite(chains.observed).any(axis=(0, 1, 2))
+        self.is_idle = seen & np.isnan(levels)
         constraints = constraints_of(fit.law)
         self.is_held, self.n_told = bool(constraints), None
         held = {name for part in constraints for name in part.names}
@@ -397,6 +401,10 @@ class _Group:
         before, after_ = self._kicks()
         changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
         kept, felt = self._kept_states(flow), self._felt(flow)
+        idle = np.tile(self.is_idle, n // self.n_dims)
+        if idle.any():
+            kept = np.array(kept)
+            kept[:, :, idle] = kept[..., np.flatnonzero(idle)] = 0.0
         changes[0, :, :, n_forces : n_forces + n + k] = kept[0]
         number = np.full((n_fine, n_pieces), -1)
         number[flow.row, flow.chain] = np.arange(flow.n_intervals)
@@ -414,6 +422,7 @@ class _Group:
             later = moved[:, :, :n] @ kicked
             later[:, :, n_forces + n : n_forces + n + k] += moved[:, :, n:]
             later[:, :, -1] += gaps[number[row, open_]]
+            later[:, idle] = 0.0
             changes[row + 1, open_] = later
         return changes
 
