@@ -40,8 +40,6 @@ UNEVEN = 0.02
 the tracks, and of those that differ by less the simpler is fitted first."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
-LITTLE = 0.1
-"""Of what a fit left, that forces beside it must promise to be fitted."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_OF_ALL = 0.9
@@ -317,7 +315,7 @@ class _Turn:
         queue = [*controls, *chosen]
         n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
-        broken = []  # proposals of all there is that left much, and nats that they left
+        broken = []  # proposals of all there is that left much
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -337,7 +335,7 @@ class _Turn:
                 continue  # of another fit since less is left
             if len(proposal.formulas) > self.enough:
                 continue  # a sum, where fewer laws leave nothing
-            if any(_adds_little(proposal, *failed) for failed in broken):
+            if any(_adds_nothing(proposal, failed, self.run.criteria) for failed in broken):
                 continue
             near = 0.0 if is_again else 2 * self.run.criteria.class_nats
             if self._nats_behind(proposal) > near:
@@ -356,9 +354,8 @@ class _Turn:
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
-            if proposal.is_sole and row.id in self.judged:
-                left_of = 0.5 * (self.judged[row.id] - 1.0) * self.fits[row.id].n_rows
-                broken.append((proposal, left_of))
+            if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
+                broken.append(proposal)
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
             if row.is_fit:
@@ -594,14 +591,14 @@ def _fit_of(shared, job):
     return new, best, evidence
 
 
-def _adds_little(proposal, failed, left):
-    """Whether a proposal adds forces to one that failed, which promise little of what it left."""
+def _adds_nothing(proposal, failed, criteria):
+    """Whether a proposal adds forces to one that failed, and flights do not show them."""
     mine, theirs = (
         [part for part in p.hypothesis.parts if not isinstance(part, Forces)]
         for p in (proposal, failed)
     )
     is_same = len(mine) == len(theirs) and all(map(operator.is_, mine, theirs))
-    return is_same and proposal.promise - failed.promise < LITTLE * left
+    return is_same and proposal.promise - failed.promise < criteria.class_nats
 
 
 def _without_weakest(proposal, found, criteria):

@@ -89,7 +89,9 @@ def _shared(known, chains, s, k, seen):
     """The curve of one body, made once for all chains of its scene."""
     rows = np.flatnonzero(seen[:, s, k])
     places = np.ascontiguousarray(chains.driven[rows, s, k])
-    key = chains.scenes[s], chains.driven_times[rows, s].tobytes(), places.tobytes()
+    given = chains.driven_velocities
+    given = b"" if given is None else given[rows, s, k].tobytes()
+    key = chains.driven_times[rows, s].tobytes(), places.tobytes(), given
     if key not in known:
         known[key] = _curve(chains, s, k, rows)
     return known[key]
