@@ -40,6 +40,8 @@ UNEVEN = 0.02
 the tracks, and of those that differ by less the simpler is fitted first."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
+LESS = 0.9
+"""Of the reduced chi-squared of a fit, below which another has left less."""
 REACH = 1.5
 """Times what it promised that a fit may gain; what stays behind with that is not fitted."""
 MOST_OF_ALL = 0.9
@@ -315,7 +317,7 @@ class _Turn:
         queue = [*controls, *chosen]
         n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
-        broken = []  # proposals of all there is that left much
+        broken = []  # proposals of all there is that left much, and reduced chi-squared
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -335,7 +337,7 @@ class _Turn:
                 continue  # of another fit since less is left
             if len(proposal.formulas) > self.enough:
                 continue  # a sum, where fewer laws leave nothing
-            if any(_adds_nothing(proposal, failed, self.run.criteria) for failed in broken):
+            if _is_hopeless(proposal, broken):
                 continue
             near = 0.0 if is_again else 2 * self.run.criteria.class_nats
             if self._nats_behind(proposal) > near:
@@ -355,7 +357,7 @@ class _Turn:
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
-                broken.append(proposal)
+                broken.append((proposal, self.judged[row.id]))
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
             if row.is_fit:
@@ -591,14 +593,20 @@ def _fit_of(shared, job):
     return new, best, evidence
 
 
-def _adds_nothing(proposal, failed, criteria):
-    """Whether a proposal adds forces to one that failed, and flights do not show them."""
-    mine, theirs = (
-        [part for part in p.hypothesis.parts if not isinstance(part, Forces)]
-        for p in (proposal, failed)
-    )
-    is_same = len(mine) == len(theirs) and all(map(operator.is_, mine, theirs))
-    return is_same and proposal.promise - failed.promise < criteria.class_nats
+def _is_hopeless(proposal, broken):
+    """Whether it adds more forces to one that failed, of which none alone left less.
+
+    Flights do not tell which: a drag that they hardly show makes contacts late by many rows.
+    """
+    own = [part for part in proposal.hypothesis.parts if not isinstance(part, Forces)]
+    left = {}
+    for failed, chi2 in broken:
+        theirs = [part for part in failed.hypothesis.parts if not isinstance(part, Forces)]
+        if len(own) == len(theirs) and all(map(operator.is_, own, theirs)):
+            left[failed.rank] = min(chi2, left.get(failed.rank, math.inf))
+    plain = min(left, default=math.inf)
+    more = [chi2 for rank, chi2 in left.items() if plain < rank < proposal.rank]
+    return bool(more) and not min(more) < LESS * left[plain]
 
 
 def _without_weakest(proposal, found, criteria):
