@@ -166,11 +166,6 @@ class Conversion:
     def length(self, column):
         """Scale of a column that holds lengths."""
         text = self.declared.get(column, self._kinds.get("length"))
-        if column in ("y", "z") and column not in self.declared and "length" not in self.declared:
-            if text is not None:
-                self._fail(
-                    f"column {column!r} has no unit while x has", column, 'add length = "..."'
-                )
         if text is not None and text.strip() in OF_THE_SKY and self.system.symbols.get("m"):
             own = self.system.symbols["m"]
             return parse_unit(text.strip())[0] / parse_unit(own)[0] if own in OF_THE_SKY else 1.0

@@ -91,17 +91,18 @@ def load_dataset(
     """
     reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
                "sky": sky}  # fmt: skip
-    one = Path(path) if isinstance(path, str | os.PathLike) else None
-    tables = () if one is None else tables_of(one)
-    if one is not None and not tables:
-        dataset = _loaded(one, train=train, test=test, **reading)
+    if isinstance(path, str | os.PathLike):
+        folder, paths = Path(path), list(tables_of(path))
     else:
-        paths = list(tables) if isinstance(path, str | os.PathLike) else list(path)
+        folder, paths = None, [Path(each) for each in path]
         if not paths:
             raise DataError("no file is given; at least one is needed")
-        dataset = joined([_loaded(Path(each), **reading) for each in paths], paths)
-        if one is not None:
-            dataset = dataclasses.replace(dataset, name=one.resolve().name)
+    if folder is not None and not paths:
+        dataset = _loaded(folder, train=train, test=test, **reading)
+    else:
+        dataset = joined([_loaded(each, **reading) for each in paths], paths)
+        if folder is not None:
+            dataset = dataclasses.replace(dataset, name=folder.resolve().name)
         if train is not None or test is not None:
             said = Declaration(file="arguments").override(train=train, test=test)
             sides = _split(said, [scene.name for scene in dataset.scenes])
@@ -296,8 +297,7 @@ def _assemble(table, roster, declaration, default_name):
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
-    alike, units = _with_unit_of_x(table, units)
-    units_notes += alike
+    units_notes += _about_unit_of_x(table, units)
     known = {*OWN_COLUMNS, *declaration.properties}
     known |= {latent.name for latent in declaration.latents}
     for each in tables:
@@ -411,8 +411,8 @@ def _left_out_bodies(table, inputs):
 
 def _with_their_names(table, declaration):
     """The declaration with units under our names that are declared under those of the file."""
-    bare = {theirs: re.sub(r"\s*[\[(].*", "", theirs).strip() for theirs in table.theirs.values()}
-    ours = {bare[theirs]: name for name, theirs in table.theirs.items() if name in table.frame}
+    used = [(name, theirs) for name, theirs in table.theirs.items() if name in table.frame]
+    ours = {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
     taken = {*table.frame.columns, *KINDS}
     return dataclasses.replace(declaration, units={
         ours.get(name, name) if name not in taken else name: unit
@@ -420,15 +420,13 @@ def _with_their_names(table, declaration):
     })  # fmt: skip
 
 
-def _with_unit_of_x(table, units):
-    """Units of all axes where only x has one, and a note."""
+def _about_unit_of_x(table, units):
+    """A note of axes that have none where x has a unit, which is then theirs."""
     if "x" not in units or "length" in units:
-        return [], units
+        return []
     more = [axis for axis in "yz" if axis in table.frame and axis not in units]
-    if not more:
-        return [], units
-    note = f"{' and '.join(more)} without a unit: taken as that of x, {units['x']}"
-    return [note], units | dict.fromkeys(more, units["x"])
+    told = f"{' and '.join(more)} without a unit: taken as that of x, {units['x']}"
+    return [told] if more else []
 
 
 def _with_angles(table, declaration):

@@ -282,7 +282,6 @@ class _Ready:
         """Whether scenes are held out that are not learned from."""
         return bool(self.split.test) and self.before_cut is None
 
-    @property
     def everything(self):
         """All scenes as fits take them."""
         scenes = (*self.split.learned, *self.split.test)
@@ -404,8 +403,7 @@ def _written(
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else ""
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
     if may_ask and not doubt:
-        everything = ready.everything
-        refuted = is_refuted(last, pruned.hypothesis, accounts, everything, late.left)
+        refuted = is_refuted(last, pruned.hypothesis, accounts, ready.everything, late.left)
         doubt = "held_out_disagrees" if refuted else ""
     records = [
         writing_up.record_of(

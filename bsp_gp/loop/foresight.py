@@ -95,8 +95,8 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
     hypothesis : Hypothesis
     accounts : Accounts
         Errors of its predictions are the last there.
-    whole : Dataset
-        All scenes, as fits take them.
+    whole : callable
+        ``whole()`` gives the Dataset of all scenes, as fits take them.
     deadline : float, optional
         Seconds.
     """
@@ -105,7 +105,7 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
         return False
     noise = replace(found.noise, sources=("declared",) * len(found.noise.levels))
     try:
-        every = fit(continued(hypothesis, found) + TrackNoise(noise), whole, deadline=deadline)
+        every = fit(continued(hypothesis, found) + TrackNoise(noise), whole(), deadline=deadline)
     except FAULTS:
         return False
     more = every.n_rows - every.n_free - (found.n_rows - found.n_free)

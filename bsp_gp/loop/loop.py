@@ -335,12 +335,7 @@ class _Turn:
                 continue  # whatever its measure, when all is explained
             if is_again and not self._is_ahead(left[k]):
                 continue  # of another fit since less is left
-            if len(proposal.formulas) > self.enough:
-                continue  # a sum, where fewer laws leave nothing
-            if _is_hopeless(proposal, broken):
-                continue
-            near = 0.0 if is_again else 2 * self.run.criteria.class_nats
-            if self._nats_behind(proposal) > near:
+            if self._is_spare(proposal, broken, is_again):
                 continue
             if len(controls) <= k < n_first:
                 if not n_left:
@@ -408,6 +403,13 @@ class _Turn:
             return False  # moments cannot promise more
         return REACH * (proposal.promise + self.run.criteria.class_nats) < found
 
+    def _is_spare(self, proposal, broken, is_again):
+        """Whether fits before it tell that its own changes nothing."""
+        if len(proposal.formulas) > self.enough:  # a sum, where fewer laws leave nothing
+            return True
+        near = 0.0 if is_again else 2 * self.run.criteria.class_nats
+        return _is_hopeless(proposal, broken) or self._nats_behind(proposal) > near
+
     def _explained(self, row, proposal, found):
         """What a law that leaves nothing says of others, where that is more than they promise."""
         if not proposal.promise > FAR_BEHIND or self.run.clock.is_over:
@@ -473,34 +475,25 @@ class _Turn:
         for source, proposal in every:
             if source not in above or len(proposal.formulas) > self.enough:
                 continue
-            own = above[source]
-            if not math.isnan(self._nats_behind(proposal)):  # told by more than promises
-                self._tell_told(source, proposal, least, equal, known)
-                continue
-            # Where none of so many numbers was fitted, no more is expected than of any other.
-            offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
-            evidence = offset + proposal.promise - proposal.log_prior
-            is_near = offset + proposal.promise > least or evidence > equal
-            is_near = is_near and proposal.promise <= most[source] + criteria.class_nats
-            if is_near and proposal.key not in known:
+            loss = self.explained.loss(proposal) if self.explained else math.nan
+            if not math.isnan(loss):  # told by more than promises
+                row, mine = self.explained.row, self.explained.proposal
+                evidence = row.log_evidence - loss + proposal.volume - mine.volume
+                height, is_foreseen = row.log_likelihood - loss, True
+            else:
+                # Where none of so many numbers was fitted, no more is expected than of any other.
+                own = above[source]
+                offset, height = own.get(proposal.rank) or tuple(np.min(list(own.values()), axis=0))
+                evidence = offset + proposal.promise - proposal.log_prior
+                height += 0.5 * proposal.gain
+                is_foreseen = proposal.promise <= most[source] + criteria.class_nats
+            is_near = evidence + proposal.log_prior > least or evidence > equal
+            if is_near and is_foreseen and proposal.key not in known:
                 known.add(proposal.key)
                 self._add(
-                    source, proposal, "scored", min(evidence, highest),
-                    height + 0.5 * proposal.gain,
+                    source, proposal, "scored", min(evidence, highest), height,
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
-
-    def _tell_told(self, source, proposal, least, equal, known):
-        """A row of a law of which another has told how it would do."""
-        row, mine, loss = self.explained.row, self.explained.proposal, self.explained.loss(proposal)
-        evidence = row.log_evidence - loss + proposal.volume - mine.volume
-        is_near = evidence + proposal.log_prior > least or evidence > equal
-        if is_near and proposal.key not in known:
-            known.add(proposal.key)
-            self._add(
-                source, proposal, "scored", evidence, row.log_likelihood - loss,
-                self.base.n_free + proposal.rank, HeldOut(),
-            )  # fmt: skip
 
     def _fits(self, queue):
         """The fits of a queue of proposals, as `Work`; what is far behind is not begun early."""

@@ -119,9 +119,8 @@ def _place(dataset, text, number, axis):
         return float(number) * Conversion(declared, declared).length(axis)
     except ValueError:
         pass
-    sign, digits = ("-", number[1:]) if number.startswith("-") else ("", number)
     try:
-        place, why = parse_formula(digits, {}, units=dataset.units), ""
+        place, why = parse_formula(number, {}, units=dataset.units), ""
     except LawError as error:
         place, why = None, f"; {error}"
     if not isinstance(place, Number) or place.type.unit != LENGTH:
@@ -129,7 +128,7 @@ def _place(dataset, text, number, axis):
             f"{text!r}: the place {number!r} is neither a name nor a length, as in "
             f"{axis}_i > 0.12 [m]{why}"
         )
-    return float(f"{sign}1") * place.value
+    return place.value
 
 
 def is_wall(text):

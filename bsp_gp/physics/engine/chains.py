@@ -243,16 +243,14 @@ def _chains(batch, coupled, led):
     velocities = gathered(batch.velocities)
     names = [batch.bodies.names[s] for _ in groups for s in range(n_scenes)]
     owners = [order[g][:n_own] for g in range(len(groups)) for _ in range(n_scenes)]
+    others = [order[g][n_own:] for g in range(len(groups)) for _ in range(n_scenes)]
     shapes = batch.bodies.shapes
     times = np.concatenate([batch.times] * len(groups), axis=1)
     begun, begun_errors = _begun(batch.scenes, [rows[:n_own] for rows in order])
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
-        fixed=tuple(
-            tuple(name[k] for k in beside[g])
-            for g in range(len(groups)) for name in batch.bodies.names[:n_scenes]
-        ),
+        fixed=tuple(tuple(name[k] for k in rest) for name, rest in zip(names, others, strict=True)),
         times=times,
         observed=positions[:, :, :n_own],
         sigma=None if sigma is None else sigma[:, :, :n_own],

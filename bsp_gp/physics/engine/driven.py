@@ -62,12 +62,13 @@ class Driven:
         return np.stack([first, np.zeros_like(first)])
 
     def _moved(self, times, chain):
-        number = self.curves.number[:, chain]
-        instants, at = np.unique(times, return_inverse=True)
-        n_apart = self.curves.count * len(instants)
-        if 2 * n_apart <= number.size and (number >= 0).all():  # many are asked for the same
-            table = self.curves.table(instants)
-            return np.ascontiguousarray(np.moveaxis(table[:, number, at], -1, 2))
+        if self.curves.is_shared:
+            number = self.curves.number[:, chain]
+            instants, at = np.unique(times, return_inverse=True)
+            n_apart = self.curves.count * len(instants)
+            if 2 * n_apart <= number.size and (number >= 0).all():  # many ask for the same
+                table = self.curves.table(instants)
+                return np.ascontiguousarray(np.moveaxis(table[:, number, at], -1, 2))
         out = self._at_rest(chain)
         which, beyond, (places, velocities) = self.curves.at(times, chain, 2)
         # Before the first and after the last seen row: straight on.
@@ -126,6 +127,7 @@ class _Curves:
     def __init__(self, curves, shape):
         each = list({id(curve): curve for curve in curves.values()}.values())
         self.number, self.count = np.full(shape, -1), len(each)
+        self.is_shared = len(each) < len(curves)
         place = {id(curve): n for n, curve in enumerate(each)}
         for key, curve in curves.items():
             self.number[key] = place[id(curve)]
