@@ -242,6 +242,7 @@ def test_a_library_is_imported_in_its_room_only():
     report(package_faults(confinement_faults))
 
 
+@pytest.mark.slow
 def test_nothing_is_evaluated_pickled_or_drawn_from_a_global_rng():
     experiments = [
         f
@@ -263,6 +264,7 @@ def test_setup_cfg_lists_the_folders_that_are_packages():
     assert sorted(found) == words(setup_cfg()["options"]["packages"])
 
 
+@pytest.mark.slow
 def test_every_imported_library_is_declared():
     config = setup_cfg()
     lines = words(config["options"]["install_requires"])

@@ -31,6 +31,7 @@ def found():
     return [pytest.param(name, marks=marks.get(name, ())) for name in sorted(kept(CORPUS))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", found())
 def test_a_found_case_stays_mended(name):
     outcome = trial.run(kept(CORPUS)[name])
@@ -43,6 +44,7 @@ def test_kept_cases_name_their_class_and_why_they_are_kept():
         assert Case.from_json(case.to_json()) == case
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_cases_follow_from_the_seed(kind):
     first = batch(kind, 5, 0)
@@ -93,6 +95,7 @@ def test_a_refusal_is_one_line(monkeypatch):
     assert say("no").kinds == {"message"}
 
 
+@pytest.mark.slow
 def test_a_hang_a_crash_and_too_much_memory_are_faults(monkeypatch):
     import os
     import time

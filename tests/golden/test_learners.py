@@ -50,6 +50,7 @@ def explains_all(_, objective):
     return any(score.loss < 1e-12 * objective.total for _, score in objective.best.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("name", PROBLEMS)

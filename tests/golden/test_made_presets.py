@@ -74,6 +74,7 @@ def column(regression, formula):
     return regression.column(Term(split_linear(formula)[1], "pair"))[0][:, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 def test_exhaustive_search_finds_the_true_form(name):
     """NBODY and MAT to rounding; BOUNCE up to the solver and contacts of three at once."""

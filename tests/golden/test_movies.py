@@ -30,6 +30,7 @@ def movie(shared_data):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_every_disc_is_followed_and_lies_on_the_stored_track(movie, shared_data):
     assert movie.positions.shape == (399, 4, 2)
     assert np.isfinite(movie.positions).all()
@@ -53,6 +54,7 @@ def test_mats_and_walls(movie):
     np.testing.assert_allclose(boxes["brown"], (262, 240, 426, 334), atol=1.0)
 
 
+@pytest.mark.slow
 def test_hidden_classes_are_told(movie):
     from ullman_inference import Constants, answers, movie_table
     from ullman_model import Form, summarise

@@ -151,6 +151,7 @@ def is_true_everywhere(dataset, formula, name, parts=slice(None)):
     return abs(abs(cosine) - 1) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "numbers", "constant"),
     [("nbody", [1], -8167.007), ("mat", [1, 2], -0.8), ("bounce", [1, 2], 100.0)],
@@ -185,6 +186,7 @@ def test_the_papers_law_of_mats_is_listed(synth):
     assert frozenset({"mu_j", "m_i", "v_i", "s_i", "p_i", "s_j", "p_j"}) in kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mat", "bounce"])
 def test_one_scene_leaves_ties_and_they_are_reported(synth, name):
     """A ball on one mat, or walls that never move, cannot tell some laws apart."""

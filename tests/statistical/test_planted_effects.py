@@ -28,6 +28,7 @@ def is_named(report, seed):
     return len(effects) == 1 and is_law(effects[0], "c * v_i", orbit_dataset(seed, drag=DRAG))
 
 
+@pytest.mark.slow
 def test_a_drag_is_named_and_sized():
     report = found(0)
     assert is_named(report, 0)

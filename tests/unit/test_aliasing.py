@@ -65,6 +65,7 @@ def test_of_bodies_with_frequencies_of_their_own_the_one_is_named():
     assert note.startswith("check: sin(w * t) of feather")
 
 
+@pytest.mark.slow
 def test_fit_and_close_tell_it():
     data = shaken(3.0)
     fast = "c * m_i * sin(-122.66370614359172 [1/s] * t) * e_x"

@@ -250,6 +250,7 @@ def test_bad_command(defect, place, capsys):
         assert part in error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["c1 * 9^9^9^9^9 * m_i * down", "c1 / 0 * m_i * down"])
 def test_a_law_without_a_finite_value_is_no_fit(law, place, capsys):
     assert main(["close", "data", "--declare", law, "--out", "out"]) == 0

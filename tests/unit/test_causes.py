@@ -43,6 +43,7 @@ def test_a_periodic_push_is_adopted_with_its_rate():
     assert size == pytest.approx(3.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_wrong_exponent_is_found_with_its_value():
     report = close(orbits(0, exponent=2.05), PULL)
     (done,) = report.rounds
@@ -71,6 +72,7 @@ def test_a_declared_law_that_runs_away_is_no_finding(law):
     assert not np.isfinite(done.floor.rollout_rmse)
 
 
+@pytest.mark.slow
 def test_constants_that_the_data_do_not_determine_are_told():
     report = close(throws(sigma=0.01), "a * m_i * down", "b * m_i * down")
     states = {c.name: c.state for c in report.constants}
@@ -90,6 +92,7 @@ def test_without_any_mass_constants_are_per_unit_mass():
 # --- the noise ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_noise_with_a_memory_is_told_and_no_force_adopted():
     report = close(flights(1, worlds.nothing, noise=red_noise), WEIGHT, max_levels=4, max_rounds=3)
     assert report.verdict in ("the noise is not as assumed", "nothing missing")
@@ -139,6 +142,7 @@ FOUND = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", FOUND)
 def test_an_error_of_the_measurement_is_among_the_likeliest_with_its_number(code):
     make, law, values = FOUND[code]
@@ -167,12 +171,14 @@ def test_a_lost_track_is_found():
     assert (first.adopted, first.effect.code) == (True, "lost_track")
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(reason="a row in which all bodies are shifted is seen and not named")
 def test_one_bad_row_is_found():
     (done,) = close(changed(orbits(0, **FEW), wrong.jolted, "1"), GRAVITY).rounds
     assert (done.adopted, done.effect.code) == (True, "bad_row")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_nothing_is_found_where_nothing_is_wrong(seed):
     for data, law in ((orbits(seed, **FEW), GRAVITY), (tied(seed, **FEW), STIFF)):

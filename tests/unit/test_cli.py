@@ -34,6 +34,7 @@ def closed(data, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["close", "fit"])
 def test_names_taken_as_constants_are_told(command, data, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -63,6 +64,7 @@ def test_answers_without_heavy_imports(words):
     assert run.stdout.splitlines()[-1] == f"[] {2 if words == ['nonsense'] else 0}", run.stderr
 
 
+@pytest.mark.slow
 def test_no_extra_is_imported_by_a_command_that_does_not_need_it(data, tmp_path):
     code = (
         "import sys; from bsp_gp.cli import main; status = main(sys.argv[1:]); "
@@ -99,6 +101,7 @@ def test_module_is_the_command():
     assert run.stdout == f"bsp-gp {bsp_gp.__version__}\n"
 
 
+@pytest.mark.slow
 def test_close_writes_a_report_and_says_where(data, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["close", data, f"--declare={DRAG}", "--declare", GRAVITY, *FAST]) == 0
@@ -122,6 +125,7 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
     assert cli._data_name(["/"]) == "data"
 
 
+@pytest.mark.slow
 def test_close_tells_its_schema_its_settings_and_its_law(closed):
     told = json.loads((closed / "report.json").read_text())
     assert told["schema"] == "bsp_gp/report/2"
@@ -140,6 +144,7 @@ def test_options_that_close_has_no_more_are_refused(option, said, data, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):
     from bsp_gp.loop import close
 
@@ -178,6 +183,7 @@ def test_seed_and_settings_reach_the_report(closed):
     assert report["declared"][0]["law"] == GRAVITY
 
 
+@pytest.mark.slow
 def test_json_is_the_report_and_nothing_else(data, tmp_path, capsys):
     out = tmp_path / "r"
     words = ["close", data, "--declare", GRAVITY, "--json", "--out", str(out), *FAST]
@@ -189,6 +195,7 @@ def test_json_is_the_report_and_nothing_else(data, tmp_path, capsys):
     assert captured.err == f"Report: {out / 'report.html'}\n"
 
 
+@pytest.mark.slow
 def test_progress_is_on_stderr_one_line_a_stage(data, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("bsp_gp.cli_progress.QUIET_S", -1.0)
     words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "r"), *FAST[:-1]]
@@ -229,6 +236,7 @@ def test_an_older_result_is_kept_before_any_work(words, data, tmp_path, monkeypa
     assert tree(tmp_path) == ["mine", "mine/thesis.txt"]
 
 
+@pytest.mark.slow
 def test_a_report_is_replaced_only_on_demand(closed, data, tmp_path, monkeypatch, capsys):
     out = tmp_path / "r"
     out.mkdir()
@@ -293,6 +301,7 @@ def test_fit_prints_and_writes(data, tmp_path, capsys):
     assert tree(tmp_path) == ["fit", "fit/.bsp_gp", "fit/fit.json", "fit/fit.txt"]
 
 
+@pytest.mark.slow
 def test_fit_without_a_law_searches_from_no_force(data, tmp_path, capsys):
     out = tmp_path / "r"
     assert main(["fit", data, "--out", str(out), *FAST]) == 0
@@ -465,6 +474,7 @@ def test_settings_of_a_fit_need_a_law(data, capsys):
     assert "--start is for the fit of a --law" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_interrupt_is_130(data, tmp_path, monkeypatch, capsys):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt

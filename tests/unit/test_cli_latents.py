@@ -23,6 +23,7 @@ def data(tmp_path_factory):
     return str(save_dataset(dataset(4, (DECLARED,), noise=(0.0,)), folder))
 
 
+@pytest.mark.slow
 def test_infer_prints_a_posterior_and_writes_its_folder(data, tmp_path, capsys):
     out = tmp_path / "posterior"
     words = ["infer", data, "--law", LAW, "--train", "s0", "s1", "--noise", "0.01"]
@@ -54,6 +55,7 @@ def test_infer_keeps_noise_that_is_declared_and_tells_the_notes(data, tmp_path, 
     assert any(note.startswith("not used: colour") for note in notes)
 
 
+@pytest.mark.slow
 def test_fit_with_latents_learns_the_law(data, tmp_path, capsys):
     out = tmp_path / "learnt"
     words = ["fit", data, "--latent", "mass", "--grammar", str(grammar_file(tmp_path))]
@@ -66,6 +68,7 @@ def test_fit_with_latents_learns_the_law(data, tmp_path, capsys):
     assert (out / "laws.csv").is_file() and (out / "trace.csv").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["infer", "fit"])
 def test_discrete_unknowns_end_at_their_values(command, data, tmp_path, capsys):
     true = masses_of(dataset(2).scenes).truth.tolist()

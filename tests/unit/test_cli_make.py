@@ -57,6 +57,7 @@ def test_bodies_that_hit_each_other_are_told(capsys, tmp_path):
     assert status == 0 and "the declared model has no contacts; --set has_contacts=no" in text
 
 
+@pytest.mark.slow
 def test_scenes_that_frames_cannot_follow_are_drawn_again(capsys, tmp_path):
     words = ("nbody", "--scenes", 30, "--seed", 1, "--effect", "drag=0.1", "--undeclared",
              "--noise", 0)  # fmt: skip
@@ -77,6 +78,7 @@ def test_scenes_that_frames_cannot_follow_are_drawn_again(capsys, tmp_path):
     assert not (followed == anyhow)[anyhow > 1.2].any() and (followed == anyhow).any()
 
 
+@pytest.mark.slow
 def test_same_seed_same_bits_in_two_processes(tmp_path):
     for k in (1, 2):
         (tmp_path / str(k)).mkdir()

@@ -32,6 +32,7 @@ def folder(tmp_path_factory):
     return place / "found"
 
 
+@pytest.mark.slow
 def test_a_report_is_read_back(folder):
     report = bsp_gp.load_report(folder)
     told = json.loads((folder / "report.json").read_text("utf-8"))
@@ -61,6 +62,7 @@ def test_show_prints_the_summary_and_where_the_page_is(folder, capsys):
     assert "no report" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_rerun_says_whether_the_answer_is_the_same(folder, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # from anywhere
     before = (folder / "report.json").read_bytes()

@@ -87,6 +87,7 @@ def test_bad_laws_name_their_text(noisy, law, message):
         declared_law(noisy, [GRAVITY, law])
 
 
+@pytest.mark.slow
 def test_declared_may_be_a_law_and_a_grammar_may_be_read_already(noisy, report):
     again = close_loop(
         noisy,
@@ -111,16 +112,19 @@ def test_the_data_set_is_described(report, noisy):
     assert close(moved, GRAVITY, max_rounds=1).dataset["fingerprint"] != about["fingerprint"]
 
 
+@pytest.mark.slow
 def test_seed_is_recorded(noisy):
     assert close(noisy, GRAVITY, max_rounds=1).seed is None
     run = close_loop(noisy, [GRAVITY], rng=np.random.default_rng(5), seed=5, max_rounds=1, **FAST)
     assert run.seed == 5
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_report(noisy, report):
     assert timeless(close(noisy, GRAVITY, seed=3)) == timeless(report)
 
 
+@pytest.mark.slow
 def test_another_seed_changes_only_what_is_drawn(noisy, report):
     other = close(noisy, GRAVITY, seed=4)
     assert other.law_text == report.law_text  # the split is declared
@@ -128,12 +132,14 @@ def test_another_seed_changes_only_what_is_drawn(noisy, report):
     assert other.total["floor"] != report.total["floor"]
 
 
+@pytest.mark.slow
 def test_workers_do_not_change_the_answer(noisy, report):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         run = close(noisy, GRAVITY, seed=3, workers=workers)
     assert timeless(run) == timeless(report)
 
 
+@pytest.mark.slow
 def test_progress_names_the_stages(noisy):
     said = []
     close(noisy, GRAVITY, max_rounds=1, progress=said.append)
@@ -146,6 +152,7 @@ def test_progress_names_the_stages(noisy):
 # --- unusual data ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_scenes_without_a_split_are_cut_in_time():
     data = flights(0, linear_drag, n_train=1, n_test=1, n_times=60)
     data = replace(data, train=(), test=())
@@ -157,6 +164,7 @@ def test_two_scenes_without_a_split_are_cut_in_time():
     assert is_law(report.rounds[0].effect, "c * v_i", data)
 
 
+@pytest.mark.slow
 def test_three_dimensions():
     data = flights(0, quadratic_drag, n_dims=3)
     report = close(data, "9.81 [m/s^2] * m_i * down")
@@ -170,6 +178,7 @@ def test_three_dimensions():
     assert len(report.noise["sigma"]) == 3
 
 
+@pytest.mark.slow
 def test_one_body_and_no_declared_model():
     data = flights(0, nothing, n_train=4, n_test=5)
     report = close(data)
@@ -182,6 +191,7 @@ def test_one_body_and_no_declared_model():
     assert report.law_text.startswith("-9.8") and "[m/s^2]" in report.law_text
 
 
+@pytest.mark.slow
 def test_no_declared_model_and_a_spring():
     data = tied(0, n_train=3, n_test=5)
     effect = close(data, max_levels=6).rounds[0].effect
@@ -215,6 +225,7 @@ def ragged():
     )
 
 
+@pytest.mark.slow
 def test_tracks_that_begin_late_and_have_gaps():
     data = ragged()
     assert np.isnan(data.scenes[0].positions[0, 1]).all()
@@ -228,6 +239,7 @@ def test_tracks_that_begin_late_and_have_gaps():
     json.dumps(report.to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_a_body_that_comes_after_the_first_rows_of_a_held_out_scene():
     """Its initial state cannot be known from rows in which it was not seen."""
     data = flights(0, wind, n_train=4, n_test=5)
@@ -245,6 +257,7 @@ def test_a_body_that_comes_after_the_first_rows_of_a_held_out_scene():
     assert np.isnan(report.overlays[-1].adopted).all()
 
 
+@pytest.mark.slow
 def test_uncalibrated_data_say_so():
     data = flights(0, wind, n_train=4, n_test=5)
     from bsp_gp.units import UnitSystem
@@ -256,6 +269,7 @@ def test_uncalibrated_data_say_so():
     assert report.total["after"].unit == "px"
 
 
+@pytest.mark.slow
 def test_quiet_data_say_what_would_have_been_seen():
     report = close(orbit_dataset(0, n_train=3, n_test=3), PULL)
     assert (report.verdict, len(report.rounds)) == ("nothing missing", 1)
@@ -270,6 +284,7 @@ def test_quiet_data_say_what_would_have_been_seen():
         close(Dataset("still", [scene], units=SI))
 
 
+@pytest.mark.slow
 def test_a_grammar_without_time_needs_no_other_settings():
     report = close(orbit_dataset(0, n_train=2, n_test=1), grammar="newtonian", max_rounds=1)
     assert report.grammar["name"] == "newtonian"

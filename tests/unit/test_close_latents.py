@@ -34,6 +34,7 @@ def truths(data):
     }
 
 
+@pytest.mark.slow
 def test_unknown_masses_are_inferred_and_nothing_is_found_missing():
     data = world(n_times=40)
     report = close_loop(

@@ -122,6 +122,7 @@ def falling_ball(tmp_path):
     return str(tmp_path / "ball.csv")
 
 
+@pytest.mark.slow
 def test_one_body_is_searched_for_field_laws(tmp_path, capsys):
     words = ["compare", falling_ball(tmp_path), "--units", "length=m", "time=s", "--quiet"]
     assert main([*words, "--seeds", "1", "--laws", "50", "--out", str(tmp_path / "out")]) == 0

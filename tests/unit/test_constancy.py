@@ -84,6 +84,7 @@ def test_a_power_between_is_told(law):
     assert found.varies[0].p_value < 1e-6 and found.varies[0].share > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drag", "variable"),
     [
@@ -97,6 +98,7 @@ def test_the_variable_in_which_a_strength_changes_is_named(drag, variable):
     assert first.variable == variable and first.p_value < 1e-6
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_constant_is_a_description_only():
     data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
     report = close_loop(
@@ -120,6 +122,7 @@ def test_a_power_is_as_stated_where_its_neighbours_are_excluded():
     assert near.is_as_stated(Criteria()), "some weaker effect always shows"
 
 
+@pytest.mark.slow
 def test_what_stands_beside_a_description_is_none_the_surer():
     data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
     report = close_loop(data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)

@@ -109,6 +109,7 @@ def test_derivatives_are_exact_also_across_a_stop(drag):
         np.testing.assert_allclose(total[:, :, column], measured, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "force"),
     [

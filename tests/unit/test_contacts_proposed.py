@@ -55,6 +55,7 @@ def test_a_kick_is_found_with_its_instant_and_velocity(n_bodies):
     assert units == {"w_x1": "m/s", "w_y1": "m/s", "t1": "s"}
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_motion_where_forces_depend_on_the_place():
     """On an oscillator, against fits with a number held a little to either side."""
     rng = np.random.default_rng(1)

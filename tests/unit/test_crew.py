@@ -45,6 +45,7 @@ def pool():
         yield pool
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("eager")
 def test_a_map_is_the_same_wherever_it_is_done(pool):
     expected = [7 * k for k in range(40)]

@@ -64,6 +64,7 @@ def surprise(pcfg, counts):
     return total, freedom
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("max_levels", [6, 10])
 @pytest.mark.parametrize("make", [Pcfg.uniform, skewed], ids=["uniform", "skewed"])
 def test_many_draws_have_the_distribution_of_single_ones(make, max_levels):

@@ -40,6 +40,7 @@ def test_what_numbers_may_be_off_by_is_half_a_last_digit(text, rounding):
     assert rounding_of(formula) == pytest.approx(rounding)
 
 
+@pytest.mark.slow
 def test_a_number_that_was_rounded_is_told_as_that():
     report = close_loop(swings(), "8.018 [1/s^2] * m_i * (origin - p_i)", rng=0, n_bootstrap=0)
     effect = report.rounds[0].effect
@@ -62,6 +63,7 @@ def damped(stiffness, damping, sigma=1e-3):
     return Dataset("damped", tuple(scenes), units=SI)
 
 
+@pytest.mark.slow
 def test_declared_numbers_that_are_all_wrong_are_told_together():
     laws = ("-16 [1/s^2] * m_i * (p_i - origin)", "-6 [1/s] * m_i * v_i")
     report = close_loop(damped(10.6, 1.7), laws, rng=0, n_bootstrap=0)

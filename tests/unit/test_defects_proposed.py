@@ -172,6 +172,7 @@ def test_evidence_of_a_defect_does_not_change_with_the_unit_of_length():
     assert gains[0] == pytest.approx(gains[1], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_rows_that_are_left_out_are_foreseen_by_nobody():
     """Of another scene's outlier no scene foretells anything: it was refused for that."""
     data = replace(throws(np.random.default_rng(1), n_scenes=5, n_rows=50), noise=None)

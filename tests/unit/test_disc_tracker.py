@@ -56,6 +56,7 @@ def test_blurred_and_compressed_render_is_tracked_to_a_tenth(tmp_path):
     assert video.is_lossy
 
 
+@pytest.mark.slow
 def test_noisy_covariance_is_calibrated(tmp_path):
     video, truth, _ = rendered(
         tmp_path / "a.mkv", 5, ("red", "blue", "yellow"), 80, 220, 2.0, blur=0.7, noise=4.0

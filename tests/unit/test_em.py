@@ -34,6 +34,7 @@ def learnt(grammar):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_law_and_masses_are_learnt_together(learnt):
     text = learnt.best.text
     assert "m_i * m_j / norm(p_i - p_j)^2" in text
@@ -50,6 +51,7 @@ def test_the_trace_begins_with_the_prior_and_keeps_every_law(learnt):
     assert "fit as well" in learnt.text() or "mass[s0:b1]" in learnt.text()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_answer(grammar, learnt):
     some = scenes(2)
     again = fit_em(
@@ -100,6 +102,7 @@ def test_em_alone_takes_the_m_steps_law_as_it_is(grammar):
     assert em.contenders[0].law.constants != em.best.profile.law.constants
 
 
+@pytest.mark.slow
 def test_terms_that_are_there_already_are_kept_and_refitted(grammar):
     some = scenes(2, c2=2.0)
     base = law_of("-c1 * (mu_i * v_i)")

@@ -123,6 +123,7 @@ def test_a_threshold_in_time_moves_the_end_by_the_jump():
         np.testing.assert_allclose(by_threshold, expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_events_in_one_interval():
     """A body crosses two mats and a threshold in time between two rows."""
     law = law_of(f"-c1 * normalize(v_i) * {ON}", "c2 * sign(c3 * t - c4) * e_y",

@@ -29,6 +29,7 @@ def rng():
     return np.random.default_rng(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [EvaluationError("no value"), FitError("no noise"), FloatingPointError("overflow"),
@@ -98,6 +99,7 @@ def test_a_patch_that_is_never_seen():
     assert np.isnan(track.positions).all() and np.isnan(track.rms).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quiet", [True, False])
 def test_quiet_shows_no_warning_and_keeps_errors(quiet, tmp_path, monkeypatch):
     def warns(*args, **kwargs):
@@ -131,6 +133,7 @@ def test_an_undetermined_constant_is_told_in_words():
     assert fit.to_dict()["constants"][1]["low"] is None
 
 
+@pytest.mark.slow
 def test_undetermined_constants_and_those_at_a_bound_in_a_report(tmp_path):
     laws = ["a * m_i * down", "b * m_i * down"]
     report = close_loop(throws(sigma=0.01), laws, rng=rng(), **SHORT)

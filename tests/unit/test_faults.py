@@ -25,6 +25,7 @@ def lasting(names):
     return [pytest.param(name, marks=pytest.mark.faults) for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["simulate", *lasting((*SLOW, "study"))])
 def test_a_kill_at_any_write_leaves_the_old_result_or_the_new(command):
     result = faults(command, "kill")
@@ -39,6 +40,7 @@ def test_so_it_is_after_the_next_run_where_names_cannot_be_exchanged(command):
     assert result["old"] > 5 and result["new"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["simulate", *lasting((*SLOW, "study"))])
 def test_a_full_disk_at_any_write_is_one_line_and_leaves_the_old_result(command):
     result = faults(command, "full")

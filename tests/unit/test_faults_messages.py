@@ -99,6 +99,7 @@ def test_unreadable_places(kind, where, data, tmp_path, capsys, monkeypatch):
     refused([*words, *FAST, "--out", "chosen"], capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", ["p", "v", "s", "p_x,p_y"])
 def test_a_property_named_as_a_state_is_left_out_and_told(columns, data, tmp_path, capsys):
     folder = shutil.copytree(data, tmp_path / "data")

@@ -192,6 +192,7 @@ def test_a_fit_that_runs_out_of_time_is_not_converged():
     assert found.status == "unconverged" and found.is_failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [{"n": 5000.0, "k": 1e300}, {"n": 700.0, "k": 1.0}])
 def test_a_law_that_has_no_finite_track_is_said_so(start):
     law = "-k * norm(p_i - p_j)^n * normalize(p_i - p_j)"
@@ -304,6 +305,7 @@ def in_units(dataset, length, time, noise):
     return dataset_of(scenes, noise=None if noise is None else (length * noise,) * 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.02, None], ids=["declared", "estimated"])
 def test_evidence_does_not_know_units(noise):
     """Metres as feet, seconds as milliseconds: the difference between two hypotheses stays."""
@@ -318,6 +320,7 @@ def test_evidence_does_not_know_units(noise):
     assert gains[1] == pytest.approx(gains[0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_evidence_finds_what_is_there_and_nothing_else():
     """A weak damping of five standard errors and none, eight recordings each.
 
@@ -405,6 +408,7 @@ def test_gross_errors_do_not_pull_on_a_fit_whose_noise_has_tails():
     assert np.abs(found.residual[rows]).min() > 0.5
 
 
+@pytest.mark.slow
 def test_errors_under_tails_are_those_of_students_information():
     """z of both constants over a few draws is about one: the weights alone would say 1.5."""
     times, z = np.linspace(0.0, 8.0, 161), []
@@ -420,6 +424,7 @@ def test_errors_under_tails_are_those_of_students_information():
     assert 0.7 < spread < 1.35
 
 
+@pytest.mark.slow
 def test_known_noise_has_no_tails():
     dirty, _ = with_gross_errors(swing(times=np.linspace(0.0, 8.0, 161)), 0)
     found = fitted(replace(dirty, noise=(0.02, 0.02)), SPRING, DAMPING)

@@ -74,6 +74,7 @@ def test_tracks_obey_the_law_as_typed(made, index):
     check_law(made, made.fit_laws.case(name, np.random.default_rng([4, index])).world, 0.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", ["oscillators", "orbits", "pushes", "exponent"])
 def test_worlds_of_studies_obey_their_laws(made, study):
     seen = set()

@@ -105,6 +105,7 @@ def test_bad_arguments_of_fit(noisy, laws, noise, error, message):
         fit_law(noisy, laws, rng=rng(), noise=noise)
 
 
+@pytest.mark.slow
 def test_a_law_without_finite_value_is_a_failed_fit(noisy):
     fit = fit_law(noisy, ["c1 / 0 * v_i"])
     assert (fit.status, fit.converged) == ("nonfinite", False)
@@ -249,6 +250,7 @@ def test_an_axis_without_motion_is_reported():
     assert "noise              = -, 0.0" in fit.text()
 
 
+@pytest.mark.slow
 def test_rolled_tracks_are_those_of_a_step_by_step_integration():
     from scipy.integrate import solve_ivp
 
@@ -283,6 +285,7 @@ def test_rolled_tracks_are_those_of_a_step_by_step_integration():
         np.testing.assert_allclose(nodes[0, 0, :, :, 0], rated.y[:2], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_motion_that_runs_away_is_infinitely_wrong():
     from bsp_gp.fitting.hypothesis import read_law
     from bsp_gp.fitting.rolling import roll

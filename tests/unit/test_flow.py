@@ -51,6 +51,7 @@ def expected_ends(law, scene, flow):
     return ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["rk45", "dop853"])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_intervals_end_where_scipy_says(name, scheme):
@@ -226,6 +227,7 @@ def kepler(eccentricity, tolerance):
 
 
 ENCOUNTERS = [(e, tol) for e in (0.0, 0.5, 0.9, 0.99, 0.999, 0.99999, 1.0) for tol in (1e-4, 1e-8)]
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("eccentricity", "tolerance"),
     ENCOUNTERS,

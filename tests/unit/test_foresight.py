@@ -103,6 +103,7 @@ def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
     assert not _is_surely_worse(Ratio(1.5))
 
 
+@pytest.mark.slow
 def test_a_cause_with_which_tracks_run_away_is_refused(world):
     away = "2 [1/s^2] * m_i * norm(p_i - origin)^4 / 1 [m^4] * (p_i - origin)"
     train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]

@@ -54,6 +54,7 @@ def test_a_declared_frame_gives_its_constants_and_leaves_noise(world, law, truth
     assert found.noise["sigma"][0] == pytest.approx(1e-3, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spin", "n_dims"), [((0, 0, 0.8), 2), ((0.2, -0.3, 0.8), 3)], ids=["flat", "space"]
 )

@@ -34,6 +34,7 @@ def swinging():
     return View(found, hypothesis, data, np.random.default_rng(1)), places, velocities
 
 
+@pytest.mark.slow
 def test_noise_beside_a_law_that_is_far_off_is_the_pure_error(swinging):
     view, *_ = swinging
     assert view.fit.noise.levels[0] == pytest.approx(SIGMA, rel=0.2)

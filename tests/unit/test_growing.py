@@ -33,6 +33,7 @@ def proposed(rate, begin=0.0):
     return data, family, selected(family.gain, family.rank, family.null, view.noise_dof)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [0.0, 1000.0])
 def test_a_wind_that_grows_is_found_with_its_rate(begin):
     data, family, chance = proposed(0.4, begin)

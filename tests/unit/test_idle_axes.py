@@ -31,6 +31,7 @@ def carts(n_scenes=4, sigma=0.0005):
     return Dataset("carts", tuple(scenes), noise=(sigma,), units=SI)
 
 
+@pytest.mark.slow
 def test_smoothed_tracks_stay_on_the_track():
     view = view_of(carts(), SPRING)
     for nodes in view.response.nodes:
@@ -38,6 +39,7 @@ def test_smoothed_tracks_stay_on_the_track():
     assert float(view.left @ view.left) < 20 * view.fit.chisqr
 
 
+@pytest.mark.slow
 def test_a_damper_between_carts_is_found():
     report = close_loop(carts(), SPRING, rng=0, n_bootstrap=0)
     assert report.verdict == "effect adopted"

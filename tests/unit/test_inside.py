@@ -86,6 +86,7 @@ def test_a_push_beyond_a_height_leads():
     assert is_within(found, c=1.5, h_y=1.2)
 
 
+@pytest.mark.slow
 def test_a_push_in_a_window_of_time_leads():
     def push(place, velocity, time):
         return np.array([3.0 * (0.4 < time < 0.9), 0.0])
@@ -118,6 +119,7 @@ def test_no_power_is_fitted_of_a_property_that_is_unknown_or_the_same_everywhere
     assert _are_told(formula, data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_scenes", "n_forms"), [(6, 1), (3, 0)])
 def test_a_power_of_the_mass_is_fitted_where_there_are_masses_enough(n_scenes, n_forms):
     rng, scenes = np.random.default_rng(0), []

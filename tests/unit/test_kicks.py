@@ -97,6 +97,7 @@ def test_kicks_are_told_by_the_loop():
     assert abs(stiffness.value - 4e-15) < stiffness.high - stiffness.low  # of 90 %: 3.3 sigma
 
 
+@pytest.mark.slow
 def test_a_swing_that_can_be_foreseen_is_no_matter_of_kicks():
     """A spring with drag as the square of the speed was told as kicks in a trap with drag."""
     times = np.linspace(0.0, 6.0, 241)

@@ -51,6 +51,7 @@ def proposed(delay):
     return data, family, selected(family.gain, family.rank, family.null, view.noise_dof, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.013, 0.11, 0.4, -0.17])
 def test_a_delay_of_any_size_is_found(delay):
     data, family, chance = proposed(delay)

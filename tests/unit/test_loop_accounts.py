@@ -64,6 +64,7 @@ def test_an_error_that_is_half_of_another_has_the_ratio_one_half():
     assert low < accounts.errors(0).rollout_rmse < high
 
 
+@pytest.mark.slow
 def test_intervals_of_few_scenes_cover_what_other_draws_show():
     """The error of a true law on other noise lies in nine of ten intervals."""
     inside, n_worlds = 0, 24

@@ -63,6 +63,7 @@ def report():
 # --- the report -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_report_json_has_the_contracts_keys_and_closed_codes(report):
     data = report.to_dict()
     json.dumps(data, allow_nan=False)
@@ -125,6 +126,7 @@ def test_tracks_and_residuals_are_those_of_the_data(report):
     assert abs(np.mean(table.after_along)) < 0.3 * abs(np.mean(table.before_along))
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_report(report):
     again = close_loop(dragged(), [WEIGHT], rng=np.random.default_rng(0), seed=0).to_dict()
     for data in (again, once := report.to_dict()):
@@ -178,6 +180,7 @@ class Asked(Clock):
         return self.times < 0
 
 
+@pytest.mark.slow
 def test_less_time_never_adopts_more_and_says_what_it_left_out():
     data = worlds.flights(3, worlds.head_wind, n_train=4, n_test=0, sigma=0.02)
     data = replace(data, train=(), test=())
@@ -207,6 +210,7 @@ def test_less_time_never_adopts_more_and_says_what_it_left_out():
     assert {"proposers", "fits"} <= told <= set(LEFT_OUT)
 
 
+@pytest.mark.slow
 def test_what_acts_in_held_out_scenes_only_is_found():
     """Train and test are swapped, and what is told is of both looks."""
     calm = worlds.flights(3, worlds.nothing, n_train=4, n_test=0)
@@ -246,6 +250,7 @@ def test_a_clock_counts_down():
 # --- going on ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_its_rounds_to_the_same_bits(report):
     """From none, from the first and from all of them."""
     rounds = []

@@ -122,6 +122,7 @@ def test_the_response_projects_out_what_properties_change():
 # --- fits -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_masses_lie_in_their_intervals_and_take_part_in_the_evidence():
     told, evidence = [], []
     for seed in range(12):
@@ -217,6 +218,7 @@ def test_bodies_of_held_out_scenes_have_properties_of_their_own():
 # --- the loop -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_push_is_found_beside_unknown_masses():
     report = close_loop(
         dragged(7, push=0.6), [WEIGHT, DRAG], rng=np.random.default_rng(0), n_bootstrap=0,
@@ -230,6 +232,7 @@ def test_a_push_is_found_beside_unknown_masses():
     assert report.total["ratio"].value < 0.5
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_only_masses_are_unknown():
     report = close_loop(
         dragged(8), [WEIGHT, DRAG], rng=np.random.default_rng(0), n_bootstrap=3, max_levels=5

@@ -1,6 +1,7 @@
 """Scenes that no path under a law follows, among others that it does."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from bsp_gp.fitting.fit import fit
@@ -36,6 +37,7 @@ def orbits(drag, odd=None, count=8, sigma=0.003):
     return dataset_of(tuple(scenes), noise=(sigma,))
 
 
+@pytest.mark.slow
 def test_a_scene_that_no_path_follows_is_named():
     dataset = orbits(0.3, odd=5)
     found = fit(Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY])), dataset)
@@ -45,6 +47,7 @@ def test_a_scene_that_no_path_follows_is_named():
     assert (found.status, found.lost) == ("refuted", ())
 
 
+@pytest.mark.slow
 def test_such_a_scene_hides_nothing_of_what_acts_in_the_others():
     def declared(dataset):
         return Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY, "-c * v_i"]))

@@ -28,6 +28,7 @@ def test_a_machine_is_made_and_its_model_can_be_declared(tmp_path, monkeypatch, 
     assert not (tmp_path / "made" / "truth.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "effect"), [
     ("driven_cart", "drag"), ("quadrotor_lite", "drag"), ("turntable", "rotation"),
     ("pendulum", "drag"), ("arm", "quadratic"),

@@ -88,6 +88,7 @@ def test_columns_without_a_declared_unit_are_no_inputs():
     assert data.scenes[0].inputs == {}
 
 
+@pytest.mark.slow
 def test_the_drag_against_the_wind_is_found_with_its_thrust():
     data = flights(sigma=0.01)
     report = bsp_gp.close_loop(data, [FALL, LIFT], rng=np.random.default_rng(0), n_bootstrap=0)

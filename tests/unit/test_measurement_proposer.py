@@ -106,6 +106,7 @@ def test_an_exposure_that_were_negative_is_not_proposed():
         assert p.code != "exposure" or values[0] > 0
 
 
+@pytest.mark.slow
 def test_chance_is_counted_over_all_kinds():
     chances = []
     for seed in range(12):

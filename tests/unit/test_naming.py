@@ -118,6 +118,7 @@ def test_no_rewriting_of_a_law_is_told_as_another(text):
     assert proposal.texts_of_ties == ("c1 * (m_i * v_i)",)
 
 
+@pytest.mark.slow
 def test_a_law_is_not_listed_as_one_that_cannot_be_told_from_itself():
     data = flights(0, linear_drag)
     report = close_loop(data, [WEIGHT], rng=np.random.default_rng(0), max_rounds=1, n_bootstrap=0)

@@ -108,6 +108,7 @@ def test_levels_are_unbiased_where_most_rows_pay_for_local_numbers():
     assert adopted(model) == []
 
 
+@pytest.mark.slow
 def test_memory_is_recovered_beside_white_noise_and_local_columns():
     found = channels(40, n_scenes=25)
     local = polynomials(found, 1)
@@ -125,6 +126,7 @@ def test_memory_is_recovered_beside_white_noise_and_local_columns():
     assert np.all(np.abs(seen.mean(axis=0) - expected) < 4 * errors / math.sqrt(10))
 
 
+@pytest.mark.slow
 def test_a_memory_that_short_tracks_hardly_bound_is_neither_the_shortest_nor_the_longest():
     found = channels(40, n_scenes=4)
     local = polynomials(found, 6)

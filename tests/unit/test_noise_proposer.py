@@ -55,6 +55,7 @@ def test_declared_noise_that_is_contradicted_is_estimated():
     assert proposal.hypothesis.noise.is_free.tolist() == [True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_odd", [True, False])
 def test_a_missing_force_is_found_whether_the_declared_noise_is_true_or_not(is_odd):
     rng = np.random.default_rng(2)
@@ -70,6 +71,7 @@ def test_a_missing_force_is_found_whether_the_declared_noise_is_true_or_not(is_o
     assert constant.low - 0.02 < 0.4 < constant.high + 0.02
 
 
+@pytest.mark.slow
 def test_odd_noise_alone_is_no_effect():
     rng = np.random.default_rng(3)
     report = close_loop(throws(rng, n_scenes=6, noise=louder(rng)), GRAVITY, rng=0)
@@ -101,6 +103,7 @@ def test_a_slow_weak_memory_is_proposed_whatever_forces_explain():
     assert report.verdict in ("the noise is not as assumed", "nothing missing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_memory_of_the_noise_is_not_taken_for_forces_however_many_tracks_there_are(seed):
     """A memory was given up by some nats for each track, whose first state it tells less of."""

@@ -69,6 +69,7 @@ def test_a_long_set_has_six_scenes_or_more(study):
     assert 6 <= len(study.moved(plan)[0].scenes) <= 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["speed to the 1.5", "Basset drag", "chase", "many kicks"])
 def test_a_set_is_the_same_each_time_and_another_with_another_seed(study, name):
     def made(seed):
@@ -82,6 +83,7 @@ def test_a_set_is_the_same_each_time_and_another_with_another_seed(study, name):
     assert not np.array_equal(one.scenes[0].positions[0], other.scenes[0].positions[0])
 
 
+@pytest.mark.slow
 def test_every_kind_moves_bodies_as_its_force_says_in_newtons(study):
     for name, kind in study.KINDS.items():
         plan = replace(study.plan_of(name, 5.0, 0), is_long=False)
@@ -114,6 +116,7 @@ def test_a_drag_is_what_an_integration_by_hand_gives(study):
     np.testing.assert_allclose(scene.positions[:, 0], out.y[:2].T, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "snr"), [("speed to the 0.5", 10.0), ("saturating spring", 30.0), ("chirp", 5.0)]
 )
@@ -134,6 +137,7 @@ def noisy(study, name, seed=0):
     return exact, scenes, gain, study._size(exact.scenes, scenes) / sigma
 
 
+@pytest.mark.slow
 def test_odd_noise_is_of_its_size_and_beats_white_noise(study):
     for name in study.NOISES:
         if name != "missing rows":

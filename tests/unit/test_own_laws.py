@@ -36,6 +36,7 @@ def chases(n_scenes=4):
     return Dataset("chases", tuple(scenes), noise=(SIGMA,), units=SI)
 
 
+@pytest.mark.slow
 def test_a_hunter_and_its_prey_have_laws_of_their_own():
     report = close_loop(chases(), "-c * v_i", rng=0, n_bootstrap=0)
     assert report.verdict == "effect adopted"
@@ -51,6 +52,7 @@ def test_a_hunter_and_its_prey_have_laws_of_their_own():
     assert report.rounds[-1].reason == "not_significant"
 
 
+@pytest.mark.slow
 def test_noise_alone_has_no_laws_of_its_own():
     grammar, chances = load_grammar("physics"), []
     for seed in range(6):

@@ -28,6 +28,7 @@ def shaken(force, has_mass=False):
     return move
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_mass", [False, True])
 def test_a_period_is_found_with_its_rate_axis_and_mass(has_mass):
     force = 2.0 if has_mass else 0.5
@@ -102,6 +103,7 @@ def test_gains_of_many_numbers_are_told_as_of_two():
     assert as_pair(5000.0, 2) == pytest.approx(5000)
 
 
+@pytest.mark.slow
 def test_a_trap_that_oscillates_is_found():
     rate, scenes = 60.0, []
     t = np.linspace(0.0, 0.6, 121)

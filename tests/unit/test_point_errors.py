@@ -135,6 +135,7 @@ def test_clean_tracks_of_many_kinds_have_none():
         assert np.all(gross_errors(t, x, np.full(2, 1e-7), is_exact=True) == 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.0, 0.002])
 @pytest.mark.parametrize("row", [0, 3, 8, 15])
 def test_a_fit_tells_a_gross_error_of_sixteen_rows_and_stands_it(row, sigma):

@@ -112,6 +112,7 @@ def test_one_kilogram_is_told_and_only_where_it_counts(spring, capsys):
     assert NO_MASS not in told.err + told.out and "k: 8.0" in told.out
 
 
+@pytest.mark.slow
 def test_the_report_says_it_first(spring, capsys):
     words = ["close", spring, "--declare", SPRING, "--units", "length=m", "time=s", "mass=kg",
              "--max-rounds", "1", "--max-levels", "2", "--quiet", "--bootstrap", "0"]  # fmt: skip

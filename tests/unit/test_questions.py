@@ -110,6 +110,7 @@ def test_the_bound_covers_a_force_that_is_there_and_shrinks_with_the_noise():
     assert bounds[0].share == pytest.approx(bounds[0].acceleration / 9.81, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_bound_on_the_signal_covers_what_is_there():
     def push(t, mass):
         return 0.05 * np.square(t)[:, None] * [1, 0]

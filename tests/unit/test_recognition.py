@@ -94,6 +94,7 @@ def test_equal_trees_are_one_object():
     assert (one.levels, one.size) == (2, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pool", [(64, 4), (5, 5), (1, 1)])
 def test_pools_have_the_distribution_of_single_draws(pool):
     """Rules of the scalars, one tree per pool, so that the draws counted are independent."""

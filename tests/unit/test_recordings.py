@@ -43,6 +43,7 @@ def forces(report):
     return {describe(term.formula) for term in report.law.terms if not term.is_declared}
 
 
+@pytest.mark.slow
 def test_a_spring_with_two_drags():
     times = np.linspace(0.0, 8.0, 241)
     data = recorded(lambda t, x, v: -25 * x - 0.4 * v - 3 * abs(v) * v, [(0.3, 0.0)], times, 1e-3)
@@ -54,6 +55,7 @@ def test_a_spring_with_two_drags():
     assert holds(found["centre_x"], 0.0)
 
 
+@pytest.mark.slow
 def test_drag_in_a_wind():
     def force(t, place, v):
         return -0.06 * np.hypot(v[0] + 3.0, v[1]) * (v + [3.0, 0.0]) + [0.0, -9.81]

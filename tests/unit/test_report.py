@@ -185,6 +185,7 @@ def test_small_helpers():
     assert spans_decades(np.geomspace(1, 1e4, 50))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sample.ALL)
 def test_page_is_well_nested_and_fetches_nothing(pages, name):
     outline = Outline(pages[name])
@@ -225,6 +226,7 @@ def test_the_first_screen_says_it_all(pages):
         assert f'.picture:has(#show-{name}:not(:checked)) [id="{name}"]' in page
 
 
+@pytest.mark.slow
 def test_a_section_with_something_to_say_says_it_first():
     report = sample.adopted()
     extra = {**report.extras[0], "headline": "it is that of the air"}
@@ -232,6 +234,7 @@ def test_a_section_with_something_to_say_says_it_first():
     assert "quadratic in speed; it is that of the air." in " ".join(page.first)
 
 
+@pytest.mark.slow
 def test_forces_that_were_found_as_one_are_told_apart_and_a_large_class_has_no_probability():
     types = input_types(PROPERTY_UNITS)
     texts = ("c1 * v_i", "c2 * norm(p_i - p_j)^-3 * normalize(p_j - p_i)")
@@ -267,6 +270,7 @@ def test_powers_of_several_forces_are_told_with_the_constant_of_each():
     assert "a further distance to the −2.990 [−3.010, −2.970], which the law has not" in told
 
 
+@pytest.mark.slow
 def test_errors_of_scenes_have_their_unit():
     report = sample.adopted()
     rounds = (replace(report.rounds[0], held_out=({"scene": "a", "before": 2.0, "after": 1.0},)),)
@@ -344,6 +348,7 @@ def test_page_of_every_other_verdict(pages):
     assert "1.32712440018 × 10²⁰" in text["orbit"] and "m³/s²" in text["orbit"]
 
 
+@pytest.mark.slow
 def test_text_of_users_is_escaped_everywhere(tmp_path, pages):
     assert "<script>alert" not in pages["hostile"] and "alert(&#34;x&#34;)" in pages["hostile"]
     assert 'alert("x")' in Outline(pages["hostile"]).text
@@ -550,6 +555,7 @@ def test_report_json_keeps_its_contract(name):
         assert {"statistic", "p_value", "detectable"} <= set(r["missing"])
 
 
+@pytest.mark.slow
 def test_folder_has_every_file(written):
     names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file()}
     drawn = ("headline", "tracks", "constants", "rounds", "residuals", "trace_1")
@@ -579,6 +585,7 @@ def test_residuals_csv_loses_no_digit(written):
     assert {r["distance"] for r in rows} == {""}
 
 
+@pytest.mark.slow
 def test_the_same_report_gives_the_same_bytes(tmp_path, written):
     again = write_report(sample.adopted(), tmp_path / "again", run_info=RUN)
     files = [{p.relative_to(f): p.read_bytes() for p in f.rglob("*") if p.is_file()}

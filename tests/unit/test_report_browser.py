@@ -165,6 +165,7 @@ def test_axe_would_find_what_is_wrong(tmp_path):
     assert [told[:2] for told in axe_finds(tmp_path, page)] == [["critical", "image-alt"]]
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("options", [(), ("--force-dark-mode",)], ids=["light", "dark"])
 @pytest.mark.parametrize("name", PAGES)

@@ -32,6 +32,7 @@ def bobs(rate, n_scenes=3, sigma=0.001):
     return Dataset("bobs", tuple(scenes), noise=(sigma,), units=SI)
 
 
+@pytest.mark.slow
 def test_losses_are_those_of_fits():
     data, criteria = bobs(lambda v: 0.0), Criteria()
     view = view_of(data, SPRING)
@@ -58,6 +59,7 @@ def test_losses_are_those_of_fits():
             assert told.loss(proposal) == pytest.approx(loss, abs=2.0)
 
 
+@pytest.mark.slow
 def test_far_from_the_tracks_the_plain_law_is_fitted_and_no_sum_beside_it():
     report = close_loop(bobs(lambda v: 0.0), SPRING, rng=0, n_bootstrap=0)
     assert report.verdict == "effect adopted"

@@ -32,6 +32,7 @@ def track(t, x, y, sigma=1e-3):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_rod_and_then_the_drag_are_found_from_the_weight_alone():
     data = bob(lambda v: -0.15 * v, n=150)
     report = bsp_gp.close_loop(data, [WEIGHT], rng=np.random.default_rng(0), n_bootstrap=0)
@@ -50,6 +51,7 @@ def test_a_rod_and_then_the_drag_are_found_from_the_weight_alone():
     )
 
 
+@pytest.mark.slow
 def test_a_weight_that_would_take_a_bob_far_off_is_fitted_all_the_same():
     """Twelve seconds of free fall end 700 m below a track that spans a metre."""
     data = bob(n=360, dt=1 / 30)
@@ -76,6 +78,7 @@ def test_a_fall_along_a_line_is_on_no_wire(rate):
     assert family.proposals == ()
 
 
+@pytest.mark.slow
 def test_moments_of_a_held_body_tell_all_that_a_fit_with_the_drag_gains():
     data = bob(lambda v: -0.002 * v, n=280)
     laws = [WEIGHT, f"norm(p_i - ({PIVOT[0]}, {PIVOT[1]})) = {LENGTH}"]

@@ -67,6 +67,7 @@ def needed(problem, levels, n_targets, monkeypatch):
     return high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_null, levels", [(0, 9), (300, 8)])
 def test_what_is_foreseen_is_near_what_is_taken(problem, n_null, levels, monkeypatch):
     with monkeypatch.context() as patch:
@@ -141,6 +142,7 @@ def test_available_memory_heeds_the_least_limit(monkeypatch):
     assert room.available_bytes() == 5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 def test_too_many_levels_are_refused_with_one_line(tmp_path):
     data = save_dataset(three_bodies(n_scenes=4, n_times=70), tmp_path / "three")

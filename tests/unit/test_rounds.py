@@ -28,6 +28,7 @@ def drag():
     return data, close(data, GRAVITY)
 
 
+@pytest.mark.slow
 def test_a_planted_drag_is_adopted_and_then_nothing_is_missing(drag):
     data, report = drag
     assert [r.verdict for r in report.rounds] == ["effect adopted", "nothing missing"]
@@ -62,6 +63,7 @@ def test_adopted_is_what_predicts(drag):
         assert np.abs(overlay.declared - track[:, 0])[-1].max() > 0.5
 
 
+@pytest.mark.slow
 def test_residuals_are_those_of_the_adopted_law(drag):
     _, report = drag
     table = report.residuals
@@ -89,6 +91,7 @@ def test_the_trace_tells_where_it_was(drag):
     assert last.trace is None and not last.varies_with
 
 
+@pytest.mark.slow
 def test_number_scale_and_clock_are_told_together():
     """Weight declared as 9 m/s^2; in truth it is 9.81, and nothing else is missing."""
     data = flights(0, nothing, n_train=5, n_test=5, noise=None)
@@ -103,6 +106,7 @@ def test_number_scale_and_clock_are_told_together():
     assert done.ratio.high < 0.1
 
 
+@pytest.mark.slow
 def test_a_changed_number_is_found_where_every_force_along_the_line_is_ruled_out():
     """Falls from rest: down is forward, so that what would help is no friction."""
     t = np.arange(60) / 30
@@ -117,6 +121,7 @@ def test_a_changed_number_is_found_where_every_force_along_the_line_is_ruled_out
     assert done.verdict == "cannot tell"
 
 
+@pytest.mark.slow
 def test_a_forward_push_is_called_one():
     """A rocket, 0.4 m v: no drag of the other sign."""
     data = flights(1, lambda t, p, v, m, q: 0.4 * m * v, n_train=4, n_test=5)
@@ -127,6 +132,7 @@ def test_a_forward_push_is_called_one():
     assert page_of(report).rounds[0].effect.name == "forward push, linear in speed"
 
 
+@pytest.mark.slow
 def test_two_terms_that_nearly_agree_are_not_both_adopted():
     """All balls thrown alike: linear and quadratic drag are collinear to a few percent."""
     t = 0.02 * np.arange(40)[:, None]
@@ -149,6 +155,7 @@ def test_two_terms_that_nearly_agree_are_not_both_adopted():
     assert first.effect.equivalents  # the drag may go with the mass, which all have in common
 
 
+@pytest.mark.slow
 def test_declared_constants_are_refitted_with_what_is_found():
     data = flights(2, linear_drag, n_train=5, n_test=5)
     report = close(data, "g * m_i * down")
@@ -161,6 +168,7 @@ def test_declared_constants_are_refitted_with_what_is_found():
     assert "number" not in {h["code"] for h in report.rounds[0].hypotheses}
 
 
+@pytest.mark.slow
 def test_a_limit_of_rounds_is_said():
     data = throws(n_scenes=8, n_times=25, sigma=0.01, noise=(0.01,))
     report = close(data, GRAVITY, max_rounds=1)
@@ -168,6 +176,7 @@ def test_a_limit_of_rounds_is_said():
     assert report.stop_reason == "most_rounds"
 
 
+@pytest.mark.slow
 def test_exact_data_take_the_same_way():
     """Exact throws of a drag that is quadratic in speed, in a room with a wall, step by step."""
     dt, scenes = 0.02, []
@@ -188,6 +197,7 @@ def test_exact_data_take_the_same_way():
     assert report.total["after"].residual_acceleration < 1e-9
 
 
+@pytest.mark.slow
 def test_a_declared_term_without_support_is_said():
     report = close(flights(3, nothing), WEIGHT, "k * v_i")
     assert report.verdict == "nothing missing"
@@ -197,6 +207,7 @@ def test_a_declared_term_without_support_is_said():
     assert not any("support" in n for n in page_of(needed).notes)
 
 
+@pytest.mark.slow
 def test_a_declared_term_of_the_wrong_sign_is_said():
     """Upward gravity, a slip of many users: once, the fit of a clock ran backwards over it."""
     first = close(flights(3, nothing), "9.81 [m/s^2] * m_i * e_y", max_rounds=1).rounds[0]

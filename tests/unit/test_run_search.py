@@ -194,6 +194,7 @@ def test_a_checkpoint_changes_nothing(name, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
 
 
+@pytest.mark.slow
 @all_strategies
 def test_runs_resume_from_every_step(name, tmp_path):
     for steps in range(6):
@@ -205,6 +206,7 @@ def test_runs_resume_from_every_step(name, tmp_path):
     assert outcome(name, checkpoint=path) == uninterrupted(name)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @all_strategies
 def test_kill_9_and_resume(name, tmp_path):
@@ -384,6 +386,7 @@ def trials(executor=None, name="cross_entropy", **settings):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cross_entropy", "genetic"])
 def test_trials_are_the_same_on_any_executor(name):
     expected = trials(name=name)

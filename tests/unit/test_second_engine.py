@@ -24,6 +24,7 @@ def tracks(name, effects, engine, **numbers):
     return make(settings, np.random.default_rng(4), engine)[1].states.positions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [run_rebound, run_mujoco])
 @pytest.mark.parametrize(
     "change",
@@ -65,6 +66,7 @@ def test_springs_and_pushes_are_the_same_in_mujoco(name):
     assert np.abs(ours - other).max() < 2e-3 * np.abs(other - plain).max()
 
 
+@pytest.mark.slow
 def test_soft_contacts_are_the_same_in_mujoco():
     change = effect("dashpot", 2.0)
     plain = tracks("pucks", [], run_pymunk, substeps=100, n_frames=40)

@@ -95,6 +95,7 @@ def seen_of(name, true, true_time, is_driven, values):
     return seen, time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_a_law_moves_to_seen_coordinates(name):
     part, values = KINDS[name]
@@ -120,6 +121,7 @@ def test_a_law_moves_to_seen_coordinates(name):
     assert np.abs(seen - places).max() > 0.01 or name == "clock" or name == "offset"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [[name] for name in KINDS] + [["tilt", "clock", "drift"], ["lens", "scale"]]
 )
@@ -138,6 +140,7 @@ def test_derivatives_are_differences(names):
     assert np.abs(expected[..., n:]).max(axis=(0, 1))[: len(KINDS[names[0]][1])].max() > 1e-3
 
 
+@pytest.mark.slow
 def test_derivatives_are_differences_in_three_dimensions():
     law = law_of("-b * (p_i - p_j)", "-c * norm(v_i) * v_i", n_dims=3, b=1.3, c=0.2)
     picture = {"middle": (0.1, 0.2, -0.3), "size": 2.0}
@@ -202,6 +205,7 @@ def test_what_is_seen_late_and_for_a_while():
         )
 
 
+@pytest.mark.slow
 def test_derivatives_of_what_is_seen_late_are_differences():
     flow, nodes = lagged(TIMES[:4], ((LAGS[0][0], (0.2,)), (LAGS[1][0], (0.04,))))
     shooting = Shooting(

@@ -52,6 +52,7 @@ def test_commands_take_several(ramps, words, capsys):
     assert "Scene ramp_b: 30 rows" in out or "data set           = ramp;" in out
 
 
+@pytest.mark.slow
 def test_the_report_is_called_by_what_they_have_in_common(ramps, tmp_path, capsys):
     words = ["close", *ramps, "--declare", "g * m_i * e_x", "--max-rounds", "1", "--max-levels",
              "2", "--bootstrap", "0", "--quiet"]  # fmt: skip

@@ -168,6 +168,7 @@ def test_anchor_spring_has_its_rest_length():
     np.testing.assert_array_equal(p[:, 1], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.0, 3.0])
 def test_soft_discs_part_with_the_speed_of_a_damped_half_swing(damping):
     """The gap swings with w^2 = k / m - g^2 until it is nought; g = c / 2 m, m the reduced mass.
@@ -254,6 +255,7 @@ def hit(masses, v1, v2, offset=0.0, **contacts):
     return states.velocities[0, -1], states.touched[0].any(axis=1).sum()
 
 
+@pytest.mark.slow
 @given(
     st.floats(0.02, 9), st.floats(0.02, 9), st.floats(2, 5), st.floats(-2, 1),
     st.floats(-1.5, 1.5), st.sampled_from([0.0, 0.3, 1.0]),

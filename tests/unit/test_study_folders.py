@@ -42,6 +42,7 @@ def names(folder):
     return sorted(p.name for p in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_a_study_is_resumed_and_leaves_other_files_alone(tmp_path):
     out = tmp_path / "far" / "out"
     assert run(STUDY, "--out", out).returncode == 0

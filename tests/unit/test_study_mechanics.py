@@ -21,6 +21,7 @@ def study():
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_every_kind_moves_as_its_velocities_say_and_lacks_something(study):
     mechanics, _ = study
     for name, kind in mechanics.KINDS.items():

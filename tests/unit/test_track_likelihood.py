@@ -47,6 +47,7 @@ def chisq_by_scipy(data, masses, c, near):
     return 2 * least_squares(residual, near, x_scale="jac", method="lm").cost
 
 
+@pytest.mark.slow
 def test_log_likelihoods_are_those_of_tracks_with_fitted_initial_states(star):
     data, _, misfit = star
     profile = misfit.reference.profile
@@ -86,6 +87,7 @@ def test_products_and_laws_evaluated_everywhere_agree(star):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"epochs": 12, "revolutions": 8}, {"epochs": 40}])
 def test_coarse_rows_are_no_hindrance(settings):
     data = double_star.dataset(3, **settings)
@@ -118,6 +120,7 @@ def test_gaps_in_a_track_are_carried_over():
     assert misfit.n_rows == 4 * 161 - 10 - 8
 
 
+@pytest.mark.slow
 def test_quoted_errors_weigh_their_points():
     data = double_star.dataset(5)
     sigma = np.full(data.scenes[0].positions.shape, 1e-3)
@@ -183,6 +186,7 @@ def test_what_exact_tracks_leave_free_is_sampled():
     assert any("leave something free" in note for note in posterior.notes)
 
 
+@pytest.mark.slow
 def test_draws_are_weighted_where_tracks_bend(star):
     data, latents, misfit = star
     profile = misfit.reference.profile
@@ -232,6 +236,7 @@ def test_contacts_on_continuous_tracks_are_left_to_single_steps():
         find_reference(world, latents.sample(2, rng=np.random.default_rng(0)))
 
 
+@pytest.mark.slow
 def test_infer_reads_whole_tracks_by_default(tmp_path, capsys):
     data = double_star.dataset(2, latents=(UNKNOWN,))
     folder = str(save_dataset(data, tmp_path / "star"))

@@ -66,6 +66,7 @@ def test_a_force_of_no_listed_form_is_seen_beside_the_law():
     assert (found.direction, found.variable) == ("e_x", "time") and found.log_odds > 10
 
 
+@pytest.mark.slow
 def test_odds_do_not_hang_on_units_of_length():
     data = thrown(lambda t, p, v: 0.15 + 0.1 * np.tanh(p[0]))
     feet = [replace(s, positions=s.positions / 0.3048) for s in data.scenes]
@@ -102,6 +103,7 @@ def test_rows_of_the_table_share_the_probability():
     assert len({row.id for row in with_both.rows}) == 4
 
 
+@pytest.mark.slow
 def test_a_report_holds_the_rows_and_what_may_still_be_hidden():
     data = thrown(lambda t, p, v: 0.15, n_scenes=8)
     report = close_loop(data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=1)

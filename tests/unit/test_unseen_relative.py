@@ -58,6 +58,7 @@ def look(dataset):
     return View(fit(hypothesis, dataset), hypothesis, dataset, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_a_companion_is_moved_against_its_primary_by_what_pulls_both():
     view = look(relative_orbit())
     assert view.reference == "primary"
@@ -72,6 +73,7 @@ def test_a_companion_is_moved_against_its_primary_by_what_pulls_both():
     assert np.all(found.errors[numbers] < 0.5 * np.abs([SHARE, *PLACE]))
 
 
+@pytest.mark.slow
 def test_a_body_at_the_origin_of_a_small_table_is_held_by_whoever_put_it_there():
     (scene,) = relative_orbit().scenes
     in_metres = Dataset("table", (scene,), units=UnitSystem.from_declared({"length": "m"}))
@@ -95,6 +97,7 @@ def test_rows_of_one_night_tell_no_velocity():
     assert _slope(times, seen, False) == pytest.approx(np.ones(7), abs=0.05)
 
 
+@pytest.mark.slow
 def test_an_inclined_orbit_is_proposed_near_where_it_is_and_forces_act_in_its_plane():
     dataset = seen_aslant(angle=np.radians(55.0), node=0.7)
     view = look(dataset)
@@ -144,6 +147,7 @@ def test_what_a_lone_star_goes_round_is_found_where_its_orbit_is_seen_aslant():
     assert place == pytest.approx([0.3, -0.2], abs=0.02)
 
 
+@pytest.mark.slow
 def test_both_sides_of_the_primary_are_tried():
     view = look(relative_orbit())
     family = Companions().propose(view)
@@ -152,6 +156,7 @@ def test_both_sides_of_the_primary_are_tried():
     assert _chosen(every, [family.name], Criteria()) == every
 
 
+@pytest.mark.slow
 def test_what_an_unseen_body_brings_stands_and_falls_as_one():
     view = look(relative_orbit())
     best, *_ = Companions().propose(view).proposals

@@ -90,6 +90,7 @@ def test_a_scene_that_was_not_fitted_gets_a_constant_from_its_first_rows():
 # --- proposed -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["body", "scene"])
 def test_what_varies_is_proposed_first_and_starts_where_it_is(by):
     view = view_of(dragged(4, by), GRAVITY, DRAG)
@@ -102,6 +103,7 @@ def test_what_varies_is_proposed_first_and_starts_where_it_is(by):
     assert selected(family.gain, family.rank, family.null) < 1e-12
 
 
+@pytest.mark.slow
 def test_where_nothing_varies_chances_are_even_and_the_evidence_is_no_better():
     chances, gained = [], []
     for seed in range(20):
@@ -146,6 +148,7 @@ def test_one_body_a_scene_is_one_proposal_with_a_tie():
     assert family.proposals[0].ties == ("-b[scene] * v_i",)
 
 
+@pytest.mark.slow
 def test_the_loop_adopts_drag_of_each_body():
     report = close_loop(
         dragged(7, "body", 5), [GRAVITY, DRAG], rng=np.random.default_rng(0), n_bootstrap=0,

@@ -50,6 +50,7 @@ def test_a_ball_bounces_as_its_parabolas_say():
     assert track == pytest.approx(exact, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_ball_comes_to_rest_on_the_floor():
     data = bounces(np.random.default_rng(0), n_rows=300, **WALL)
     track = rolled(data, law_with(data, e=0.5), start())[0, 0, 1, :, 0]
@@ -184,6 +185,7 @@ def test_a_wall_that_nothing_meets_is_no_cause():
     assert not is_idle(0.1, 0.1, 0.1, proposal=noise)  # its numbers are none of the fit's
 
 
+@pytest.mark.slow
 def test_a_bouncing_ball_is_told_with_its_weight():
     data = bounces(np.random.default_rng(5), noise=False, **WALL)
     report = close_loop(data, "nothing", rng=0, n_bootstrap=0)
@@ -196,6 +198,7 @@ def test_a_bouncing_ball_is_told_with_its_weight():
             assert constant.low - width < true[constant.name] < constant.high + width
 
 
+@pytest.mark.slow
 def test_a_ball_that_comes_to_rest_is_told_by_its_flights():
     data = bounces(np.random.default_rng(6), noise=False, n_rows=200, floor=0.03, kept=0.6)
     report = close_loop(data, "nothing", rng=0, n_bootstrap=0)
@@ -223,6 +226,7 @@ def cart(seed):
     return places, times
 
 
+@pytest.mark.slow
 def test_a_cart_between_two_bumpers_is_told_with_its_drag():
     places, times = cart(1)
     scene = Scene("run", times, places[:, None], (Entity("cart", properties={"mass": 1.0}),))

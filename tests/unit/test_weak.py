@@ -292,6 +292,7 @@ def test_rows_quoted_as_bad_weigh_little():
     assert np.abs(plain.values - [-G, 1.0]).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1e-3, 0.03, 0.3])
 def test_coefficients_are_unbiased_and_their_errors_calibrated(sigma):
     """Gravity and drag on uneven times: 80 draws at each noise level."""
@@ -363,6 +364,7 @@ def test_widths_follow_the_corner_between_signal_and_noise():
 # --- measured velocities -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_measured_velocities_are_integrated_by_parts_once():
     t = uneven(60)
     p = falling(t)
