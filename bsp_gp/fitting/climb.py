@@ -18,7 +18,7 @@ from bsp_gp.fitting.jumps import nodes_between
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.problem import Minimum, Settings
 from bsp_gp.fitting.regression import regressed
-from bsp_gp.fitting.shooting import Shooting, cut_windows
+from bsp_gp.fitting.shooting import Shooting, cut_windows, in_groups, most_steps
 from bsp_gp.fitting.starts import candidates, first_nodes, stepped_nodes
 from bsp_gp.fitting.tracks import FlownProblem, TrackPoint, TrackProblem
 from bsp_gp.fitting.unseen import carried
@@ -30,6 +30,8 @@ __all__ = ["Climb"]
 
 GROWTH = 8
 """Times that pieces are longer from level to level."""
+GROUPS_GROWTH = 3
+"""The same where rows come in groups, between which much may happen."""
 LEAST_ROWS = 3
 FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
 """For levels that only lead on."""
@@ -82,6 +84,7 @@ class Climb:
         ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
         self.problem = None
+        self.was_led = False  # whether starts agree on pieces that the noise allows
 
     def tolerance(self, chains, noise):
         """Error of one interval such that a whole track keeps to its tolerance."""
@@ -117,12 +120,12 @@ class Climb:
         """
         if self.run.law.unseen:
             return [None]
-        longest = max(int(chains.lengths.max()) for chains in self.run.groups)
+        longest = max(map(most_steps, self.run.groups))
         rows = max(self.scales.rows, LEAST_ROWS)
         out = []
         while rows < 0.7 * longest:
             out.append(rows)
-            rows *= GROWTH
+            rows *= GROUPS_GROWTH if self.is_grouped else GROWTH
         return [*out, None]
 
     def at(self, rows, point, is_checked=False):
@@ -153,7 +156,7 @@ class Climb:
 
     def _shootings(self, rows):
         return [
-            Shooting(flow, noise, cut_windows(flow.chains.lengths, rows))
+            Shooting(flow, noise, cut_windows(flow.chains.lengths, rows, flow.chains.times))
             for flow, noise in zip(self.flows, self.noises, strict=True)
         ]
 
@@ -170,7 +173,7 @@ class Climb:
         if walls_of(self.run.law):
             ways = [self._flown, *ways]
         ends = []
-        for way in ways[:: -1 if self.is_coarse else 1]:
+        for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
             ends += way(points)
             if self._is_enough(ends) or self.is_behind or self.run.is_over():
                 break
@@ -220,8 +223,11 @@ class Climb:
         """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
 
         Where the noise is declared, a track as near to the data as the truth is has been found.
+        Where that noise allowed the pieces, what whole tracks leave is what the law lacks.
         """
         best = min(ends, key=_height)
+        if self.was_led:
+            return best.linearised is not None
         if self.run.is_noise_estimated:  # misfit or noise: starts that agree must do
             # Where every constant was told, what neighbouring rows tell of the noise does as well.
             if all(pair in self.run.starts for pair in self.run.parameters):
@@ -287,6 +293,9 @@ class Climb:
                     return [end]
         firsts = self._firsts(levels[0], points[len(firsts) :], firsts)
         ends = []
+        best = min(firsts, key=_height)
+        agree = sum(_agree(other, best) for other in firsts)
+        self.was_led = self._is_allowed(best) and agree >= min(ENOUGH, len(points))
         for minimum in _distinct(firsts)[:KEPT]:
             if ends and (self.run.is_over() or self.is_behind or self._is_found(ends)):
                 break
@@ -484,6 +493,14 @@ class Climb:
         """Whether bodies turn from row to row: no noise, but too few rows."""
         turns = self.scales.turn > TURN and not walls_of(self.run.law)
         return self.scales.rows <= COARSE and turns
+
+    @property
+    def is_grouped(self):
+        """Whether rows come in groups, in each of which the force may be seen."""
+        return any(
+            in_groups(chains.times[:n, s])
+            for chains in self.run.groups for s, n in enumerate(chains.lengths.tolist())
+        )  # fmt: skip
 
     def _sized(self, point, nodes, free):
         """Starts with linear constants at zero, or of the size that makes the acceleration seen."""

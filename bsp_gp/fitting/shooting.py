@@ -18,7 +18,10 @@ import numpy as np
 from bsp_gp.fitting.unseen import tied
 from bsp_gp.physics.engine.seen import sight
 
-__all__ = ["Condensed", "Shooting", "Windows", "cut_windows", "known_states"]
+__all__ = [
+    "Condensed", "Shooting", "Windows", "cut_windows", "in_groups", "known_states",
+    "most_steps",
+]  # fmt: skip
 
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
@@ -34,6 +37,8 @@ ROUNDINGS = 16
 """Gaps of so many last digits of the largest coordinate are none."""
 FARTHEST = 0.5
 """Extents of a window that its nodes may move in one step."""
+GROUPED = 2.0
+"""Mean step in median ones from which rows come in groups, as in nights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +60,18 @@ class Windows:
         return self.stop - self.first
 
 
-def cut_windows(lengths, rows=None):
+def cut_windows(lengths, rows=None, times=None):
     """Windows of about so many rows each (None: whole chains), none shorter than three.
 
     Chains without rows have none.
+
+    Parameters
+    ----------
+    lengths : ndarray of int, shape (S,)
+    rows : int, optional
+    times : ndarray, shape (T, S), s, optional
+        Where they are given, and a chain has gaps, windows end where they would last longer than
+        so many rows do: what happens between is not seen. They may have fewer than three rows then.
     """
     chain, first, stop = [], [], []
     for s, n in enumerate(lengths.tolist()):
@@ -66,11 +79,45 @@ def cut_windows(lengths, rows=None):
             continue
         count = 1 if rows is None else max(1, n // max(rows, 3))
         edges = np.linspace(0, n, count + 1).astype(int)
+        if rows is not None and times is not None and has_gaps(times[:n, s], max(rows, 3)):
+            edges = _edges_of_spans(times[:n, s], max(rows, 3))
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             chain.append(s)
             first.append(a)
             stop.append(b)
     return Windows(*(np.array(v, dtype=int) for v in (chain, first, stop)))
+
+
+def has_gaps(times, rows=3):
+    """Whether a gap between rows is longer than so many usual steps, or rows come in groups."""
+    return bool(np.diff(times).max() > rows * np.median(np.diff(times)) or in_groups(times))
+
+
+def in_groups(times):
+    """Whether rows come in groups, as in nights."""
+    steps = np.diff(times)
+    return bool(len(steps) > 2 and steps.mean() > GROUPED * np.median(steps))
+
+
+def most_steps(chains):
+    """Usual steps that the longest chain lasts, which is its rows where it has no gaps."""
+    most = 0
+    for s, n in enumerate(chains.lengths.tolist()):
+        times = chains.times[:n, s]
+        if n > 2 and has_gaps(times):
+            n = int((times[-1] - times[0]) / np.median(np.diff(times))) + 1
+        most = max(most, n)
+    return most
+
+
+def _edges_of_spans(times, rows):
+    """Where windows end that last no longer than so many steps of the usual length."""
+    most = rows * np.median(np.diff(times))
+    edges = [0]
+    for k in range(1, len(times)):
+        if times[k] - times[edges[-1]] > most:
+            edges.append(k)
+    return np.array([*edges, len(times)])
 
 
 @dataclass(frozen=True, eq=False)

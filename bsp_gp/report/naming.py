@@ -271,7 +271,9 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         size = "" if is_loose else f", {_in_speed(speed + (text == 'perp(v_i)'))}"
         return f"{across}{size}{_scaling(rest)} (magnetic or Magnus){where}"
     if text in ("e_x", "e_y", "e_z"):
-        return f"uniform push along {text[-1]}" + _scaling(powers) + where
+        is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
+        verb = f"force along {text[-1]}" if is_placed else f"uniform push along {text[-1]}"
+        return verb + _scaling(powers) + where
     if text.startswith("normalize(p_i - p"):
         verb = "force along the line to the other body"
         if value is not None:
@@ -285,8 +287,14 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if set(powers) <= {f"norm({inner})"} and not is_loose and (value is None or value <= 0):
             power = _POWERS.get(total, f"power {total:g}")
             return f"drag against the {stream[1]}, {power} in speed{where}"
+    centre = re.fullmatch(rf"p_i - {_PLACE}|{_PLACE} - p_i", inner)
+    if centre:
+        return f"force along the line to {centre[1] or centre[2]}{_scaling(powers)}{where}"
     along = _DIRECTIONS.get(inner, text or "a fixed direction")
     return f"force along the {along}" + _scaling(powers) + where
+
+
+_PLACE = r"(origin|\([^()]*\)|\w+)"
 
 
 def _in_speed(power):
@@ -312,9 +320,19 @@ def _scaling(powers):
         if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
             continue
         label = _WORDS.get(name, "radial speed" if name.startswith("along(") else None)
-        label = label or ("|radial speed|" if name.startswith("abs(along(") else name)
+        label = label or ("|radial speed|" if name.startswith("abs(along(") else _of_place(name))
         words.append(label if power == 1 else f"{label}^{power:g}")
     return f", as {' * '.join(words)}" if words else ""
+
+
+def _of_place(name):
+    """What a size that a declared law names is called."""
+    bare = name.removeprefix("abs(").removesuffix(")") if name.startswith("abs(") else name
+    if re.fullmatch(rf"norm\((?:p_i - {_PLACE}|{_PLACE} - p_i)\)", name):
+        return "distance"
+    if re.match(r"norm\([^()]*(?:\([^()]*\))?[^()]*\) - ", bare):
+        return "stretch" if bare == name else "|stretch|"
+    return f"({name})" if " - " in name or " + " in name else name
 
 
 def _input_names(text):

@@ -17,11 +17,12 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
+from bsp_gp.loop.proposers.kin import kin_of
 from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import dataset_types, input_types_of
-from bsp_gp.physics.force import Term, fresh_names, split_linear
+from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
 from bsp_gp.search.inner import expanded
@@ -103,8 +104,9 @@ class Laws:
         view : View
         """
         target, _ = view.response.left()
+        draws = view.moment_draws
         found, null, certificates, n_tried = self._searched(
-            view, target, view.moment_draws, self.searching.searches
+            view, target, draws, self.searching.searches
         )
         if self.searching.is_guided:
             null = self._searched_anew(view, max((c.gain for c in found), default=0.0), null)
@@ -112,7 +114,9 @@ class Laws:
         view.drawn = tuple(c for c in found if not c.constants)  # with constants inside
         found = [c for c in found if c.constants]
         declared = _declared(view)
-        found = [c for c in self._ranked(view, found) if not _is_parallel(view, c, declared)]
+        kin = [c for formula in kin_of(view.fit.law) if (c := _scored(view, formula)) is not None]
+        null = np.maximum(null, _null_of(view, kin, draws))
+        found = [c for c in self._ranked(view, found, kin) if not _is_parallel(view, c, declared)]
         sets = pairs_of(view, found)
         if self.searching.is_exhaustive:
             sets = [*sets, *sets_of(view, self, found, declared)]
@@ -179,11 +183,12 @@ class Laws:
             anew[k] = max([anew[k], *(c.gain for c in found)])
         return anew
 
-    def _ranked(self, view, found):
+    def _ranked(self, view, found, kin):
         """Candidates by their promise: common ones, and kin of the declared, are likelier."""
-        kin = _declared_properties(view.fit.law)
+        own = _declared_properties(view.fit.law)
         common = [_scored(view, f) for f in self.common if Term(f).kind in self.kinds]
         common = [c for c in common if c is not None]
+        common += [c for c in kin if not any(_are_one(c, k) for k in common)]
         others = []
         for candidate in found:
             twin = next((k for k, c in enumerate(common) if _are_one(c, candidate)), None)
@@ -191,8 +196,8 @@ class Laws:
                 ties = (*common[twin].ties, candidate.formula, *candidate.ties)
                 common[twin] = replace(common[twin], ties=ties)
                 continue
-            if any(kin) and candidate.kind == "pair":
-                candidate = _like(candidate, kin, view.criteria.cause_nats)
+            if any(own) and candidate.kind == "pair":
+                candidate = _like(candidate, own, view.criteria.cause_nats)
             others.append(candidate)
         every = (
             replace(c, complexity=c.complexity + view.odd_nats) if c.kind == "field" else c
@@ -206,10 +211,20 @@ def _are_one(one, other):
     return one.kind == other.kind and abs(one.gain - other.gain) <= SAME * one.total
 
 
-def _like(candidate, kin, nats):
+def _null_of(view, found, draws):
+    """Greatest gains of laws that were typed on draws of noise, (B,)."""
+    null = np.zeros(draws.shape[1])
+    noise = view.beside(draws)
+    for candidate in found:
+        row = view.beside(_column(view, candidate.formula)[:, None])[:, 0]
+        null = np.maximum(null, np.square(row @ noise) / (row @ row))
+    return null
+
+
+def _like(candidate, own, nats):
     """A law written with the properties of the declared one where it is equal to that."""
     written = (candidate.formula, *candidate.ties)
-    same = next((f for f in written if properties_of(f) == kin), None)
+    same = next((f for f in written if properties_of(f) == own), None)
     if same is None:
         return candidate
     return replace(
@@ -222,7 +237,9 @@ def _proposal(view, candidates, amounts=None, gain=None):
     """The proposal of one law, or of several at once."""
     hypothesis, law, formulas = view.hypothesis, view.fit.law, []
     for k, candidate in enumerate(candidates):
-        names = fresh_names(law, candidate.formula.constants)
+        # A kin of a declared term shares that term's other constants.
+        is_own = candidate.constants or candidate.formula.constants
+        names = fresh_names(law, [name for name in candidate.formula.constants if name in is_own])
         found = candidate.constants if amounts is None else dict.fromkeys(names, amounts[k])
         values = {new: float(found[old]) for old, new in names.items()}
         term = Term(rename_constants(candidate.formula, names), candidate.kind)
@@ -240,10 +257,9 @@ def _proposal(view, candidates, amounts=None, gain=None):
 
 def _scored(view, formula):
     """A law that was typed, as a candidate; None where these data do not show it."""
-    name, rest = split_linear(formula)
-    term = Term(rest)
+    name, term = split_linear(formula)[0], Term(formula)
     try:
-        column = view.response.regression.column(term)[0][:, 0]
+        column = _column(view, formula)
     except EvaluationError:  # some body lacks a property that it names
         return None
     size = np.linalg.norm(column)
@@ -257,6 +273,15 @@ def _scored(view, formula):
         formula, term.kind, {name: value}, 0.5 * (total - gain), view.criteria.cause_nats, gain,
         total,
     )  # fmt: skip
+
+
+def _column(view, formula):
+    """Moments of a law for each unit of its own constant; others are those of the view's law."""
+    _, rest = split_linear(formula)
+    if not rest.constants:
+        return view.response.regression.column(Term(rest))[0][:, 0]
+    known = {name: view.fit.law.constants[name] for name in rest.constants}
+    return view.response.moments_of(ForceLaw((Term(rest),), known))
 
 
 def _read(texts, lists, available, types, dataset):
