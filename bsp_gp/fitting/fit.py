@@ -238,7 +238,7 @@ def fit(
     tolerances = tolerances or FitTolerances()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     run.near = near
-    run.is_over = _Patience(began, deadline, effort)
+    run.is_over = _Patience(began, deadline, effort and effort * _longer(run.groups))
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
@@ -249,6 +249,13 @@ def fit(
                 break
     best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
     return replace(best, seconds=time.monotonic() - began)
+
+
+def _longer(groups):
+    """How many times longer intervals are than usual ones: where rows come in groups, 1 else."""
+    steps = [np.diff(chains.times, axis=0) for chains in groups]
+    steps = np.concatenate([own[np.isfinite(own)] for own in steps])
+    return max(float(steps.mean() / np.median(steps)), 1.0) if len(steps) else 1.0
 
 
 class _Patience:

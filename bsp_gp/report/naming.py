@@ -60,7 +60,7 @@ def _bases(exponents):
 
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
-    word = _WORDS.get(e["of"], e["of"])
+    word = _WORDS.get(e["of"]) or _of_place(e["of"])
     if is_untold(e):
         return f"its power of {word} not told by these data"
     return f"{word} to the {value} ({low} to {high})"
