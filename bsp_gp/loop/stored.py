@@ -111,7 +111,10 @@ def _round(record, dataset):
         )  # fmt: skip
     trace = record["trace"]
     if trace is not None:
-        trace = _made(Trace, trace, channels=tuple(_made(Channel, c) for c in trace["channels"]))
+        channels = tuple(_made(Channel, c) for c in trace["channels"])
+        # Where the tracks tell nothing an error is infinite, which JSON cannot say.
+        errors = tuple(math.inf if e is None else e for e in trace["errors"])
+        trace = _made(Trace, trace, channels=channels, errors=errors)
     parts = {name: _errors(record[name]) for name in ("before", "after", "floor")}
     return _made(
         RoundRecord, record, missing=_made(Missing, record["missing"]), effect=effect, trace=trace,

@@ -12,7 +12,9 @@ from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
 
-__all__ = ["bad_rows", "constant_distance", "describe", "inclination", "is_untold", "kick"]
+__all__ = [
+    "bad_rows", "change", "constant_distance", "describe", "inclination", "is_untold", "kick",
+]  # fmt: skip
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -141,6 +143,34 @@ def _inner_word(text):
     """What a factor with a constant inside does."""
     word = next(word for mark, word in _INNER if mark in text)
     return word.format("speed" if "v_" in text else "distance")
+
+
+def change(code, name, constants=()):
+    """How a declared term has to change: "another number in 9.81 [m/s^2] * m_i * down: −18.7 %".
+
+    Parameters
+    ----------
+    code : str
+        One of `CAUSES`.
+    name : str
+        As the loop calls it.
+    constants : sequence
+        With `value`, `low` and `high`, as far as they are known.
+    """
+    c = constants[0] if len(constants) == 1 else None
+    if found := re.fullmatch(r"numbers? of (.+?)(?:, within its last digit)?", name):
+        by = f": by {format_value(100 * c.value, 100 * c.low, 100 * c.high)} %" if c else ""
+        return f"another number in {found[1]}{by}"
+    if found := re.fullmatch(r"exponent of (.+?) in (.+)", name):
+        by = ""
+        if c is not None:
+            by = f", {'higher' if c.value > 0 else 'lower'} by "
+            by += format_value(abs(c.value), *sorted((abs(c.low), abs(c.high))))
+        size = _WORDS.get(found[1]) or _of_place(found[1])
+        return f"another power of {size} in {found[2]}{by}"
+    if code in CAUSES and code not in ("number", "exponent"):
+        return f"{CAUSES[code]} in {name}"
+    return name
 
 
 def constant_distance(effect):

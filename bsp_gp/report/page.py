@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ from bsp_gp.report.codes import (
     REASONS,
     STOPS,
 )
-from bsp_gp.report.naming import bad_rows, constant_distance, describe, inclination, kick
+from bsp_gp.report.naming import bad_rows, change, constant_distance, describe, inclination, kick
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
@@ -29,6 +30,8 @@ __all__ = ["page_of"]
 _TOLD = 12
 """Hypotheses of a round that a page lists."""
 _MOST_FINDINGS = 3
+_LIKELY = 0.1
+"""Part of the probability of the likeliest from which causes of other kinds are told with it."""
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
 
@@ -194,6 +197,10 @@ def _name(effect, parts, other):
         return bad_rows(effect)
     if effect.code == "frame":
         return CAUSES["frame"]
+    if effect.kind == "declared_term_change":
+        known = [c for c in effect.constants if is_number(c.low) and not c.entity]
+        own = [c for c in known if re.fullmatch(r"[ns]\d+", c.name)]
+        return change(effect.code, effect.name, own)
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
@@ -203,8 +210,6 @@ def _name(effect, parts, other):
         phrase = describe(effect.formula, value, other, effect.exponents)
         own = OWN_STRENGTHS.get(effect.code)
         return f"{phrase}, {own}" if own else phrase
-    if effect.kind == "declared_term_change":
-        return effect.name
     if effect.code == "rod":
         return constant_distance(effect)
     return CAUSES.get(effect.code, effect.name)
@@ -226,11 +231,20 @@ def _tied(done):
     """Causes of another kind that are as likely."""
     best = done.effect
     rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
+    likely = _LIKELY * max((_finite(row["probability"]) for row in rows), default=0.0)
     others = [
         row for row in rows
         if row["code"] not in (best.code, "base") and row["status"] != "linearised"
     ]
-    return tuple(dict.fromkeys(CAUSES.get(row["code"], row["law"]) for row in others[:2]))
+    told = others[:2] + [row for row in others[2:] if _finite(row["probability"]) > likely]
+    return tuple(dict.fromkeys(_called(row) for row in told))
+
+
+def _called(row):
+    """A row of the table in a few words."""
+    if row["code"] in ("number", "exponent"):
+        return change(row["code"], row["law"])
+    return CAUSES.get(row["code"], row["law"])
 
 
 def _hypotheses(done):

@@ -45,6 +45,16 @@ def test_a_report_is_read_back(folder):
     assert page_of(report).rounds[0].effect is None or page_of(report).rounds[0].effect.name
 
 
+def test_where_a_trace_tells_nothing_its_error_is_infinite(folder, tmp_path):
+    told = json.loads((folder / "report.json").read_text("utf-8"))
+    trace = next(r["trace"] for r in told["rounds"] if r["trace"] and r["trace"]["errors"])
+    trace["errors"][0] = None  # as JSON writes it
+    (tmp_path / "report.json").write_text(json.dumps(told), "utf-8")
+    report = bsp_gp.load_report(tmp_path / "report.json")
+    assert np.isinf(next(r.trace for r in report.rounds if r.trace and r.trace.errors).errors[0])
+    assert page_of(report).rounds
+
+
 @pytest.mark.parametrize("content", ["{}", "[]", "{", '{"schema": "other"}', None])
 def test_what_is_no_report_is_refused(tmp_path, content):
     if content is not None:
