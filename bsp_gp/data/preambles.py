@@ -1,8 +1,8 @@
 """Tables below a preamble, as programs of motion capture and loggers write them, as plain ones.
 
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
-the exports of OptiTrack's Motive and of Vicon's Nexus, TOA5 of Campbell's loggers, the texts of
-Leybold's CASSY Lab, and vector tables of JPL Horizons.
+the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
+loggers, the texts of Leybold's CASSY Lab, and vector tables of JPL Horizons.
 """
 
 from __future__ import annotations
@@ -89,6 +89,25 @@ def _vicon(text, path):
     return _long(rows, lambda row: f"{(float(row[0]) - 1) / rate:.9g}", owners, unit, path)
 
 
+def _qualisys(text, path):
+    lines = text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("MARKER_NAMES"))
+    about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
+    names = [name for name in _cells(lines[start], "\t")[1:] if name]
+    rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip()]
+    header = rows.pop(0) if not _is_number(rows[0][0]) else []
+    before = len(header or rows[0]) - 3 * len(names)
+    rate = float(about["FREQUENCY"])
+    at = header.index("Time") if "Time" in header else None
+    rows = [[f"{k / rate:.9g}" if at is None else row[at], *row] for k, row in enumerate(rows)]
+    owners = [(1 + before + 3 * k, name) for k, name in enumerate(names)]
+    return _long(rows, lambda row: row[0], owners, "mm", path)
+
+
+def _is_number(text):
+    return bool(re.fullmatch(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?", text))
+
+
 def _campbell(text, path):
     lines = text.splitlines()
     names, units = (_cells(line, ",") for line in lines[1:3])
@@ -110,9 +129,9 @@ def _horizons(text, path):
 
 
 _KNOWN = {
-    "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon, '"TOA5"': _campbell,
-    "MIN=": _cassy, "*" * 10: _horizons, "API": _horizons, "Ephemeris": _horizons,
-    "JPL": _horizons, "{": _horizons,
+    "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
+    "NO_OF_FRAMES": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy, "*" * 10: _horizons,
+    "API": _horizons, "Ephemeris": _horizons, "JPL": _horizons, "{": _horizons,
 }  # fmt: skip
 HEADS = tuple(_KNOWN)
 """How such files begin."""

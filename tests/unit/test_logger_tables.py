@@ -67,6 +67,24 @@ def test_a_preamble_that_is_not_as_the_program_writes_it_is_told(tmp_path, name,
         load_dataset(path)
 
 
+@pytest.mark.parametrize("has_header", [True, False])
+def test_an_export_of_qualisys_is_in_millimetres(tmp_path, has_header):
+    head = ["NO_OF_FRAMES\t3", "NO_OF_MARKERS\t2", "FREQUENCY\t100", "DATA_INCLUDED\t3D"]
+    lines = [*head, "MARKER_NAMES\tred\tblue"]
+    places = ["1.5\t-2\t1000\t4\t5\t6", "\t\t\t7\t8\t9", "1e1\t11\t12\t13\t14\t15"]
+    if has_header:
+        lines.append("Frame\tTime\tred X\tred Y\tred Z\tblue X\tblue Y\tblue Z")
+        places = [f"{k + 1}\t{0.01 * k:.5f}\t{text}" for k, text in enumerate(places)]
+    path = tmp_path / "throw.tsv"
+    path.write_text("\n".join([*lines, *places]) + "\n", "utf-8")
+    (scene,) = load_dataset(path).scenes
+    red, blue = scene.names.index("red"), scene.names.index("blue")
+    assert scene.times == pytest.approx([0.0, 0.01, 0.02])
+    assert scene.positions[0, red] == pytest.approx([0.0015, -0.002, 1.0])
+    assert scene.positions[:, blue, 2] == pytest.approx([0.006, 0.009, 0.015])
+    assert np.isnan(scene.positions[1, red]).all()
+
+
 @pytest.mark.parametrize(
     ("dates", "seconds"),
     [
