@@ -28,6 +28,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
+from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
@@ -381,11 +382,21 @@ def _with_remedies(system, of_masses):
     return dataclasses.replace(system, remedies=MappingProxyType({"kg": of_masses}))
 
 
+_HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rumbo".split())
+"""Words of columns that say how a body is turned."""
+
+
 def _unused(table, inputs):
     """A note of what is not read of a table."""
     names = [theirs for name, theirs in table.unused.items() if name not in inputs]
     more = f" and {len(names) - MAX_COLUMNS} more" if len(names) > MAX_COLUMNS else ""
     note = [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
+    where = [name for name in names if name.isidentifier() and plain_words(name) & _HEADINGS]
+    if where:
+        note.append(
+            f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
+            "input of laws, which may then act along and across the body's own axis"
+        )
     return note + _left_out_bodies(table, inputs)
 
 

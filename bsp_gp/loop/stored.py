@@ -14,6 +14,7 @@ from bsp_gp.errors import DataError, LawError
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors
 from bsp_gp.language.formula import Call
 from bsp_gp.language.inputs import input_types
+from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.outcome import SCHEMA, Effect, LoopReport, Missing, RoundRecord
@@ -124,10 +125,12 @@ def _round(record, dataset):
 
 def _formula(text, dataset):
     """The formula of a term; None where it is no force, or needs what is not stored."""
-    properties = dataset.get("properties") or {}
-    units = {name: Unit(tuple(map(_power, known["unit"]))) for name, known in properties.items()}
+    properties, inputs = dataset.get("properties") or {}, dataset.get("inputs") or {}
+    units = {name: _unit(known) for name, known in properties.items()}
     vectors = [name for name, known in properties.items() if known["is_vector"]]
     types = input_types(units, vectors=vectors, n_dims=dataset["n_dims"], up=dataset["up"])
+    for name, known in inputs.items():
+        types[name] = Type("vector" if known["is_vector"] else "scalar", _unit(known))
     try:
         system = UnitSystem.from_declared(dataset["units"])
         formula = parse_formula(text, types, units=system) if text else None
@@ -135,6 +138,10 @@ def _formula(text, dataset):
         return None
     is_sum = isinstance(formula, Call) and formula.operator in ("add", "sub")
     return None if is_sum else formula  # of several forces found as one there is no one formula
+
+
+def _unit(known):
+    return Unit(tuple(map(_power, known["unit"])))
 
 
 def _power(text):

@@ -19,6 +19,7 @@ from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import FORESEEING
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
+from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 __all__ = [
@@ -334,6 +335,10 @@ def about_data(dataset, split, notes):
         "up": dataset.up,
         "partner": _partner(dataset),
         "properties": _properties(dataset),
+        "inputs": {
+            name: {"unit": [*map(str, type_.unit.exponents)], "is_vector": type_.shape == "vector"}
+            for name, type_ in input_types_of(dataset).items()
+        },
         "way": _way(dataset),
         "provenance": dict(dataset.provenance),
         "fingerprint": dataset_digest(dataset),

@@ -17,10 +17,11 @@ from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.geometry import Shapes, contact_point
 from bsp_gp.physics.series import Series
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
 
 __all__ = [
-    "Batch", "Bodies", "FieldInputs", "PairInputs", "dataset_types", "input_types_of", "law_inputs",
+    "Batch", "Bodies", "FieldInputs", "PairInputs", "angles_of", "dataset_types",
+    "input_types_of", "law_inputs",
     "stack", "subset", "under",
 ]  # fmt: skip
 
@@ -315,6 +316,15 @@ def input_types_of(dataset):
         name: Type("vector" if n == 3 else "scalar", units.get(name, DIMENSIONLESS))
         for name, n in found.items()
     }
+
+
+def angles_of(dataset):
+    """Names of measured inputs that are angles, as of a compass or of a camera."""
+    units = dataset.units.declared
+    return tuple(
+        name for name, type_ in input_types_of(dataset).items()
+        if type_.shape == "scalar" and str(units.get(name, "")).strip().lower() in ANGLES
+    )  # fmt: skip
 
 
 def dataset_types(dataset):

@@ -317,6 +317,8 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if set(powers) <= {f"norm({inner})"} and not is_loose and (value is None or value <= 0):
             power = _POWERS.get(total, f"power {total:g}")
             return f"drag against the {stream[1]}, {power} in speed{where}"
+    if axis := _own_axis(inner):
+        return f"force {axis}{_scaling(powers)}{where}"
     centre = re.fullmatch(rf"p_i - {_PLACE}|{_PLACE} - p_i", inner)
     if centre:
         return f"force along the line to {centre[1] or centre[2]}{_scaling(powers)}{where}"
@@ -349,10 +351,21 @@ def _scaling(powers):
     for name, power in powers.items():
         if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
             continue
-        label = _WORDS.get(name, "radial speed" if name.startswith("along(") else None)
+        axis = _own_axis(name) if name.startswith("along(v_i, ") else ""
+        radial = f"speed {axis}" if axis else "radial speed"
+        label = _WORDS.get(name, radial if name.startswith("along(") else None)
         label = label or ("|radial speed|" if name.startswith("abs(along(") else _of_place(name))
         words.append(label if power == 1 else f"{label}^{power:g}")
     return f", as {' * '.join(words)}" if words else ""
+
+
+def _own_axis(text):
+    """How a direction lies to the axis that a measured angle gives a body; "" for others."""
+    if found := re.search(r"cos\((\w+)\) \* e_x \+ sin\(\1\) \* e_y", text):
+        return f"along the axis of {found[1]}"
+    if found := re.search(r"cos\((\w+)\) \* e_y - sin\(\1\) \* e_x", text):
+        return f"across the axis of {found[1]}"
+    return ""
 
 
 def _of_place(name):

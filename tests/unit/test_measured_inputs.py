@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.errors import DataError
+from bsp_gp.report.page import page_of
 
 MASS, DRAG = 0.5, 0.3
 UNITS = {"length": "m", "time": "s", "thrust": "N", "wind_x": "m/s", "wind_y": "m/s"}
@@ -109,3 +110,47 @@ def test_what_is_an_input_is_not_said_to_be_unused(tmp_path):
     data = bsp_gp.load_dataset(tmp_path / "log.csv", units=UNITS)
     unused = [note for note in data.notes if "not used" in note]
     assert len(unused) == 1 and "junk" in unused[0]
+
+
+def glide(k, along=0.15, across=0.31, sigma=0.01):
+    """A hull that turns as it glides, with another drag across it than along it."""
+    t = np.arange(80) * 0.1
+
+    def turn(time):
+        return 0.4 * k + 0.25 * time
+
+    def rate(time, state):
+        own = np.array([np.cos(turn(time)), np.sin(turn(time))])
+        v = state[2:]
+        return [*v, *(-across * v - (along - across) * (v @ own) * own)]
+
+    start = [0.0, 0.0, np.cos(0.3 + 0.4 * k), np.sin(0.3 + 0.4 * k)]
+    places = solve_ivp(rate, t[[0, -1]], start, t_eval=t, rtol=1e-9, atol=1e-9).y[:2]
+    places = places + sigma * np.random.default_rng(k).standard_normal(places.shape)
+    angle = np.degrees(turn(t))
+    return pd.DataFrame({"t": t, "x": places[0], "y": places[1], "heading": angle})
+
+
+@pytest.mark.slow
+def test_a_hull_has_another_drag_across_it(tmp_path):
+    frames = {f"s{k}": glide(k) for k in range(4)}
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})
+    units = {"length": "m", "time": "s", "mass": "kg", "heading": "deg"}
+    data = bsp_gp.Dataset.from_frames(frames, bodies, units=units, train=["s0", "s1", "s2"])
+    report = bsp_gp.close_loop(data, "-c * v_i", rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted" and len(report.constants) == 2
+    found = {c.name: c.value for c in report.constants}
+    assert found["c"] == pytest.approx(0.31, abs=0.02)
+    assert found["c1"] == pytest.approx(0.31 - 0.15, abs=0.02)
+    name = page_of(report).rounds[0].effect.name
+    assert name == "force along the axis of heading, as speed along the axis of heading"
+    bsp_gp.write_report(report, tmp_path / "report")
+    again = page_of(bsp_gp.load_report(tmp_path / "report"))
+    assert again.rounds[0].effect.name == name
+
+
+def test_a_heading_that_is_not_used_is_told(tmp_path):
+    path = tmp_path / "glide.csv"
+    glide(1).to_csv(path, index=False)
+    notes = " ".join(bsp_gp.load_dataset(path, units={"length": "m", "time": "s"}).notes)
+    assert "--units heading=deg makes it an input" in notes
