@@ -370,6 +370,8 @@ def _own_axis(text):
 
 def _of_place(name):
     """What a size that a declared law names is called."""
+    if found := re.fullmatch(r"dot\(normalize\(v_i\), e_([xyz])\)", name):
+        return f"cosine of its angle to {found[1]}"
     bare = name.removeprefix("abs(").removesuffix(")") if name.startswith("abs(") else name
     if re.fullmatch(rf"norm\((?:p_i - {_PLACE}|{_PLACE} - p_i)\)", name):
         return "distance"

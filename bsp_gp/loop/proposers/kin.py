@@ -1,30 +1,37 @@
 """Kin of declared terms: a spring that stiffens, a pull to a centre that falls faster.
 
 A grammar knows distances of bodies, speeds and axes. Which rest length or which centre a user has
-in mind only the declared law says.
+in mind only the declared law says; and that a friction is another one in another direction (the
+grain of a lawn, the ribs of a carpet) is a matter of that friction.
 """
 
 from __future__ import annotations
 
-from bsp_gp.language.formula import Call, Constant, Number, factors, product
+from bsp_gp.language.formula import Call, Constant, Input, Number, factors, product
+from bsp_gp.language.grammar import VELOCITY
 from bsp_gp.language.inputs import property_of
+from bsp_gp.language.operators import Type
 from bsp_gp.loop.proposers.exponents import base_of, is_size
 from bsp_gp.physics.force import fresh_name, split_linear
 
 __all__ = ["kin_of"]
 
+_VELOCITY = Input("v_i", Type("vector", VELOCITY))
+_MOTION = Call("normalize", _VELOCITY)
+_AXES = ("e_x", "e_y", "e_z")
 FURTHER = (2, 3)
 """Powers of what a declared term is linear in, beside its own."""
 ABOUT_CENTRES = (-4, -3, -2, -1, 0, 1, 2, 3)
 """Powers of the distance to a declared centre."""
 
 
-def kin_of(law):
-    """Laws like the declared terms, to other powers.
+def kin_of(law, n_dims):
+    """Laws like the declared terms, to other powers, or of another strength in some direction.
 
     Parameters
     ----------
     law : ForceLaw
+    n_dims : int
 
     Yields
     ------
@@ -34,10 +41,17 @@ def kin_of(law):
     name, found = fresh_name(law), {}
     for term in law.terms:
         if term.is_declared:
-            _, rest = split_linear(term.formula)
-            found |= dict.fromkeys([*_steeper(rest), *_about(rest)])
+            rest = _without_numbers(split_linear(term.formula)[1])
+            found |= dict.fromkeys([*_steeper(rest), *_about(rest), *_aside(rest, n_dims)])
     for formula in found:
         yield Call("mul", Constant(name), formula)
+
+
+def _without_numbers(rest):
+    """A product without its plain numbers: its own constant is another one."""
+    above, below = ([p for p in side if not isinstance(p, Number)] for side in factors(rest))
+    top = product(above)
+    return Call("div", top, product(below)) if below else top
 
 
 def _steeper(rest):
@@ -64,6 +78,20 @@ def _about(rest):
     for power in ABOUT_CENTRES:
         distance = [Call("pow", Call("norm", way), Number(float(power)))] if power else []
         yield product([*own, *distance, Call("normalize", way)])
+
+
+def _aside(rest, n_dims):
+    """A brake of another strength in some direction of motion, or along some line."""
+    above, below = factors(rest)
+    if below or n_dims < 2 or not any(part in (_VELOCITY, _MOTION) for part in above):
+        return
+    cosines = [Call("dot", _MOTION, Input(axis, _MOTION.type)) for axis in _AXES[:n_dims]]
+    for cosine in cosines:
+        yield product([cosine, rest])
+    for k, cosine in enumerate(cosines[:-1]):  # all squares together are one
+        yield product([cosine, cosine, rest])
+        for other in cosines[k + 1 :]:
+            yield product([cosine, other, rest])
 
 
 def _ways(part):

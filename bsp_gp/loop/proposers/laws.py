@@ -114,7 +114,11 @@ class Laws:
         view.drawn = tuple(c for c in found if not c.constants)  # with constants inside
         found = [c for c in found if c.constants]
         declared = _declared(view)
-        kin = [c for formula in kin_of(view.fit.law) if (c := _scored(view, formula)) is not None]
+        kin = [
+            c
+            for formula in kin_of(view.fit.law, view.dataset.n_dims)
+            if (c := _scored(view, formula)) is not None
+        ]
         null = np.maximum(null, _null_of(view, kin, draws))
         found = [c for c in self._ranked(view, found, kin) if not _is_parallel(view, c, declared)]
         sets = pairs_of(view, found)
