@@ -407,6 +407,8 @@ class _Turn:
         """Whether fits before it tell that its own changes nothing."""
         if len(proposal.formulas) > self.enough:  # a sum, where fewer laws leave nothing
             return True
+        if self.explained and self.explained.includes(proposal):  # with another power in it
+            return True
         near = 0.0 if is_again else 2 * self.run.criteria.class_nats
         return _is_hopeless(proposal, broken) or self._nats_behind(proposal) > near
 

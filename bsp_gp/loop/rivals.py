@@ -11,11 +11,15 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.response import respond
+from bsp_gp.fitting.starts import EXPONENTS, roles_of
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.search.columns import orthonormal
 
 __all__ = ["Explained"]
+
+PARALLEL = 1e-9
+"""Part of a law, squared, that may lie beside another for the two to be one on these data."""
 
 
 class Explained:
@@ -33,7 +37,7 @@ class Explained:
     """
 
     def __init__(self, row, proposal, found, dataset):
-        self.row, self.proposal, self._losses = row, proposal, {}
+        self.row, self.proposal, self._losses, self._included = row, proposal, {}, {}
         self.dataset = proposal.hypothesis.seen(dataset)
         self.response = response = respond(found, self.dataset)
         target, columns = response.left()
@@ -63,7 +67,46 @@ class Explained:
             self._losses[proposal] = self._loss(proposal)
         return self._losses[proposal]
 
+    def includes(self, proposal):
+        """Whether a law is the one that leaves nothing, where a power in it is a whole number.
+
+        What else it may be, its free power would have to gain on noise.
+
+        Parameters
+        ----------
+        proposal : Proposal
+        """
+        if len(proposal.formulas) != 1 or len(self.proposal.formulas) != 1:
+            return False
+        if proposal not in self._included:
+            self._included[proposal] = self._is_power_of_mine(proposal)
+        return self._included[proposal]
+
+    def _is_power_of_mine(self, proposal):
+        (mine,) = self.proposal.formulas
+        strength, form = split_linear(proposal.formulas[0])
+        roles = roles_of(ForceLaw((Term(form),), dict.fromkeys(form.constants, 1.0)))
+        if strength is None or len(roles) != 1 or set(roles.values()) != {"exponent"}:
+            return False
+        (name,) = roles
+        own, mine = (split_linear(f)[1] for f in (proposal.formulas[0], mine))
+        if mine.constants:
+            return False
+        wanted = self._unit(ForceLaw((Term(mine),), {}))
+        columns = [self._unit(ForceLaw((Term(own),), {name: n})) for n in EXPONENTS]
+        return any(1.0 - (wanted @ column) ** 2 < PARALLEL for column in columns)
+
+    def _unit(self, law):
+        """Moments of a law at unit length; nan where it is not finite."""
+        try:
+            moments = self.response.moments_of(law)
+        except EvaluationError:
+            return np.full(len(self._missing), np.nan)
+        return moments / np.linalg.norm(moments)
+
     def _loss(self, proposal):
+        if self.includes(proposal):
+            return 0.0
         terms = [t for t in proposal.hypothesis.law.terms if t.formula in proposal.formulas]
         if not terms or len(terms) != len(proposal.formulas):
             return np.nan
