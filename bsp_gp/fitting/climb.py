@@ -84,7 +84,7 @@ class Climb:
         ]
         self.coordinates = Coordinates(run.law, run.parameters, self._bases())
         self.problem = None
-        self.was_led = False  # whether starts agree on pieces that the noise allows
+        self.was_led = False  # whether pieces led to tracks that no other start can do better than
 
     def tolerance(self, chains, noise):
         """Error of one interval such that a whole track keeps to its tolerance."""
@@ -304,6 +304,10 @@ class Climb:
             if end.linearised is None and not self.is_behind:  # pieces may tell which stay behind
                 problem = TrackProblem(self._shootings(levels[0]), (), self.coordinates)
                 self._tell_lost(minimum, problem)
+        # Nothing leaves less than pieces do: whole tracks that leave little more need no rival.
+        end = min(ends or firsts, key=_height)
+        is_near = end.status != "unconverged" and not end.held.any()
+        self.was_led |= is_near and end.kept_chisqr < RISING * best.kept_chisqr
         return ends or firsts
 
     def _vouched(self, levels, point):

@@ -15,6 +15,8 @@ __all__ = ["EXPONENTS", "Scales", "candidates", "first_nodes", "scales_of", "ste
 
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
+MEDIAN = 0.4549
+"""Of chi-squared of one degree of freedom."""
 HURRIED = 0.3
 """Part of the median time from row to row from which rows tell a velocity."""
 EXPONENTS = (-2.0, 1.0, -1.0, 2.0, -3.0, 0.5, 3.0, 0.0, -4.0, 4.0)
@@ -121,8 +123,8 @@ class Scales:
         Longest track and shortest interval.
     extent : float, m
     turn : float
-        Typical change of the step from row to row to the next, in steps: small where rows are
-        dense, around one where a body turns from row to row.
+        Typical change of the velocity from row to row, in velocities: small where rows are dense,
+        around one where a body turns from row to row.
     """
 
     acceleration: float
@@ -151,37 +153,54 @@ def scales_of(groups, noises):
         # A body may be seen in no row at all, and then has no extent.
         spread = np.fmax.reduce(chains.observed) - np.fmin.reduce(chains.observed)
         extent = float(np.fmax(extent, np.fmax.reduce(spread, axis=None)))
-    best, rows = 0.0, 0
+    best, rows, usual_rows = 0.0, 0, 0
     longest = max(int(chains.lengths.max()) for chains in groups)
     size = 3
     while size <= longest:
-        signal, noise = _curvatures(groups, noises, size)
+        signal, noise, usual = _curvatures(groups, noises, size)
         if signal > SIGNAL * noise:
-            if not rows:
-                rows = size
+            rows = rows or size
             best = max(best, signal - noise)
+        if usual > SIGNAL * noise:
+            usual_rows = usual_rows or size
         size = size + 1 if size < 6 else int(size * 1.5)
+    # A few rows that are far off look like a force in pieces of any size; hits are nothing usual.
+    rows = usual_rows or rows
     if not best:
         best = (extent / span**2) ** 2
     return Scales(
-        float(np.sqrt(best)), rows or longest, span, step, extent or 1.0, _turn(groups)
+        float(np.sqrt(best)), rows or longest, span, step, extent or 1.0, _turn(groups, noises)
     )
 
 
-def _turn(groups):
-    """Root mean square of changes of velocity from row to row, in that of the velocities."""
-    change = size = 0.0
-    for chains in groups:
+def _turn(groups, noises):
+    """Typical change of the velocity from row to row, in velocities, without what noise makes.
+
+    Medians of squares: a few rows that are far off would make any motion a wild one.
+    """
+    changes, sizes = [], []
+    for chains, noise in zip(groups, noises, strict=True):
         with np.errstate(invalid="ignore"):
-            v = np.diff(chains.observed, axis=0) / np.diff(chains.times, axis=0)[..., None, None]
-        change += float(np.nansum(np.square(np.diff(v, axis=0))))
-        size += float(np.nansum(np.square(v)))
-    return float(np.sqrt(change / size)) if size > 0 else 0.0
+            steps = np.diff(chains.times, axis=0)[..., None, None]
+            v = np.diff(chains.observed, axis=0) / steps
+            error = (noise.variance[1:] + noise.variance[:-1]) / steps**2
+            # The row between two velocities makes both wrong, one way and the other.
+            common = noise.variance[1:-1] / (steps[1:] * steps[:-1])
+            turned = np.square(np.diff(v, axis=0)) - error[1:] - error[:-1] - 2 * common
+        changes.append(turned.sum(axis=-1).ravel())
+        sizes.append((np.square(v) - error).sum(axis=-1).ravel())
+    change, size = (np.concatenate(parts) for parts in (changes, sizes))
+    change, size = (v[np.isfinite(v)] for v in (change, size))
+    typical = float(np.median(size)) if len(size) else 0.0
+    return float(np.sqrt(max(np.median(change), 0.0) / typical)) if typical > 0 else 0.0
 
 
 def _curvatures(groups, noises, size):
-    """Mean square of second derivatives over pieces of so many rows, and what noise makes of it."""
-    total = expected = count = 0.0
+    """Mean square of second derivatives over pieces of so many rows, and what noise makes of it.
+
+    And its usual size: what the mean would be if noise alone made the median.
+    """
+    squares, errors = [], []
     for chains, noise in zip(groups, noises, strict=True):
         starts = range(0, chains.times.shape[0] - size + 1, max(size // 2, 1))
         if not len(starts):
@@ -202,10 +221,12 @@ def _curvatures(groups, noises, size):
         value = 2.0 * (w * x).sum(axis=-1) / width[..., None, None] ** 2
         error = 4.0 * (w * w * variance).sum(axis=-1) / width[..., None, None] ** 4
         good = np.isfinite(value) & np.isfinite(error) & whole[..., None, None]
-        total += float(np.square(value[good]).sum())
-        expected += float(error[good].sum())
-        count += int(good.sum())
-    return (total / count, expected / count) if count else (0.0, 1.0)
+        squares.append(np.square(value[good]))
+        errors.append(error[good])
+    if not sum(map(len, squares)):
+        return 0.0, 1.0, 0.0
+    squares, errors = np.concatenate(squares), np.concatenate(errors)
+    return float(squares.mean()), float(errors.mean()), float(np.median(squares)) / MEDIAN
 
 
 # --- constants --------------------------------------------------------------------------------
