@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,9 +33,14 @@ GROWTH = 8
 """Times that pieces are longer from level to level."""
 GROUPS_GROWTH = 3
 """The same where rows come in groups, between which much may happen."""
+MOST_BETWEEN, BETWEEN = 3, 1.3
+"""Levels that are put in where one is not reached from the one before, and how much longer their
+pieces must be."""
 LEAST_ROWS = 3
 FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
 """For levels that only lead on."""
+PATIENT = Settings(absolute=1e-2, max_linearised=30, last_steps=0)
+"""The same across gaps."""
 WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
 COARSE = 4
 """Rows of a piece that shows the acceleration, up to which the rows may be coarse."""
@@ -120,10 +126,9 @@ class Climb:
         """
         if self.run.law.unseen:
             return [None]
-        longest = max(map(most_steps, self.run.groups))
         rows = max(self.scales.rows, LEAST_ROWS)
         out = []
-        while rows < 0.7 * longest:
+        while rows < 0.7 * self.longest:
             out.append(rows)
             rows *= GROUPS_GROWTH if self.is_grouped else GROWTH
         return [*out, None]
@@ -337,12 +342,22 @@ class Climb:
         Where these lead to no minimum, the pieces before them show best where the bodies were.
         """
         problem, lead = None, minimum
-        for rows in levels[1:]:
+        before, above, n_between = levels[0], list(levels[1:]), 0
+        while above:
             if minimum.linearised is None:
                 return minimum
+            rows = above.pop(0)
             problem, lead = self.at(rows, minimum.point), minimum
-            settings = WHOLE if rows is None else FEW
+            few = PATIENT if self.is_grouped else FEW
+            settings = WHOLE if rows is None else few
             minimum = self._minimise(problem, minimum.point, settings)
+            between = int(math.sqrt(before * (rows or self.longest)))
+            is_lost = minimum.status == "unconverged" and self.is_grouped
+            if is_lost and n_between < MOST_BETWEEN and between > BETWEEN * before:
+                above, minimum = [between, rows, *above], lead  # with a shorter step between
+                n_between += 1
+            else:
+                before = rows
         if problem is None:  # the first level is the last
             problem = self.at(None, minimum.point)
             minimum = self._minimise(problem, minimum.point, WHOLE)
@@ -498,7 +513,12 @@ class Climb:
         turns = self.scales.turn > TURN and not walls_of(self.run.law)
         return self.scales.rows <= COARSE and turns
 
-    @property
+    @cached_property
+    def longest(self):
+        """Usual steps that the longest chain lasts."""
+        return max(map(most_steps, self.run.groups))
+
+    @cached_property
     def is_grouped(self):
         """Whether rows come in groups, in each of which the force may be seen."""
         return any(

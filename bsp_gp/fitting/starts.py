@@ -191,8 +191,9 @@ def _turn(groups, noises):
         sizes.append((np.square(v) - error).sum(axis=-1).ravel())
     change, size = (np.concatenate(parts) for parts in (changes, sizes))
     change, size = (v[np.isfinite(v)] for v in (change, size))
-    typical = float(np.median(size)) if len(size) else 0.0
-    return float(np.sqrt(max(np.median(change), 0.0) / typical)) if typical > 0 else 0.0
+    if not len(change) or not np.median(size) > 0:
+        return 0.0
+    return float(np.sqrt(max(np.median(change), 0.0) / np.median(size)))
 
 
 def _curvatures(groups, noises, size):

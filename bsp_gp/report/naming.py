@@ -13,7 +13,8 @@ from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
 
 __all__ = [
-    "bad_rows", "change", "constant_distance", "describe", "inclination", "is_untold", "kick",
+    "bad_rows", "between_bumpers", "change", "constant_distance", "describe", "inclination",
+    "is_untold", "kick",
 ]  # fmt: skip
 
 _DIRECTIONS = {
@@ -143,6 +144,30 @@ def _inner_word(text):
     """What a factor with a constant inside does."""
     word = next(word for mark, word in _INNER if mark in text)
     return word.format("speed" if "v_" in text else "distance")
+
+
+_BUMPERS = re.compile(
+    r"\(\(1 - sign\(([xyz])_i - (\w+)\)\) .*\(1 \+ sign\(\1_i - (\w+)\)\) .*\) \* e_\1"
+)
+
+
+def between_bumpers(effect):
+    """Two springs at both ends that reach past each other: "" where they do not.
+
+    Between the two places both act: there the stiffness is another one, and may be none at all.
+    """
+    found = _BUMPERS.search(effect.law or "")
+    known = {c.name: c for c in effect.constants}
+    if not found or not {found[2], found[3]} <= set(known):
+        return ""
+    high, low = known[found[2]], known[found[3]]
+    if not high.value > low.value:
+        return ""
+    places = " and ".join(format_number(c.value, 3) for c in (low, high))
+    return (
+        f"another stiffness along {found[1]} between {with_unit(places, high.unit)} (a dead band, "
+        "where none is left there)"
+    )
 
 
 def change(code, name, constants=()):

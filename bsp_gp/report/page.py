@@ -20,7 +20,15 @@ from bsp_gp.report.codes import (
     REASONS,
     STOPS,
 )
-from bsp_gp.report.naming import bad_rows, change, constant_distance, describe, inclination, kick
+from bsp_gp.report.naming import (
+    bad_rows,
+    between_bumpers,
+    change,
+    constant_distance,
+    describe,
+    inclination,
+    kick,
+)
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
@@ -201,6 +209,8 @@ def _name(effect, parts, other):
         known = [c for c in effect.constants if is_number(c.low) and not c.entity]
         own = [c for c in known if re.fullmatch(r"[ns]\d+", c.name)]
         return change(effect.code, effect.name, own)
+    if between := between_bumpers(effect):
+        return between
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:

@@ -2,13 +2,24 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from bsp_gp.fitting.coordinates import Coordinates
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.least_squares import minimise
 from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import TALL, Shooting, _triangles, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
-from tests.fitted_tracks import body, flow_of, law_of, parameters_of, scene_of, values_of
+from tests.fitted_tracks import (
+    body,
+    dataset_of,
+    flow_of,
+    law_of,
+    parameters_of,
+    scene_of,
+    values_of,
+)
 
 SPRING = law_of("-c1 * (p_i - p_j) - c2 * v_i", c1=4.0, c2=0.3)
 POST = body("post", is_static=True)
@@ -323,3 +334,39 @@ def test_triangles_of_tall_matrices_keep_their_products_however_wide(n_columns):
     assert factors.shape == (2, n_columns, n_columns)
     products = np.swapaxes(matrices, 1, 2) @ matrices
     assert np.allclose(np.swapaxes(factors, 1, 2) @ factors, products)
+
+
+def test_windows_end_where_gaps_are_and_nights_have_their_own():
+    nights = np.concatenate([np.arange(9.0).repeat(3) + np.tile([0.0, 0.05, 0.1], 9), [9.0]])
+    windows = cut_windows(np.array([28]), 3, nights[:, None])
+    assert windows.stop.tolist() == [*range(3, 28, 3), 28]
+    spans = cut_windows(np.array([28]), 60, nights[:, None])  # of three days at the most
+    assert (nights[spans.stop - 1] - nights[spans.first]).max() == 3.0 and len(spans.chain) == 3
+    assert len(cut_windows(np.array([28]), None, nights[:, None]).chain) == 1
+    even = np.arange(28.0)[:, None]
+    for rows in (3, 8):  # without gaps by their number, however times are
+        same = cut_windows(np.array([28]), rows), cut_windows(np.array([28]), rows, even)
+        assert same[0].stop.tolist() == same[1].stop.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3, 8])
+def test_an_orbit_seen_in_nights_is_followed_although_its_pericentre_advances(seed):
+    rng, gm = np.random.default_rng(seed), 3.9
+    clear = np.r_[0:11, 18:24, 30:43].astype(float)
+    nights = np.sort(rng.choice(clear, 22, replace=False))
+    times = [night + rng.uniform(0.0, 0.25, rng.integers(2, 6)) for night in nights]
+    times = np.sort(np.concatenate(times))
+
+    def rate(t, state):
+        r = np.linalg.norm(state[:2])
+        return [*state[2:], *(-gm * state[:2] / r**3 * (1 + 0.0017 / r**2))]
+
+    start = [0.76, 0.0, 0.0, 2.52]
+    places = solve_ivp(rate, (0, 45), start, "DOP853", times, rtol=1e-10, atol=1e-12).y[:2].T
+    places += 0.008 * rng.standard_normal(places.shape)
+    data = dataset_of([scene_of(times, (body("moon"),), places[:, None])], noise=(0.008, 0.008))
+    law = read_law(data, ["GM * m_i * (origin - p_i) / norm(p_i - origin)^3"])
+    found = fit(Hypothesis.from_laws(data, law), data)
+    assert found.status in ("converged", "refuted") and 2.0 < found.chi2_red < 20.0
+    assert found.values[0] == pytest.approx(gm, rel=0.03)
