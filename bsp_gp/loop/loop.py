@@ -49,6 +49,9 @@ MOST_OF_ALL = 0.9
 tracks have gained otherwise."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
+MOST_UNKEPT = 3
+"""Fits of a family that are no likelier than the law as it is, though they promised to be, after
+which no more of it are made: what its promises are made of is noise of another kind."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_TOLD = 10
@@ -318,6 +321,7 @@ class _Turn:
         n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
         broken = []  # proposals of all there is that left much, and reduced chi-squared
+        unkept = {}  # by family, fits that are no likelier than the law as it is
         fits, n_left = self._fits(queue), self.run.criteria.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -336,6 +340,8 @@ class _Turn:
             if is_again and not self._is_ahead(left[k]):
                 continue  # of another fit since less is left
             if self._is_spare(proposal, broken, is_again):
+                continue
+            if unkept.get(source, 0) >= MOST_UNKEPT:
                 continue
             if len(controls) <= k < n_first:
                 if not n_left:
@@ -356,6 +362,8 @@ class _Turn:
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
             if row.is_fit:
+                is_likelier = row.log_posterior > self.rows[0].log_posterior
+                unkept[source] = -math.inf if is_likelier else unkept.get(source, 0) + 1
                 self._note_gain(row, proposal, self.measure.get(source, False))
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain

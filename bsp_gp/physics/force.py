@@ -21,6 +21,7 @@ from bsp_gp.language.formula import (
     evaluate_with_gradient,
     factors,
     product,
+    summands,
     walk,
 )
 from bsp_gp.language.render import to_latex, to_text
@@ -450,11 +451,12 @@ def added_units(formula):
             for one, other in (node.args, node.args[::-1]):
                 if not isinstance(other.type.unit, Unit):
                     continue
-                unit, one = other.type.unit, _coordinate(one)
-                if _is_square(one):  # L of r^2 + L^2
-                    unit, one = unit ** Fraction(1, 2), one.args[0]
-                if isinstance(one, Constant):
-                    units[one.name] = unit
+                for part in summands(one):  # those of X * e_x + Y * e_y
+                    unit, part = other.type.unit, _coordinate(part)
+                    if _is_square(part):  # L of r^2 + L^2
+                        unit, part = unit ** Fraction(1, 2), part.args[0]
+                    if isinstance(part, Constant):
+                        units[part.name] = unit
     return units
 
 

@@ -11,6 +11,7 @@ CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
     "ripple": "a force that repeats along an axis", "pulsing": "a strength with a period",
     "growing": "a strength that grows or fades",
+    "wind": "a medium that moves (a wind, a current)",
     "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
     "law_by_body": "a force of another strength for each body",

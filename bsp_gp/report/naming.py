@@ -182,6 +182,9 @@ def change(code, name, constants=()):
     constants : sequence
         With `value`, `low` and `high`, as far as they are known.
     """
+    if code == "wind":
+        size = f", {pretty_unit(_vector(constants))}" if constants else ""
+        return f"{CAUSES[code]}{size}"
     c = constants[0] if len(constants) == 1 else None
     if found := re.fullmatch(r"numbers? of (.+?)(?:, within its last digit)?", name):
         by = f": by {format_value(100 * c.value, 100 * c.low, 100 * c.high)} %" if c else ""
@@ -196,6 +199,12 @@ def change(code, name, constants=()):
     if code in CAUSES and code not in ("number", "exponent"):
         return f"{CAUSES[code]} in {name}"
     return name
+
+
+def _vector(constants):
+    """Components with their unit: "(0.967, 0.521) m/s"."""
+    text = ", ".join(format_number(c.value, 3) for c in constants)
+    return with_unit(f"({text})" if len(constants) > 1 else text, constants[0].unit)
 
 
 def constant_distance(effect):

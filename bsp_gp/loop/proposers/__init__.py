@@ -25,6 +25,7 @@ from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
+from bsp_gp.loop.proposers.winds import Winds
 
 __all__ = ["standard"]
 
@@ -43,7 +44,7 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
-        Growing(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(), Aslant(),
-        Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(), Defects(),
-        Noise(),
+        Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(),
+        Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(),
+        Defects(), Noise(),
     ]  # fmt: skip
