@@ -332,10 +332,10 @@ def _split_unit(cell, back, is_track):
     if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
         return match[1], match[2]
     for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
-        stem = match[1]
+        stem = match[1].strip()
         name = back.get(cell, back.get(stem, _our_name(stem)[0]))
         if is_track and name not in _UNIT_OF:
-            name = _guess(stem)
+            name = _guess(stem) or _of_body(Heading(stem, match[2].strip(), cell)).name
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
             return stem, match[2].strip()
         if is_track and property_of_words(stem, match[2].strip()):

@@ -342,6 +342,7 @@ class _Turn:
             if self._is_spare(proposal, broken, is_again):
                 continue
             if unkept.get(source, 0) >= MOST_UNKEPT:
+                n_left -= len(controls) <= k < n_first  # nothing else takes its place
                 continue
             if len(controls) <= k < n_first:
                 if not n_left:

@@ -67,6 +67,17 @@ def test_a_preamble_that_is_not_as_the_program_writes_it_is_told(tmp_path, name,
         load_dataset(path)
 
 
+@pytest.mark.parametrize("style", ["{}_{} / cm", "{1}_{0} in cm", "{} {} / cm"])
+def test_bodies_side_by_side_have_units_behind_any_mark(tmp_path, style):
+    header = ["time / s", *(style.format(body, axis) for body in "AB" for axis in "xy")]
+    rows = [f"{0.1 * k:.1f},{k},2,3,{k * k}" for k in range(4)]
+    path = tmp_path / "run1.csv"
+    path.write_text("\n".join([",".join(header), *rows]) + "\n", "utf-8")
+    (scene,) = load_dataset(path).scenes
+    assert sorted(scene.names) == ["A", "B"] and scene.times == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert scene.positions[:, scene.names.index("B"), 1] == pytest.approx([0, 0.01, 0.04, 0.09])
+
+
 @pytest.mark.parametrize("has_header", [True, False])
 def test_an_export_of_qualisys_is_in_millimetres(tmp_path, has_header):
     head = ["NO_OF_FRAMES\t3", "NO_OF_MARKERS\t2", "FREQUENCY\t100", "DATA_INCLUDED\t3D"]
