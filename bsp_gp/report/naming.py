@@ -197,7 +197,8 @@ def change(code, name, constants=()):
         size = _WORDS.get(found[1]) or _of_place(found[1])
         return f"another power of {size} in {found[2]}{by}"
     if code in CAUSES and code not in ("number", "exponent"):
-        return f"{CAUSES[code]} in {name}"
+        more = " (or masses other than told)" if code == "constant_per_body" else ""
+        return f"{CAUSES[code]} in {name}{more}"
     return name
 
 

@@ -51,6 +51,9 @@ CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middl
 ABOUT = "about "
 """Before a quantity whose values reach as far beyond those of the data as these are apart."""
 PLACE = "centre_"
+LEAST_BESIDE = 1e-4
+"""Part of a form, squared, that must lie beside what constants of the law take up: from far away,
+or over lengths beyond the tracks, every form is a push and a spring."""
 """How names of the coordinates of a place begin."""
 
 
@@ -261,7 +264,8 @@ class InnerSearch:
         ])  # fmt: skip
         self.size = float(np.max(np.ptp(rows, axis=0))) / 2 or 1.0
         grain = 10.0 ** np.floor(np.log10(self.size / 10))
-        self.middle = np.round((rows.min(axis=0) + rows.max(axis=0)) / 2 / grain) * grain
+        self.span = rows.min(axis=0), rows.max(axis=0)
+        self.middle = np.round((self.span[0] + self.span[1]) / 2 / grain) * grain
         self._known, self._lookups, self._placed = {}, {}, {}
 
     def of_target(self, target):
@@ -424,13 +428,36 @@ class InnerSearch:
             self._columns(term, {a.name: v for a, v in zip(axes, some, strict=True)})
             for some in (values[:, k : k + step] for k in range(0, len(points), step))
         ], axis=1)  # fmt: skip
-        columns = np.where(np.isfinite(columns), columns, 0.0)
+        is_passed = self._is_passed(form, {a.name: v for a, v in zip(axes, values, strict=True)})
+        columns = np.where(np.isfinite(columns) & ~is_passed, columns, 0.0)
         top = np.abs(columns).max(axis=0)
         columns = columns / np.where(top > 0, top, 1.0)
         rows = self.beside(columns)
         square = np.square(rows).sum(axis=0)
-        good = square > 1e-8 * np.square(columns).sum(axis=0)
+        good = square > LEAST_BESIDE * np.square(columns).sum(axis=0)
         return np.where(good, rows / np.sqrt(np.where(good, square, 1.0)), 0.0)
+
+    def _is_passed(self, form, values):
+        """Whether a body on a line passes a place at which its force is infinite, (C,).
+
+        None does: it is thrown back, or held there. What such a force gains is a row that happens
+        to lie near.
+        """
+        places = [name for name in values if name.startswith(PLACE)]
+        if len(self.axes) != 1 or len(places) != 1:
+            return False
+        k, at = "xyz".index(self.axes[0]), values[places[0]]
+        is_within = (self.span[0][k] < at) & (at < self.span[1][k])
+        powers = [0.0]
+        for node in walk(form.term.formula):
+            if isinstance(node, Call) and "centre" in node.inputs:
+                if node.operator == "inverse":
+                    powers.append(-1.0)
+                elif node.operator == "pow" and isinstance(node.args[1], Number):
+                    powers.append(node.args[1].value)
+                elif node.operator == "pow" and isinstance(node.args[1], Constant):
+                    powers.append(values[node.args[1].name])
+        return is_within & (np.minimum.reduce(np.broadcast_arrays(*powers)) < 0)
 
     def _columns(self, term, values):
         """Moments of a term for many values of its constants, (n, C)."""
