@@ -58,9 +58,11 @@ def _proposal(view, index, rates, rate, gain):
     waves = [Call("mul", Constant(n), Call(f, angle)) for n, f in ((a, "cos"), (b, "sin"))]
     strength = Call("add", Call("add", Number(1.0), waves[0]), waves[1])
     formula = Call("mul", strength, term.formula)
+    bounds = {w: (float(rates[0]), float(rates[-1]))}
+    if "v_i" in term.formula.inputs:  # a brake may be weaker or stronger; it never drives
+        bounds |= dict.fromkeys((a, b), (-1.0, 1.0))
     return Proposal(
         "pulsing", to_text(formula),
         with_term_at(view.hypothesis, index, formula, {a: 0.0, b: 0.0, w: rate}),
-        -2 * view.criteria.cause_nats, gain, 3, {w: rate},
-        {w: (float(rates[0]), float(rates[-1]))},
+        -2 * view.criteria.cause_nats, gain, 3, {w: rate}, bounds,
     )  # fmt: skip
