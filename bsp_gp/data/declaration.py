@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bsp_gp.data.headings import is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
@@ -124,7 +125,16 @@ class Declaration:
         if train is not None or test is not None:
             changes["train"] = reader.patterns({"train": train}, "train")
             changes["test"] = reader.patterns({"test": test}, "test")
-        return dataclasses.replace(self, **changes)
+        return dataclasses.replace(self, **changes)._with_frames()
+
+    def _with_frames(self):
+        """With a rate, a column t that is called frame counts them."""
+        has_rate = self.fps is not None or self.dt is not None
+        is_counted = has_rate and "frame" not in self.columns
+        if not is_counted or not is_frame_name(self.columns.get("t", "")):
+            return self
+        columns = {"frame" if name == "t" else name: c for name, c in self.columns.items()}
+        return dataclasses.replace(self, columns=columns)
 
 
 def read_declaration(path):

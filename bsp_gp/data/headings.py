@@ -29,8 +29,9 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
-    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error", "is_ignored",
-    "is_no_place", "is_rate", "is_run", "number_columns", "property_of_words", "run_of", "told",
+    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error",
+    "is_frame_name", "is_ignored", "is_no_place", "is_rate", "is_run", "number_columns",
+    "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -188,6 +189,12 @@ def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
     more = POLAR_COLUMNS if is_polar(names) else ("sra", "sdec") if is_sky(names) else ()
     return NUMBER_COLUMNS + more
+
+
+def is_frame_name(text):
+    """Whether a heading speaks of numbers of frames."""
+    words = _words(text) - {""} - _COUNT_WORDS
+    return bool(words) and words <= _GUESSES["frame"]
 
 
 def is_run(text):

@@ -463,6 +463,12 @@ def constant_groups(constants):
     return shared, [(name, unit, sorted(group, key=order)) for (name, unit), group in own.items()]
 
 
+MOST_CLEAR = 6
+"""Bodies or scenes that are named as those in which a constant is not zero."""
+CLEAR = 1.8
+"""Times half an interval of 90 % that are three standard deviations."""
+
+
 def group_range(name, unit, group):
     """One line for a constant of which every entity has its own."""
     values = [c.value for c in group if is_number(c.value) and c.state != "undetermined"]
@@ -474,8 +480,15 @@ def group_range(name, unit, group):
         return f"{label}, no value known"
     spread = max(values) - min(values)
     low, _, high, power = rounded(min(values), min(values) - spread / 4, max(values))
-    return (
-        f"{label}, {low} to {high}{with_unit(power or '', unit)}"
-        if power
-        else f"{label}, {low} to {with_unit(high, unit)}"
-    )
+    to = f"{high}{with_unit(power, unit)}" if power else with_unit(high, unit)
+    clear = [c.entity for c in group if _is_clear(c)]
+    some = 0 < len(clear) < len(group) and len(clear) <= MOST_CLEAR
+    return f"{label}, {low} to {to}" + (f"; clearly not zero: {', '.join(clear)}" if some else "")
+
+
+def _is_clear(constant):
+    """Whether zero is three standard deviations away."""
+    if not all(map(is_number, (constant.value, constant.low, constant.high))):
+        return False
+    error = max(constant.high - constant.value, constant.value - constant.low)
+    return abs(constant.value) > CLEAR * error

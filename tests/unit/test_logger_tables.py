@@ -8,6 +8,8 @@ from bsp_gp.cli import main
 from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, on_command_line
+from bsp_gp.fitting.estimates import ConstantEstimate
+from bsp_gp.report.sentences import group_range
 from tests.capture_tables import CAPTURES
 from tests.logger_tables import LATER, LOOKED_AT, MORE, SET_ASIDE
 
@@ -130,3 +132,19 @@ def test_check_says_what_was_understood_and_draws_it(tmp_path, monkeypatch, caps
     assert main(["check", sample.name, "--columns", "scene=Versuch"]) == 2
     assert "--columns scene=ONE_OF_THESE" in capsys.readouterr().err
     assert main(["check", sample.name]) == 0, "an older check is replaced"
+
+
+def test_frames_that_are_called_the_time_are_counted_at_the_rate(tmp_path):
+    path = tmp_path / "eggs.csv"
+    path.write_text("frame,x,y\n0,1,2\n300,2,3\n600,4,4\n900,7,5\n", "utf-8")
+    (scene,) = load_dataset(path, columns={"t": "frame"}, fps=25).scenes
+    assert scene.times == pytest.approx([0.0, 12.0, 24.0, 36.0])
+
+
+def test_scenes_whose_constant_is_clearly_not_zero_are_named():
+    group = [
+        ConstantEstimate("c", value, value - error, value + error, "N", entity=name)
+        for name, value, error in (("1", 0.1, 0.2), ("2", 1.0, 0.2), ("3", -0.1, 0.1))
+    ]
+    assert group_range("c[scene]", "N", group).endswith("clearly not zero: 2")
+    assert "zero" not in group_range("c[scene]", "N", group[1:2])
