@@ -1,0 +1,66 @@
+"""A medium that moves: found where declared drag acts against it, and told with its velocity."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import bsp_gp
+from bsp_gp.loop.proposers.pulsing import Pulsing
+from bsp_gp.loop.proposers.winds import Winds
+from bsp_gp.report.page import page_of
+from tests.loop_views import view_of
+
+DRAG, ROLL = 0.08, 0.15
+UNITS = {"length": "m", "time": "s", "mass": "kg"}
+
+
+def runs(wind=(0.0, 0.0), sigma=0.02):
+    """Carts that roll out over a plain, each in another direction."""
+    frames, t = {}, np.linspace(0.0, 6.0, 60)
+    for k in range(6):
+        angle = 1.1 * k
+
+        def rate(_, state):
+            v = state[2:]
+            past = v - np.asarray(wind)
+            return [*v, *(-DRAG * np.linalg.norm(past) * past - ROLL * v / np.linalg.norm(v))]
+
+        start = [0.0, 0.0, 5.0 * np.cos(angle), 5.0 * np.sin(angle)]
+        places = solve_ivp(rate, (0, 6), start, t_eval=t, rtol=1e-9, atol=1e-9).y[:2]
+        places = places + sigma * np.random.default_rng(k).standard_normal(places.shape)
+        frames[f"r{k}"] = pd.DataFrame({"t": t, "x": places[0], "y": places[1]})
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})
+    return bsp_gp.Dataset.from_frames(frames, bodies, units=UNITS, train=list(frames)[:-1])
+
+
+LAWS = ("-c * norm(v_i) * v_i", "-f * m_i * normalize(v_i)")
+
+
+def test_a_wind_is_proposed_with_its_way_and_in_still_air_it_promises_little():
+    (found,) = Winds().propose(view_of(runs((0.4, -0.2)), *LAWS)).proposals
+    assert found.code == "wind" and found.promise > 20.0
+    assert found.starts["wind_x1"] > 0 > found.starts["wind_y1"]  # far off: drag gives way too
+    assert all(p.promise < 5.0 for p in Winds().propose(view_of(runs(), *LAWS)).proposals)
+
+
+def test_friction_of_constant_size_knows_no_wind():
+    assert not Winds().propose(view_of(runs(), LAWS[1])).proposals
+
+
+def test_a_brake_that_pulses_never_drives():
+    for proposal in Pulsing().propose(view_of(runs(), *LAWS)).proposals:
+        bounds = {name: b for name, b in proposal.bounds.items() if name[0] in "ab"}
+        assert list(bounds.values()) == [(-1.0, 1.0)] * 2
+
+
+@pytest.mark.slow
+def test_a_wind_is_adopted_with_its_velocity():
+    report = bsp_gp.close_loop(runs((0.4, -0.2)), LAWS, rng=0, n_bootstrap=0)
+    found = {c.name: c for c in report.constants}
+    assert found["wind_x1"].value == pytest.approx(0.4, abs=0.05)
+    assert found["wind_y1"].value == pytest.approx(-0.2, abs=0.05)
+    assert found["wind_x1"].unit == "m/s"
+    assert found["c"].value == pytest.approx(DRAG, rel=0.05)
+    name = page_of(report).rounds[0].effect.name
+    assert name.startswith("a medium that moves (a wind, a current), (0.") and name.endswith("m/s")
