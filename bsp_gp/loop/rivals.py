@@ -18,6 +18,11 @@ from bsp_gp.search.columns import orthonormal
 
 __all__ = ["Explained"]
 
+NEXT = 0.1
+"""Change of a power over which moments are about linear in it."""
+FREE = 5.0
+"""Nats that a free power may gain where it is not asked for: on noise it gains half a nat, and
+three standard deviations are 4.5."""
 PARALLEL = 1e-9
 """Part of a law, squared, that may lie beside another for the two to be one on these data."""
 
@@ -70,7 +75,7 @@ class Explained:
     def includes(self, proposal):
         """Whether a law is the one that leaves nothing, where a power in it is a whole number.
 
-        What else it may be, its free power would have to gain on noise.
+        And no other power near it does better, as far as moments tell.
 
         Parameters
         ----------
@@ -93,8 +98,19 @@ class Explained:
         if mine.constants:
             return False
         wanted = self._unit(ForceLaw((Term(mine),), {}))
-        columns = [self._unit(ForceLaw((Term(own),), {name: n})) for n in EXPONENTS]
-        return any(1.0 - (wanted @ column) ** 2 < PARALLEL for column in columns)
+
+        def at(power):
+            return self._unit(ForceLaw((Term(own),), {name: power}))
+
+        same = [n for n in EXPONENTS if 1.0 - (wanted @ at(n)) ** 2 < PARALLEL]
+        if not same:
+            return False
+        change = at(same[0] + NEXT) - at(same[0] - NEXT)
+        if not np.isfinite(change).all():
+            return False
+        basis = orthonormal(self._beside(np.stack([wanted, change], axis=1)), len(wanted))
+        gain = float(np.square(basis.T @ self._missing).sum())
+        return 0.5 * (gain - self._gain) < FREE
 
     def _unit(self, law):
         """Moments of a law at unit length; nan where it is not finite."""

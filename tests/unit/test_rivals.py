@@ -9,6 +9,7 @@ from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.table import Row
@@ -16,6 +17,7 @@ from tests.loop_views import view_of
 from tests.throws import SI
 
 SPRING = "-k * (p_i - origin)"
+DRAG = "c1 * (norm(v_i) * normalize(v_i))"
 
 
 def bobs(rate, n_scenes=3, sigma=0.001):
@@ -67,3 +69,21 @@ def test_far_from_the_tracks_the_plain_law_is_fitted_and_no_sum_beside_it():
     assert first.effect.law == "c1 * e_x"
     sums = [h for h in first.hypotheses if h["code"] == "law" and "c2" in h["law"]]
     assert not sums  # neither fitted nor told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("power", "is_included"), [(1.0, True), (1.6, False)])
+def test_a_free_power_is_passed_over_only_where_it_gains_nothing(power, is_included):
+    data, criteria = bobs(lambda v: -0.05 * np.sign(v) * np.abs(v) ** power), Criteria()
+    view = view_of(data, "-k * (x_i - 0.58 [m]) * e_x")
+    laws = Laws(load_grammar("physics"), data)
+    linear = next(p for p in laws.propose(view).proposals if p.text == DRAG)
+    inside = Inside(laws, data).propose(view).proposals
+    free = next(p for p in inside if "norm(v_i)^n1 * normalize(v_i)" in p.text)
+    found = linear.fitted(view.near, data, criteria=criteria)
+    evidence = log_evidence(found, linear.hypothesis, criteria)
+    row = Row(1, "law", linear.text, "laws", found.status, evidence, linear.log_prior,
+              found.log_likelihood, found.n_free)  # fmt: skip
+    told = Explained(row, linear, found, data)
+    assert told.includes(free) is is_included
+    assert not told.includes(linear)
