@@ -14,7 +14,7 @@ from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with
 
 __all__ = [
     "bad_rows", "between_bumpers", "change", "constant_distance", "describe", "inclination",
-    "is_untold", "kick",
+    "is_untold", "kick", "size_name",
 ]  # fmt: skip
 
 _DIRECTIONS = {
@@ -63,7 +63,7 @@ def _bases(exponents):
 
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
-    word = _WORDS.get(e["of"]) or _of_place(e["of"])
+    word = _WORDS.get(e["of"]) or size_name(e["of"])
     if is_untold(e):
         return f"its power of {word} not told by these data"
     return f"{word} to the {value} ({low} to {high})"
@@ -194,7 +194,7 @@ def change(code, name, constants=()):
         if c is not None:
             by = f", {'higher' if c.value > 0 else 'lower'} by "
             by += format_value(abs(c.value), *sorted((abs(c.low), abs(c.high))))
-        size = _WORDS.get(found[1]) or _of_place(found[1])
+        size = _WORDS.get(found[1]) or size_name(found[1])
         return f"another power of {size} in {found[2]}{by}"
     if code in CAUSES and code not in ("number", "exponent"):
         more = " (or masses other than told)" if code == "constant_per_body" else ""
@@ -389,7 +389,7 @@ def _scaling(powers):
         axis = _own_axis(name) if name.startswith("along(v_i, ") else ""
         radial = f"speed {axis}" if axis else "radial speed"
         label = _WORDS.get(name, radial if name.startswith("along(") else None)
-        label = label or ("|radial speed|" if name.startswith("abs(along(") else _of_place(name))
+        label = label or ("|radial speed|" if name.startswith("abs(along(") else size_name(name))
         words.append(label if power == 1 else f"{label}^{power:g}")
     return f", as {' * '.join(words)}" if words else ""
 
@@ -403,7 +403,7 @@ def _own_axis(text):
     return ""
 
 
-def _of_place(name):
+def size_name(name):
     """What a size that a declared law names is called."""
     if found := re.fullmatch(r"dot\(normalize\(v_i\), e_([xyz])\)", name):
         return f"cosine of its angle to {found[1]}"

@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from bsp_gp.report.codes import FINDINGS, VARIABLES
-from bsp_gp.report.naming import is_untold
+from bsp_gp.report.naming import is_untold, size_name
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -190,7 +190,7 @@ def powers_sentence(round_):
     for e in effect.exponents if effect is not None else ():
         if not e["stated"] and _is_about_zero(e):
             continue  # what a law rightly lacks is not told
-        size = _SIZES.get(e["of"], e["of"])
+        size = _SIZES.get(e["of"]) or size_name(e["of"])
         text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
         if is_untold(e):
             low, high = (format_number(e[key], 2) for key in ("low", "high"))
