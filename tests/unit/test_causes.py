@@ -155,7 +155,6 @@ def test_an_error_of_the_measurement_is_among_the_likeliest_with_its_number(code
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="nothing is named on these orbits; on others swapped tracks are")
 def test_swapped_tracks_are_found_and_put_right():
     data = changed(orbits(0, **FEW), lambda s: wrong.swapped(s, 15), "1")
     report = close(data, GRAVITY, max_rounds=2)
