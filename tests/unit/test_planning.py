@@ -323,10 +323,6 @@ def test_the_python_of_the_page_finds_a_law(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="a sum that foresees as much keeps the law open beyond three rounds; a second term, "
-    "5e-4 of a speed, is adopted beside it"
-)
 def test_a_law_that_is_discovered_stands(tmp_path):
     world = World(lambda p, v, source: -3 * source.properties["charge"] * p / (p @ p))
     found = discover(world, means_from(SEARCH), 3, rng=0, out=tmp_path)
