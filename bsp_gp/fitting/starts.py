@@ -15,8 +15,6 @@ __all__ = ["EXPONENTS", "Scales", "candidates", "first_nodes", "scales_of", "ste
 
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
-MEDIAN = 0.4549
-"""Of chi-squared of one degree of freedom."""
 HURRIED = 0.3
 """Part of the median time from row to row from which rows tell a velocity."""
 EXPONENTS = (-2.0, 1.0, -1.0, 2.0, -3.0, 0.5, 3.0, 0.0, -4.0, 4.0)
@@ -153,19 +151,15 @@ def scales_of(groups, noises):
         # A body may be seen in no row at all, and then has no extent.
         spread = np.fmax.reduce(chains.observed) - np.fmin.reduce(chains.observed)
         extent = float(np.fmax(extent, np.fmax.reduce(spread, axis=None)))
-    best, rows, usual_rows = 0.0, 0, 0
+    best, rows = 0.0, 0
     longest = max(int(chains.lengths.max()) for chains in groups)
     size = 3
     while size <= longest:
-        signal, noise, usual = _curvatures(groups, noises, size)
+        signal, noise = _curvatures(groups, noises, size)
         if signal > SIGNAL * noise:
             rows = rows or size
             best = max(best, signal - noise)
-        if usual > SIGNAL * noise:
-            usual_rows = usual_rows or size
         size = size + 1 if size < 6 else int(size * 1.5)
-    # A few rows that are far off look like a force in pieces of any size; hits are nothing usual.
-    rows = usual_rows or rows
     if not best:
         best = (extent / span**2) ** 2
     return Scales(
@@ -197,10 +191,7 @@ def _turn(groups, noises):
 
 
 def _curvatures(groups, noises, size):
-    """Mean square of second derivatives over pieces of so many rows, and what noise makes of it.
-
-    And its usual size: what the mean would be if noise alone made the median.
-    """
+    """Mean square of second derivatives over pieces of so many rows, and what noise makes of it."""
     squares, errors = [], []
     for chains, noise in zip(groups, noises, strict=True):
         starts = range(0, chains.times.shape[0] - size + 1, max(size // 2, 1))
@@ -225,9 +216,9 @@ def _curvatures(groups, noises, size):
         squares.append(np.square(value[good]))
         errors.append(error[good])
     if not sum(map(len, squares)):
-        return 0.0, 1.0, 0.0
+        return 0.0, 1.0
     squares, errors = np.concatenate(squares), np.concatenate(errors)
-    return float(squares.mean()), float(errors.mean()), float(np.median(squares)) / MEDIAN
+    return float(squares.mean()), float(errors.mean())
 
 
 # --- constants --------------------------------------------------------------------------------
