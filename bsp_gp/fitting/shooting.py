@@ -90,7 +90,10 @@ def cut_windows(lengths, rows=None, times=None):
 
 def has_gaps(times, rows=3):
     """Whether a gap between rows is longer than so many usual steps, or rows come in groups."""
-    return bool(np.diff(times).max() > rows * np.median(np.diff(times)) or in_groups(times))
+    steps = np.diff(times)
+    if len(steps) < 2:
+        return False
+    return bool(steps.max() > rows * np.median(steps) or in_groups(times))
 
 
 def in_groups(times):
@@ -104,7 +107,7 @@ def most_steps(chains):
     most = 0
     for s, n in enumerate(chains.lengths.tolist()):
         times = chains.times[:n, s]
-        if n > 2 and has_gaps(times):
+        if has_gaps(times):
             n = int((times[-1] - times[0]) / np.median(np.diff(times))) + 1
         most = max(most, n)
     return most

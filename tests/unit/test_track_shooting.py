@@ -344,6 +344,9 @@ def test_windows_end_where_gaps_are_and_nights_have_their_own():
     assert (nights[spans.stop - 1] - nights[spans.first]).max() == 3.0 and len(spans.chain) == 3
     assert len(cut_windows(np.array([28]), None, nights[:, None]).chain) == 1
     even = np.arange(28.0)[:, None]
+    short = np.array([[0.0, 0.0], [np.nan, 1.0]])
+    for rows in (3, None):  # one row, or two, have no gap
+        assert cut_windows(np.array([1, 2]), rows, short).stop.tolist() == [1, 2]
     for rows in (3, 8):  # without gaps by their number, however times are
         same = cut_windows(np.array([28]), rows), cut_windows(np.array([28]), rows, even)
         assert same[0].stop.tolist() == same[1].stop.tolist()
