@@ -193,8 +193,7 @@ def number_columns(names):
 
 def is_frame_name(text):
     """Whether a heading speaks of numbers of frames."""
-    words = _words(text) - {""} - _COUNT_WORDS
-    return bool(words) and words <= _GUESSES["frame"]
+    return _guess(text) == "frame"
 
 
 def is_run(text):

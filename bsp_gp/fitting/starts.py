@@ -192,7 +192,7 @@ def _turn(groups, noises):
 
 def _curvatures(groups, noises, size):
     """Mean square of second derivatives over pieces of so many rows, and what noise makes of it."""
-    squares, errors = [], []
+    total = expected = count = 0.0
     for chains, noise in zip(groups, noises, strict=True):
         starts = range(0, chains.times.shape[0] - size + 1, max(size // 2, 1))
         if not len(starts):
@@ -213,12 +213,10 @@ def _curvatures(groups, noises, size):
         value = 2.0 * (w * x).sum(axis=-1) / width[..., None, None] ** 2
         error = 4.0 * (w * w * variance).sum(axis=-1) / width[..., None, None] ** 4
         good = np.isfinite(value) & np.isfinite(error) & whole[..., None, None]
-        squares.append(np.square(value[good]))
-        errors.append(error[good])
-    if not sum(map(len, squares)):
-        return 0.0, 1.0
-    squares, errors = np.concatenate(squares), np.concatenate(errors)
-    return float(squares.mean()), float(errors.mean())
+        total += float(np.square(value[good]).sum())
+        expected += float(error[good].sum())
+        count += int(good.sum())
+    return (total / count, expected / count) if count else (0.0, 1.0)
 
 
 # --- constants --------------------------------------------------------------------------------

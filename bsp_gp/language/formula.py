@@ -25,6 +25,7 @@ __all__ = [
     "evaluate_with_gradient",
     "factors",
     "product",
+    "quotient",
     "rename_constants",
     "substitute",
     "summands",
@@ -267,6 +268,11 @@ def product(formulas):
     for formula in formulas:
         total = formula if total is None else Call("mul", total, formula)
     return Number(1.0) if total is None else total
+
+
+def quotient(above, below):
+    """A product over a product, either of which may be empty."""
+    return Call("div", product(above), product(below)) if below else product(above)
 
 
 def summands(formula):

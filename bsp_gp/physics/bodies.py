@@ -21,8 +21,7 @@ from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
 
 __all__ = [
     "Batch", "Bodies", "FieldInputs", "PairInputs", "angles_of", "dataset_types",
-    "input_types_of", "law_inputs",
-    "stack", "subset", "under",
+    "input_types_of", "law_inputs", "stack", "subset", "under",
 ]  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from bsp_gp.language.formula import (
     Number,
     evaluate_with_gradient,
     factors,
-    product,
+    quotient,
     summands,
     walk,
 )
@@ -59,8 +59,7 @@ def _drop_mass(formula):
     rest = [f for k, f in enumerate(above) if k != plain[0]]
     if any(f.inputs & set(_MASS) for f in rest + below):
         return formula, False
-    above_product = product(rest)
-    return (Call("div", above_product, product(below)) if below else above_product), True
+    return quotient(rest, below), True
 
 
 _ANGLES = tuple((re.compile(pattern), short) for pattern, short in (
@@ -418,8 +417,7 @@ def split_linear(formula):
     for k in free:
         rest = above[:k] + above[k + 1 :]
         if all(above[k].name not in f.constants for f in rest + below):
-            top = product(rest)
-            return above[k].name, (Call("div", top, product(below)) if below else top)
+            return above[k].name, quotient(rest, below)
     return None, formula
 
 

@@ -63,7 +63,7 @@ def _bases(exponents):
 
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
-    word = _WORDS.get(e["of"]) or size_name(e["of"])
+    word = size_name(e["of"])
     if is_untold(e):
         return f"its power of {word} not told by these data"
     return f"{word} to the {value} ({low} to {high})"
@@ -194,7 +194,7 @@ def change(code, name, constants=()):
         if c is not None:
             by = f", {'higher' if c.value > 0 else 'lower'} by "
             by += format_value(abs(c.value), *sorted((abs(c.low), abs(c.high))))
-        size = _WORDS.get(found[1]) or size_name(found[1])
+        size = size_name(found[1])
         return f"another power of {size} in {found[2]}{by}"
     if code in CAUSES and code not in ("number", "exponent"):
         more = " (or masses other than told)" if code == "constant_per_body" else ""
@@ -404,7 +404,9 @@ def _own_axis(text):
 
 
 def size_name(name):
-    """What a size that a declared law names is called."""
+    """What a size is called: "speed", or of one that a declared law names "distance", "stretch"."""
+    if name in _WORDS:
+        return _WORDS[name]
     if found := re.fullmatch(r"dot\(normalize\(v_i\), e_([xyz])\)", name):
         return f"cosine of its angle to {found[1]}"
     bare = name.removeprefix("abs(").removesuffix(")") if name.startswith("abs(") else name

@@ -190,7 +190,7 @@ def powers_sentence(round_):
     for e in effect.exponents if effect is not None else ():
         if not e["stated"] and _is_about_zero(e):
             continue  # what a law rightly lacks is not told
-        size = _SIZES.get(e["of"]) or size_name(e["of"])
+        size = size_name(e["of"])
         text = f"{size} to the {format_value(e['value'], e['low'], e['high'])}"
         if is_untold(e):
             low, high = (format_number(e[key], 2) for key in ("low", "high"))

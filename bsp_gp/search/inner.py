@@ -51,10 +51,10 @@ CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middl
 ABOUT = "about "
 """Before a quantity whose values reach as far beyond those of the data as these are apart."""
 PLACE = "centre_"
+"""How names of the coordinates of a place begin."""
 LEAST_BESIDE = 1e-4
 """Part of a form, squared, that must lie beside what constants of the law take up: from far away,
 or over lengths beyond the tracks, every form is a push and a spring."""
-"""How names of the coordinates of a place begin."""
 
 
 @dataclass(frozen=True, eq=False)

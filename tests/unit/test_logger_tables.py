@@ -8,8 +8,6 @@ from bsp_gp.cli import main
 from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError, on_command_line
-from bsp_gp.fitting.estimates import ConstantEstimate
-from bsp_gp.report.sentences import group_range
 from tests.capture_tables import CAPTURES
 from tests.logger_tables import LATER, LOOKED_AT, MORE, SET_ASIDE
 
@@ -139,12 +137,3 @@ def test_frames_that_are_called_the_time_are_counted_at_the_rate(tmp_path):
     path.write_text("frame,x,y\n0,1,2\n300,2,3\n600,4,4\n900,7,5\n", "utf-8")
     (scene,) = load_dataset(path, columns={"t": "frame"}, fps=25).scenes
     assert scene.times == pytest.approx([0.0, 12.0, 24.0, 36.0])
-
-
-def test_scenes_whose_constant_is_clearly_not_zero_are_named():
-    group = [
-        ConstantEstimate("c", value, value - error, value + error, "N", entity=name)
-        for name, value, error in (("1", 0.1, 0.2), ("2", 1.0, 0.2), ("3", -0.1, 0.1))
-    ]
-    assert group_range("c[scene]", "N", group).endswith("clearly not zero: 2")
-    assert "zero" not in group_range("c[scene]", "N", group[1:2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import input_types
@@ -14,7 +15,7 @@ from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import bad_rows, describe, kick
-from bsp_gp.report.sentences import powers_sentence
+from bsp_gp.report.sentences import group_range, powers_sentence
 from tests.worlds import WEIGHT, flights, linear_drag
 
 TYPES = input_types(PROPERTY_UNITS, up="y") | {"wind": input_types(PROPERTY_UNITS)["v_i"]}
@@ -238,3 +239,12 @@ CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
 )  # fmt: skip
 def test_laws_with_constants_inside_are_named_by_what_they_do(law, name):
     assert describe(formula(law)) == name
+
+
+def test_scenes_whose_constant_is_clearly_not_zero_are_named():
+    group = [
+        ConstantEstimate("c", value, value - error, value + error, "N", entity=name)
+        for name, value, error in (("1", 0.1, 0.2), ("2", 1.0, 0.2), ("3", -0.1, 0.1))
+    ]
+    assert group_range("c[scene]", "N", group).endswith("clearly not zero: 2")
+    assert "zero" not in group_range("c[scene]", "N", group[1:2])

@@ -7,16 +7,15 @@ grain of a lawn, the ribs of a carpet) is a matter of that friction.
 
 from __future__ import annotations
 
-from bsp_gp.language.formula import Call, Constant, Input, Number, factors, product
-from bsp_gp.language.grammar import VELOCITY
-from bsp_gp.language.inputs import property_of
-from bsp_gp.language.operators import Type
+from bsp_gp.language.formula import Call, Constant, Input, Number, factors, product, quotient
+from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.loop.proposers.exponents import base_of, is_size
+from bsp_gp.loop.proposers.sums import is_property
 from bsp_gp.physics.force import fresh_name, split_linear
 
 __all__ = ["kin_of"]
 
-_VELOCITY = Input("v_i", Type("vector", VELOCITY))
+_VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _MOTION = Call("normalize", _VELOCITY)
 _AXES = ("e_x", "e_y", "e_z")
 FURTHER = (2, 3)
@@ -50,8 +49,7 @@ def kin_of(law, n_dims):
 def _without_numbers(rest):
     """A product without its plain numbers: its own constant is another one."""
     above, below = ([p for p in side if not isinstance(p, Number)] for side in factors(rest))
-    top = product(above)
-    return Call("div", top, product(below)) if below else top
+    return quotient(above, below)
 
 
 def _steeper(rest):
@@ -63,8 +61,7 @@ def _steeper(rest):
         for power in FURTHER:
             steep = Call("pow", part, Number(float(power)))
             steep = steep if power % 2 else Call("mul", Call("abs", part), part)
-            top = product([steep, *above[:k], *above[k + 1 :]])
-            yield Call("div", top, product(below)) if below else top
+            yield quotient([steep, *above[:k], *above[k + 1 :]], below)
 
 
 def _about(rest):
@@ -74,7 +71,7 @@ def _about(rest):
     if not centred:
         return
     way = centred[0]
-    own = [p for p in above if _is_property(p)]
+    own = [p for p in above if is_property(p)]
     for power in ABOUT_CENTRES:
         distance = [Call("pow", Call("norm", way), Number(float(power)))] if power else []
         yield product([*own, *distance, Call("normalize", way)])
@@ -85,7 +82,7 @@ def _aside(rest, n_dims):
     above, below = factors(rest)
     if below or n_dims < 2 or not any(part in (_VELOCITY, _MOTION) for part in above):
         return
-    cosines = [Call("dot", _MOTION, Input(axis, _MOTION.type)) for axis in _AXES[:n_dims]]
+    cosines = [Call("dot", _MOTION, Input(axis, STATE_INPUTS[axis])) for axis in _AXES[:n_dims]]
     for cosine in cosines:
         yield product([cosine, rest])
     for k, cosine in enumerate(cosines[:-1]):  # all squares together are one
@@ -109,7 +106,3 @@ def _moves(part):
     """Whether a factor is a number that changes with the motion."""
     moves = any(not property_of(name) and name != "t" for name in part.inputs)
     return moves and part.type.shape == "scalar"
-
-
-def _is_property(part):
-    return bool(part.inputs) and all(map(property_of, part.inputs)) and not part.constants

@@ -19,7 +19,7 @@ from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
 from bsp_gp.search.subsets import best_subsets
 
-__all__ = ["pairs_of", "properties_of", "sets_of"]
+__all__ = ["is_property", "pairs_of", "properties_of", "sets_of"]
 
 MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
 """Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
@@ -147,9 +147,10 @@ def _unit(view, columns):
 def properties_of(formula):
     """Property factors of a law or of a product of properties, whatever their order."""
     above, below = factors(formula)
-    sides = [sorted(to_text(p) for p in side if _is_property(p)) for side in (above, below)]
+    sides = [sorted(to_text(p) for p in side if is_property(p)) for side in (above, below)]
     return tuple(map(tuple, sides))
 
 
-def _is_property(part):
+def is_property(part):
+    """Whether a factor is made of properties alone."""
     return bool(part.inputs) and all(map(property_of, part.inputs)) and not part.constants

@@ -9,14 +9,14 @@ import numpy as np
 
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant, Input, factors, substitute
-from bsp_gp.language.grammar import VELOCITY
-from bsp_gp.language.operators import Type
+from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 __all__ = ["Winds"]
 
-_MOTION = Input("v_i", Type("vector", VELOCITY))
+_VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _AXES = "xyz"
 
 
@@ -39,9 +39,9 @@ class Winds:
         names, wind = [], None
         for axis in _AXES[:n_dims]:
             names.append(fresh_name(law, f"wind_{axis}"))
-            part = Call("mul", Constant(names[-1]), Input(f"e_{axis}", Type("vector")))
+            part = Call("mul", Constant(names[-1]), Input(f"e_{axis}", STATE_INPUTS[f"e_{axis}"]))
             wind = part if wind is None else Call("add", wind, part)
-        against = {_MOTION: Call("sub", _MOTION, wind)}
+        against = {_VELOCITY: Call("sub", _VELOCITY, wind)}
         blown = [(k, Term(substitute(t.formula, against), t.kind)) for k, t in drags]
         columns = self._columns(view, [term for _, term in blown], names)
         score = view.score_forces(columns)
@@ -53,7 +53,7 @@ class Winds:
             hypothesis = with_term_at(hypothesis, k, term.formula, dict.fromkeys(names, 0.0))
         starts = dict(zip(names, map(float, score.amplitudes), strict=True))
         proposal = Proposal(
-            "wind", f"the medium moves: v_i - ({' + '.join(_parts(names))}) for v_i in drag",
+            "wind", f"the medium moves: v_i - ({to_text(wind)}) for v_i in drag",
             hypothesis, -view.criteria.cause_nats, score.statistic, score.rank, starts=starts,
         )  # fmt: skip
         gain = float(as_pair(score.statistic, score.rank))
@@ -70,14 +70,10 @@ class Winds:
         return columns
 
 
-def _parts(names):
-    return [f"{name} * e_{axis}" for name, axis in zip(names, _AXES, strict=False)]
-
-
 def _is_drag(formula):
     """Whether a term brakes the more the faster a body is; friction of constant size does not."""
     above, below = factors(formula)
     if below or "v_j" in formula.inputs:
         return False
     sizes = [part for part in above if "v_i" in part.inputs]
-    return _MOTION in sizes or any(part.type.shape == "scalar" for part in sizes)
+    return _VELOCITY in sizes or any(part.type.shape == "scalar" for part in sizes)
