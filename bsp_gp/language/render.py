@@ -239,7 +239,7 @@ def _latex_input(node):
     if len(stem) > 1:
         words = stem.replace("_", "\\ ")
         stem = _GREEK.get(stem, rf"\mathrm{{{words}}}")
-    return rf"{stem}_{role}" if column else node.name
+    return rf"{stem}_{role}" if column else _latex_name(node.name)
 
 
 def _latex_name(name):

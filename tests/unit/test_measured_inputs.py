@@ -7,7 +7,12 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.errors import DataError
+from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.operators import Type
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_latex
 from bsp_gp.report.page import page_of
+from bsp_gp.units import Unit
 
 MASS, DRAG = 0.5, 0.3
 UNITS = {"length": "m", "time": "s", "thrust": "N", "wind_x": "m/s", "wind_y": "m/s"}
@@ -154,3 +159,9 @@ def test_a_heading_that_is_not_used_is_told(tmp_path):
     glide(1).to_csv(path, index=False)
     notes = " ".join(bsp_gp.load_dataset(path, units={"length": "m", "time": "s"}).notes)
     assert "--units heading=deg makes it an input" in notes
+
+
+def test_the_name_of_an_input_is_set_upright_and_whole():
+    types = STATE_INPUTS | {"heading_deg": Type("scalar", Unit.of())}
+    formula = parse_formula("cos(heading_deg) * e_x", types)
+    assert r"\mathrm{heading\ deg}" in to_latex(formula)
