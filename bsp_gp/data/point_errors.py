@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = ["gross_errors"]
+__all__ = ["are_smooth", "gross_errors"]
 
 REACH = 5
 """Points before and after by which a point is predicted."""
@@ -87,6 +87,34 @@ def gross_errors(times, positions, sigma, *, is_exact=False):
     return np.ones(len(times))  # so many are off that the motion itself is rough
 
 
+def are_smooth(times, positions, sigma):
+    """Which of many tracks surely have no gross error, at the cost of a few tracks.
+
+    Parameters
+    ----------
+    times : ndarray, shape (S, T)
+    positions : ndarray, shape (S, T, d)
+    sigma : ndarray, shape (d,)
+
+    Returns
+    -------
+    ndarray of bool, shape (S,)
+        False also where that is not told: rows are not seen, or at uneven times.
+    """
+    axes = np.isfinite(sigma) & (sigma > 0)
+    out = np.isfinite(positions[..., axes]).all(axis=(1, 2))
+    if not axes.any() or times.shape[1] < LEAST:
+        return out
+    out[out] = [
+        _is_even(t, x, sigma[axes])
+        for t, x in zip(times[out], positions[out][..., axes], strict=True)
+    ]
+    _, far, beyond = _deviations(None, positions[out][..., axes], sigma[axes])
+    is_long = times.shape[1] >= LONG
+    out[out] = (far if is_long else beyond).max(axis=-1) <= FAR
+    return out
+
+
 def _worst(times, x, sigma, is_exact):
     """Sizes in sigma of points that are furthest off, and which they are, of each stretch one."""
     n = len(times)
@@ -135,16 +163,18 @@ def _deviations(times, x, sigma, usual=None):
 
     Parameters
     ----------
+    times : ndarray, shape (T,), or None
+        None: even ones.
+    x : ndarray, shape (..., T, d)
+    sigma : ndarray, shape (d,)
     usual : dict, optional
         The usual deviation by set of neighbours; what is missing is found here and filled in.
     """
-    n = len(times)
+    shape = x.shape[:-1]
+    n = shape[-1]
     usual = {} if usual is None else usual
-    size, far, beyond = np.ones(n), np.full(n, np.inf), np.full(n, np.inf)
-    steps = np.diff(times)
-    # Uneven times that move the body by far less than its noise, as rounded ones do, are even.
-    fastest = np.abs(np.diff(x, axis=0) / steps[:, None]).max(axis=0)
-    is_even = np.all(np.ptp(steps) * fastest < EVEN * sigma)
+    size, far, beyond = np.ones(shape), np.full(shape, np.inf), np.full(shape, np.inf)
+    is_even = times is None or _is_even(times, x, sigma)
     for (offsets, degree), judged in _neighbours(n):
         rows = np.arange(max(-offsets[0], 0), n - max(offsets[-1], 0))
         nodes = rows[:, None] + np.array(offsets)
@@ -152,20 +182,28 @@ def _deviations(times, x, sigma, usual=None):
             weights = _evenly(offsets, degree)
         else:
             weights = _predicting(times[nodes], times[rows], degree)
-        gap = np.abs(x[rows] - (weights[..., None] * x[nodes]).sum(axis=1)) / sigma
+        gap = np.abs(x[..., rows, :] - (weights[..., None] * x[..., nodes, :]).sum(axis=-2)) / sigma
         z = gap / np.sqrt(1 + np.square(weights).sum(axis=1))[:, None]
         if (offsets, degree) not in usual:
             # The motion itself is no polynomial: what is usual on this track is no error.
-            usual[offsets, degree] = np.maximum(1.4826 * np.median(z, axis=0), 1.0)
-        ratio = (z / usual[offsets, degree]).max(axis=1)
+            middle = np.median(z, axis=-2, keepdims=True)
+            usual[offsets, degree] = np.maximum(1.4826 * middle, 1.0)
+        ratio = (z / usual[offsets, degree]).max(axis=-1)
         if degree == 0:
             ratio *= FAR_ALONE / FAR_STEP
         own = judged - rows[0]
-        far[judged] = np.minimum(far[judged], ratio[own])
-        beyond[judged] = np.minimum(beyond[judged], z.max(axis=1)[own])
+        far[..., judged] = np.minimum(far[..., judged], ratio[..., own])
+        beyond[..., judged] = np.minimum(beyond[..., judged], z.max(axis=-1)[..., own])
         if (offsets, degree) in (BEFORE, AFTER, BOTH):
-            size[judged] = gap.max(axis=1)[own]
+            size[..., judged] = gap.max(axis=-1)[..., own]
     return size, far, beyond
+
+
+def _is_even(times, x, sigma):
+    """Whether times are even, up to what moves the body by far less than its noise."""
+    steps = np.diff(times)
+    fastest = np.abs(np.diff(x, axis=0) / steps[:, None]).max(axis=0)
+    return bool(np.all(np.ptp(steps) * fastest < EVEN * sigma))
 
 
 def _neighbours(n):

@@ -26,6 +26,8 @@ NEAR = 5.0
 """Errors within which a jump is at a wall."""
 EXACT = 1e-6
 """Part of the extent below which errors are none."""
+EVEN = 1e-9
+"""Part of a window by which its times may differ from those of all others."""
 WINDOW, LEAST_ROWS = 9, 5
 """Rows of the parabolas that states between jumps are read off; fewer tell no acceleration."""
 
@@ -105,10 +107,9 @@ def _jumps(times, places, rows, error, levels):
     t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
     middle = t[:, rows - 1 : rows + 1].mean(axis=1)
     t = t - middle[:, None]
-    late = np.broadcast_to((np.arange(2 * rows) >= rows).astype(float), t.shape)
-    broken = np.stack([1 - late, late, (1 - late) * t, late * t, t * t / 2], axis=-1)
+    is_even = np.ptp(t, axis=0).max() < EVEN * np.ptp(t[0])
+    broken, smooth = _bases(t[:1] if is_even else t)
     degree = CURVED if rows == LONGEST else 3
-    smooth = np.stack([(t / t[:, -1:]) ** k for k in range(max(degree, 4) + 1)], axis=-1)
     (numbers, left), (_, rest) = _solved(broken, x), _solved(smooth[..., : degree + 1], x)
     gains = surely = (rest - left) / error**2
     if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
@@ -130,6 +131,15 @@ def _jumps(times, places, rows, error, levels):
     return out
 
 
+def _bases(t):
+    """Motions (K, 2 rows, c) whose velocity jumps in the middle of windows, and smooth ones."""
+    n = t.shape[1]
+    late = np.broadcast_to((np.arange(n) >= n // 2).astype(float), t.shape)
+    broken = np.stack([1 - late, late, (1 - late) * t, late * t, t * t / 2], axis=-1)
+    degree = CURVED if n == 2 * LONGEST else 4
+    return broken, np.stack([(t / t[:, -1:]) ** k for k in range(degree + 1)], axis=-1)
+
+
 def _is_at(jump, levels):
     """Whether a body is turned back at one of the walls."""
     return any(
@@ -140,7 +150,10 @@ def _is_at(jump, levels):
 
 
 def _solved(basis, x):
-    """Least squares in stacks: numbers (K, c, d), and what is left of the squares (K,)."""
+    """Least squares in stacks: numbers (K, c, d), and what is left of the squares (K,).
+
+    One basis (1, n, c) stands for all.
+    """
     q, r = np.linalg.qr(basis)
     along = np.swapaxes(q, 1, 2) @ x
     return np.linalg.solve(r, along), np.square(x - q @ along).sum(axis=(1, 2))

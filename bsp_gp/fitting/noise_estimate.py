@@ -183,8 +183,7 @@ def _with_part(task, part, model):
     if part == "correlation":
         best, promise = _screened(task, starts, value)
     else:
-        found = (task.rescale(start, is_rough=True) for start in starts)
-        best, promise = max(found, key=lambda pair: pair[1])
+        best, promise = task.likeliest(starts)
         promise -= value
     if promise < _PROMISE * _needed(task, part):
         return best, promise

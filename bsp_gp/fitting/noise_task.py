@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import expit
@@ -37,6 +38,8 @@ _FEW_FREE = 0.1
 """Part of the rows that free numbers may take where the projected residual alone is a likeness."""
 _FEWER_FREE = 2e-3
 """The same where its maximum lies at that of the restricted likelihood, far within its errors."""
+_SAMPLE = 100
+"""Chains that tell well where a search over all of four times as many may begin."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class NoiseTask:
 
     def __init__(self, model, channels, residual, columns, local, tolerances):
         self.channels, self.tolerances = channels, tolerances
+        self._known = model, residual, columns, local
         self.free = model.is_free[channels.axis]
         size = model.sizes(channels)
         known = np.isfinite(size)
@@ -119,6 +123,26 @@ class NoiseTask:
     def value(self, model):
         """Restricted log-likelihood of a model, rows weighted as they are."""
         return self.restricted.value(model.whitener(self.channels, self.weights))
+
+    @property
+    def sample(self):
+        """The same task on some chains, evenly spread; None where there are not many."""
+        if self._sampled is None:
+            return None
+        task, kept = self._sampled
+        task.weights = None if self.weights is None else self.weights[:, kept]
+        return task
+
+    @cached_property
+    def _sampled(self):
+        chains = np.unique(self.channels.chain)
+        if len(chains) < 4 * _SAMPLE:
+            return None
+        kept = chains[np.linspace(0, len(chains) - 1, _SAMPLE).astype(int)]
+        kept = np.isin(self.channels.chain, kept)
+        model, residual, columns, local = self._known
+        parts = (None if x is None else x[..., kept] for x in (residual, columns, local))
+        return NoiseTask(model, self.channels.only(kept), *parts, self.tolerances), kept
 
     @property
     def has_many_rows(self):
@@ -222,14 +246,24 @@ class NoiseTask:
                 other = _decoded(model, names, values)
                 return self.restricted.plain(other.whitener(self.channels, self.weights))
 
-        start = [_coded(model, name) for name in names]
         if self.has_many_rows:
+            start = [_coded(model, name) for name in names]
             found = _decoded(model, names, maximise(likeness, start, bounds)[0])
             return found, self.value(found)
+        if self.sample is not None:
+            model = self.sample._optimise(model, shape)[0]
+        start = [_coded(model, name) for name in names]
         values, reached = maximise(
             lambda values: self.value(_decoded(model, names, values)), start, bounds, likeness
         )
         return _decoded(model, names, values), reached
+
+    def likeliest(self, starts):
+        """Of models with their sizes at the maximum, roughly, the best; and what it reaches."""
+        if len(starts) > 1 and self.sample is not None:
+            starts = [self.sample.likeliest(starts)[0]]
+        found = (self.rescale(start, is_rough=True) for start in starts)
+        return max(found, key=lambda pair: pair[1])
 
     def rescale(self, model, is_rough=False):
         """Levels and factors at the maximum, the shape as it is: every z^2 as large as expected.

@@ -6,12 +6,13 @@ noise, which has no tails, they stay out, and that is told.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from bsp_gp.data.point_errors import gross_errors
+from bsp_gp.data.point_errors import are_smooth, gross_errors
 
 __all__ = ["is_exact", "without_outliers"]
 
@@ -20,6 +21,10 @@ EXACT = 1e-9
 """Noise below this part of the extent is numerical."""
 RESOLUTION = 1e-7
 """Part of the extent by which neighbours of exact rows are taken to predict one."""
+
+
+TOGETHER = 10_000
+"""Rows of tracks that are looked at at once."""
 
 
 def is_exact(scenes, sigma):
@@ -59,9 +64,12 @@ def _without_outliers(scenes, sigma):
     if exact:
         sigma = np.where(np.isfinite(sigma), RESOLUTION * _extent(scenes), sigma)
     out, found = [], []
+    smooth = set() if exact else _smooth(scenes, sigma)
     for scene in scenes:
         positions = scene.positions.copy()
         for k in scene.dynamic:
+            if (id(scene), k) in smooth:
+                continue
             track = scene.times, scene.positions[:, k], sigma
             is_far = gross_errors(*track, is_exact=exact) > 1
             positions[is_far, k] = np.nan
@@ -73,3 +81,21 @@ def _without_outliers(scenes, sigma):
         out.append(scene if is_same else replace(scene, positions=positions))
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     return tuple(out), ", ".join(found[:LISTED]) + more
+
+
+def _smooth(scenes, sigma):
+    """Tracks that surely have no gross error, as scenes' ids and numbers of bodies."""
+    groups = defaultdict(list)
+    for scene in scenes:
+        groups[len(scene.times)] += [(scene, k) for k in scene.dynamic]
+    out = set()
+    for n_rows, tracks in groups.items():
+        n_tracks = max(TOGETHER // max(n_rows, 1), 1)
+        for first in range(0, len(tracks), n_tracks) if n_tracks > 1 else ():
+            some = tracks[first : first + n_tracks]
+            is_smooth = are_smooth(
+                np.stack([scene.times for scene, _ in some]),
+                np.stack([scene.positions[:, k] for scene, k in some]), sigma,
+            )  # fmt: skip
+            out |= {(id(some[at][0]), some[at][1]) for at in np.flatnonzero(is_smooth)}
+    return out

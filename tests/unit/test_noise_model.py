@@ -9,6 +9,7 @@ from scipy import stats
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import FitError
+from bsp_gp.fitting import noise_task
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.noise_estimate import estimate, estimate_beside
 from bsp_gp.fitting.noise_model import NoiseModel
@@ -106,6 +107,28 @@ def test_levels_are_unbiased_where_most_rows_pay_for_local_numbers():
     sampling = 1 / math.sqrt(2 * 150 * 5)
     assert model.levels == pytest.approx((0.01, 0.03), rel=4 * sampling)
     assert adopted(model) == []
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {"levels": (0.02, 0.05), "correlated": 0.7, "correlation_time": 0.5},
+        {"levels": (0.02, 0.05), "speed_growth": 0.05},
+    ],
+)
+def test_a_search_that_begins_on_a_sample_of_chains_ends_where_one_on_all_does(truth, monkeypatch):
+    found = channels(12, n_scenes=120)
+    rng = np.random.default_rng(6)
+    speed = np.broadcast_to(rng.uniform(0.0, 2.0, (1, 240)), (12, 240))
+    found = replace(found, speed=speed)
+    errors, local = drawn(free_model(**truth), found, rng), polynomials(found, 1)
+    whole = estimate(free_model(), found, errors, local=local)
+    monkeypatch.setattr(noise_task, "_SAMPLE", 30)
+    few = estimate(free_model(), found, errors, local=local)
+    assert adopted(few) == adopted(whole) and adopted(whole)
+    assert few.levels == pytest.approx(whole.levels, rel=1e-3)
+    for name in truth:
+        assert getattr(few, name) == pytest.approx(getattr(whole, name), rel=5e-3)
 
 
 @pytest.mark.slow

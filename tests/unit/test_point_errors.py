@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bsp_gp.data.point_errors import gross_errors
+from bsp_gp.data.point_errors import are_smooth, gross_errors
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.law_fit import fit_law
 
@@ -29,6 +29,19 @@ def test_gross_errors_are_found_and_others_are_not():
         assert off[20] == pytest.approx(30, abs=6) and off[41] > 10
         false += np.count_nonzero(off > 1) - 2
     assert false <= 1
+
+
+@pytest.mark.parametrize("n_rows", [8, 13, 29, 30, 60])
+def test_tracks_that_are_passed_over_have_no_gross_error(n_rows):
+    rng = np.random.default_rng(5)
+    tracks = np.array([swinging(rng)[:n_rows] for _ in range(60)])
+    tracks[::3, n_rows // 2] += 0.3
+    tracks[1, 0, 1] = np.nan
+    sigma = np.full(2, SIGMA)
+    passed = are_smooth(np.broadcast_to(TIMES[:n_rows], (60, n_rows)), tracks, sigma)
+    has_none = np.array([np.all(gross_errors(TIMES[:n_rows], x, sigma) == 1) for x in tracks])
+    assert not passed[1] and not np.any(passed & ~has_none)
+    assert np.count_nonzero(passed) >= (20 if n_rows > 20 else 5)
 
 
 def test_a_collision_is_no_gross_error():

@@ -8,6 +8,7 @@ under a law that is far off.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import count, product
 
 import numpy as np
@@ -81,13 +82,22 @@ class Walls:
 
 def _jumps_of(view, levels=None):
     """Jumps of every track that the law does not foresee, by scene and number of the body."""
+    scenes = view.dataset.scenes
+    found = _jumps_in(scenes, tuple(sorted((levels or {}).items())))
+    tracks = [(scene, k) for scene in scenes for k in scene.dynamic]
     return {
-        (scene.name, k): [
-            jump for jump in jumps(scene.times, scene.positions[:, k], levels)
-            if not _is_foreseen(jump, scene, k, view.fit)
-        ]
-        for scene in view.dataset.scenes for k in scene.dynamic
-    }  # fmt: skip
+        (scene.name, k): [jump for jump in own if not _is_foreseen(jump, scene, k, view.fit)]
+        for (scene, k), own in zip(tracks, found, strict=True)
+    }
+
+
+@lru_cache(maxsize=4)
+def _jumps_in(scenes, levels):
+    """Jumps of every track of scenes; every round asks for them anew."""
+    return [
+        jumps(scene.times, scene.positions[:, k], dict(levels))
+        for scene in scenes for k in scene.dynamic
+    ]  # fmt: skip
 
 
 def _is_foreseen(jump, scene, k, fit):
