@@ -56,13 +56,7 @@ def test_a_wrong_scale_beside_a_known_length_is_in_the_class(seed):
     assert first.verdict != "effect adopted" or first.effect.kind == "measurement"
 
 
-MISSED = pytest.mark.xfail(reason="much is seen on these orbits and not named", strict=False)
-UNNAMED = (3, 4)
-
-
-@pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=MISSED if s in UNNAMED else ()) for s in SEEDS]
-)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_swapped_tracks_are_named(seed):
     data = changed(orbits(seed), wrong.swapped, "1")
     report = close(data, [GRAVITY], seed, max_levels=4, max_rounds=2)

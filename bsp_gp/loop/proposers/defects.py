@@ -36,6 +36,8 @@ class Defects:
 
     name = "defects"
     asks_rows = True
+    sees_places = True
+    """Some defects show without a fit."""
 
     def propose(self, view):
         """The family of all rows and change-points.
@@ -44,6 +46,8 @@ class Defects:
         ----------
         view : View
         """
+        if view.fit.is_failed:
+            return self._family(view, [], [], np.zeros(2))
         windows, shifts, even = [], {}, 0.0
         for chain in _chains(view):
             for window in chain.windows():
@@ -54,20 +58,28 @@ class Defects:
         moved = [_shift(chains) for chains in shifts.values()]
         for *_, gains in moved:
             even = np.maximum(even, gains)
+        return self._family(view, windows, moved, even)
+
+    def _family(self, view, windows, moved, even):
+        """The family, with what places tell without a fit."""
         n_tried = sum(len(w.first) for w, _ in windows) + sum(len(m[0].times) for m in moved)
         parts, excess, swapped, n_swaps = swaps(view)
         still, theirs, stands = stuck(view)
+        n_still = n_tried or sum(len(s.times) * len(s.dynamic) for s in view.dataset.scenes)
         kinds = [
             ("swapped_tracks", parts, excess, n_swaps),
-            ("lost_track", still, theirs, n_tried),
-            ("bad_row", *_rows(windows, n_tried), n_tried),
-            ("lost_track", *_lost(windows), n_tried),
-            ("bad_row", *_frames(moved), n_tried),
+            ("lost_track", still, theirs, n_still),
         ]
+        if windows:
+            kinds += [
+                ("bad_row", *_rows(windows, n_tried), n_tried),
+                ("lost_track", *_lost(windows), n_tried),
+                ("bad_row", *_frames(moved), n_tried),
+            ]
         proposals = [_proposal(view, *kind) for kind in kinds if kind[1]]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), swapped, stands)
-        return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_tried)
+        return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_still)
 
 
 @dataclass(eq=False)
