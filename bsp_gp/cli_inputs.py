@@ -32,6 +32,7 @@ def read_dataset(args):
         units=_mapping("--units", _units(args.units)), fps=args.fps, dt=args.dt,
         columns=columns_said(args), train=args.train, test=args.test,
         properties=_mapping("--property", args.property), sky=_mapping("--sky", args.sky),
+        uses=_names_in_laws(args),
     )  # fmt: skip
     if args.up is not None:
         axes = "xyz"[: dataset.n_dims]
@@ -47,6 +48,12 @@ def read_dataset(args):
         length = unit_of_length(dataset)
         dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset
+
+
+def _names_in_laws(args):
+    """What laws name, of this command."""
+    said = " ".join(read_laws(args)) if hasattr(args, "declare") else ""
+    return sorted(set(re.findall(r"[^\W\d]\w*", said)))
 
 
 def columns_said(args):

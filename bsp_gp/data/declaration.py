@@ -58,6 +58,8 @@ class Declaration:
         What is said of properties of bodies, see `properties.read_properties`.
     sky : mapping of str to str
         ``distance`` or ``parallax`` of what is seen, see `sky.from_sky`.
+    uses : tuple of str
+        Names in laws: columns of these names are inputs, if their headings tell their units.
     first_position, first_velocity : str
         What is known of the first row of every scene, of `FIRST_PLACES` and `FIRST_VELOCITIES`.
     latents : tuple of LatentDeclaration
@@ -82,6 +84,7 @@ class Declaration:
     columns: Mapping = field(default_factory=dict)
     properties: Mapping = field(default_factory=dict)
     sky: Mapping = field(default_factory=dict)
+    uses: tuple[str, ...] = ()
     first_position: str = "measured"
     first_velocity: str = "unknown"
     latents: tuple[LatentDeclaration, ...] = ()
@@ -99,11 +102,11 @@ class Declaration:
 
     def override(
         self, *, units=None, columns=None, fps=None, dt=None, train=None, test=None, noise=None,
-        properties=None, sky=None,
+        properties=None, sky=None, uses=(),
     ):  # fmt: skip
         """Let the caller's arguments win over the file."""
         reader = _Reader({"noise": noise}, "arguments")
-        changes = {} if noise is None else {"noise": reader.noise()}
+        changes = {"uses": tuple(uses)} if noise is None else {"noise": reader.noise()}
         if properties is not None:
             changes["properties"] = dict(properties)
         if sky is not None:

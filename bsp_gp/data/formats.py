@@ -155,7 +155,7 @@ def long_table(
     frame, date_notes, dated = _without_dates(frame, names) if not as_text else (frame, [], False)
     if groups:
         used = {k for group in groups for k in group.columns.values()}
-        rest = [h for k, h in enumerate(found) if k not in used]
+        rest = [h for k, h in enumerate(found) if k not in used or h.sure == UNKNOWN]
         frame = stack(frame, groups, file)
     else:
         rest = [h for h in found if h.sure == UNKNOWN]
@@ -177,7 +177,7 @@ def long_table(
     for column in (c for c in TEXT_COLUMNS if c in frame.columns):
         frame[column] = frame[column].map(plain_cell)
     of_names = {n: u for n, u in zip(names, units, strict=True) if u and n in frame.columns}
-    unused = {} if as_text else {h.name or h.theirs: h.theirs for h in rest if h.theirs}
+    unused = {} if as_text else {h.name or h.theirs: h.of_any_run for h in rest if h.theirs}
     is_height = any(h.name == "y" and h.sure == GUESS and not h.body for h in found)
     return Table(
         frame=frame, units=of_names | ({"t": "s"} if dated else {}),

@@ -184,6 +184,11 @@ class Heading:
     def owner(self):
         return self.run, self.body
 
+    @property
+    def of_any_run(self):
+        """What the file calls it, but for the run: ``Force (N)`` of ``Run 1: Force (N)``."""
+        return _run_of(self.theirs)[1] if self.run else self.theirs
+
 
 def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
@@ -560,6 +565,8 @@ def _settled(found):
             is_it = h.theirs.lower() == alike[0]
         elif is_it and h.sure == GUESS:
             is_it = len(set(alike)) == 1
+        if h.run and h.sure == UNKNOWN:
+            is_it = h.name.isidentifier()  # a log of that run
         yield h if is_it else replace(h, name=h.stem, sure=UNKNOWN, run="", body="")
 
 

@@ -54,6 +54,7 @@ def load_dataset(
     columns: Mapping[str, str] | None = None, fps: float | None = None, dt: float | None = None,
     train: str | Sequence[str] | None = None, test: str | Sequence[str] | None = None,
     properties: Mapping | None = None, sky: Mapping[str, str] | None = None,
+    uses: Sequence[str] = (),
 ) -> Dataset:  # fmt: skip
     """Read a data set folder, or a lone delimited file, or several as recordings of one motion.
 
@@ -79,6 +80,9 @@ def load_dataset(
         "305.8[g]"}``, ``{"mass": {"star1": 1.2, "star2": 0.8}}``; in place of what the data say.
     sky : mapping of str to str, optional
         How far it is: ``{"distance": "8.2 kpc"}`` or ``{"parallax": "379.2 mas"}``.
+    uses : sequence of str, optional
+        Names in the laws to come. Further columns of these names are measured inputs, as those
+        with a unit in `units` are, if their headings tell the unit: ``Force (N)``.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def load_dataset(
         Whatever is wrong with the data, with file, line, column and remedy.
     """
     reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
-               "sky": sky}  # fmt: skip
+               "sky": sky, "uses": uses}  # fmt: skip
     if isinstance(path, str | os.PathLike):
         folder, paths = Path(path), list(tables_of(path))
     else:
@@ -112,7 +116,7 @@ def load_dataset(
     return with_properties(dataset, properties)
 
 
-def _loaded(path, *, units, columns, fps, dt, properties, sky, train=None, test=None):
+def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):
     """One file or folder, without what is said of properties beside it."""
     if path.is_dir():
         path = _data_of_recording(path)
@@ -145,7 +149,7 @@ def _loaded(path, *, units, columns, fps, dt, properties, sky, train=None, test=
         raise DataError("there is no such file or folder", file=path, remedy="check the path")
     declaration = declaration.override(
         units=units, columns=columns, fps=fps, dt=dt, train=train, test=test,
-        properties=properties, sky=sky,
+        properties=properties, sky=sky, uses=uses,
     )  # fmt: skip
     if trajectories.suffix.lower() in (".parquet", ".pq"):
         table = _read_parquet(trajectories, declaration.columns)
@@ -289,6 +293,7 @@ def _assemble(table, roster, declaration, default_name):
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)
+    declaration, input_notes = _with_inputs(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(
         table, declaration.units, start=declaration.angle_from or "x",
@@ -330,6 +335,7 @@ def _assemble(table, roster, declaration, default_name):
         *table.notes,
         *_unused(table, inputs_of(table, declaration)),
         *units_notes,
+        *input_notes,
         *rows.notes,
         *apart,
         *still,
@@ -429,6 +435,27 @@ def _with_their_names(table, declaration):
         ours.get(name, name) if name not in taken else name: unit
         for name, unit in declaration.units.items()
     })  # fmt: skip
+
+
+def _with_inputs(table, declaration):
+    """The declaration with the units of further columns that laws name; notes of these.
+
+    A law that names a column means it: it would be a constant to be fitted otherwise.
+    """
+    named = [n for n in table.unused if n in table.frame and n not in declaration.units]
+    named = [n for n in named if {n, re.sub("_[xyz]$", "", n)} & set(declaration.uses)]
+    told = {name: table.units[name] for name in named if name in table.units}
+    notes = [
+        f"laws name {name!r}: a measured input, in {unit} as its heading has it"
+        for name, unit in told.items()
+    ]
+    notes += [
+        f"laws name {name!r}, and so is a column called that is not used: --units {name}=UNIT makes "
+        "it an input of laws"
+        for name in named if name not in told
+    ]  # fmt: skip
+    units = {**told, **declaration.units}
+    return dataclasses.replace(declaration, units=units), list(map(in_python, notes))
 
 
 def _about_unit_of_x(table, units):

@@ -205,7 +205,7 @@ class Response:
         return np.concatenate(parts)
 
 
-def respond(fit, dataset, scenes=None):
+def respond(fit, dataset, is_quick=False):
     """The response of a fit to forces beside its law.
 
     Parameters
@@ -213,8 +213,8 @@ def respond(fit, dataset, scenes=None):
     fit : Fit
     dataset : Dataset
         That it was fitted to.
-    scenes : sequence of Scene, optional
-        Versions of its scenes in which some bodies are no receivers.
+    is_quick : bool
+        Whether forces count that change from row to row: of all others few moments tell as much.
 
     Returns
     -------
@@ -238,6 +238,7 @@ def respond(fit, dataset, scenes=None):
             hits = _hits(fit, chains, nodes)
             pieces = cut_pieces(chains, noise, batch, n_held, per_row, hits)
             group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row)
+            group.lost = NOTHING if is_quick else LOST
             own = group.batches()
             columns += group.columns(own)
             batches += own
@@ -350,7 +351,7 @@ class _Group:
         seen = np.isfinite(chains.observed).any(axis=(0, 1, 2))
         self.is_idle = seen & np.isnan(levels)
         constraints = constraints_of(fit.law)
-        self.is_held, self.n_told = bool(constraints), None
+        self.is_held, self.n_told, self.lost = bool(constraints), None, LOST
         held = {name for part in constraints for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
 
@@ -578,10 +579,10 @@ class _Group:
         return error
 
     def _kept(self, values, left):
-        """Moments without which less than `LOST` is lost of what a force white in time may show."""
+        """Moments without which less than `lost` is lost of what a force white in time may show."""
         shown = max(float(np.square(left).sum()) - left.size, LEAST_SHOWN)
         tail = np.cumsum(values, axis=1)  # eigenvalues rise
-        return tail * shown > LOST * tail[:, -1:].max()
+        return tail * shown > self.lost * tail[:, -1:].max()
 
     def _smoothed(self, changes, white, by_force, left):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""

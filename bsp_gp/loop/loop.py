@@ -213,6 +213,8 @@ class _Run:
             if turn.p_value <= self.criteria.alpha:
                 asked |= self.traced(view, turn)
                 turn.fit_best()
+            else:
+                turn.ask_without_memory(number, view)
         turn.note_time("fits")
         table = HypothesisTable(tuple(turn.rows), turn.p_value, view.noise_chance if view else 1.0)
         table = table.without_repeats().with_probabilities()
@@ -297,6 +299,29 @@ class _Turn:
                 self.families.append(proposer.propose(view))
             except TimeIsUp:
                 self.note_time("proposers")
+
+    def ask_without_memory(self, number, view):
+        """Look for what a memory of the noise may have taken for its own, where nothing else shows.
+
+        What a force does that comes back from place to place looks like noise with a memory, and
+        under such noise nothing is left of it. Forces that promise more than the memory does are
+        fitted; where none is likelier in the end, nothing was seen.
+        """
+        white = view.in_white()
+        if white is None:
+            return
+        view, less = white
+        before = self.families, self.near, self.missing, self.levels, self.chances
+        self.families = []
+        self.propose(number, view)
+        found = [p.promise for f in self.families for p in f.proposals if p.kind != "noise"]
+        if max(found, default=-math.inf) > less + self.run.criteria.noise_nats:
+            by_chance = self.p_of_all(view, self.run.looks)
+            self.fit_best()
+            if any(row.log_posterior > self.rows[0].log_posterior for row in self.rows[1:]):
+                self.p_value = by_chance
+                return
+        self.families, self.near, self.missing, self.levels, self.chances = before
 
     def p_of_all(self, view, looks):
         """Chance that noise alone shows as much in any family, or at another look."""

@@ -73,6 +73,7 @@ class View:
         self.noise_findings, self.drawn, self.leading = (), (), ()
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
+        (self._white_rng,) = self._rows_rng.spawn(1)
 
     @cached_property
     def _as_fitted(self):
@@ -99,6 +100,17 @@ class View:
         What forces do slowly looks like noise with a memory: where a force that knows no physics
         is likelier than the memory that was estimated, laws are looked for without it.
         """
+        if self._white is None:
+            return None
+        found, response, less = self._white
+        return (found, response) if response.free_height > less + self.criteria.noise_nats else None
+
+    @cached_property
+    def _white(self):
+        """A fit under noise without memory, its response, and the nats that it is less likely.
+
+        None where no memory was estimated, or where that leads nowhere.
+        """
         noise = self._fit.noise
         if not noise.correlated or noise.is_correlation_known or self._fit.is_failed:
             return None
@@ -112,12 +124,24 @@ class View:
             return None
         if found.is_failed:
             return None
-        response = respond(found, self.dataset)
         # As moments do, with all initial states integrated out: noise with a memory tells less of
         # them, some nats for each track, which a maximum over them hides.
         heights = [f.log_likelihood + f.state_volume for f in (self._fit, found)]
-        needed = heights[0] - heights[1] + self.criteria.noise_nats
-        return (found, response) if response.free_height > needed else None
+        return found, respond(found, self.dataset), heights[0] - heights[1]
+
+    def in_white(self):
+        """The same under noise without memory, and the nats that it is less likely; or None.
+
+        None also where it is asked without memory anyway.
+        """
+        if self._white is None or self.is_memory_doubted:
+            return None
+        view = View(self._fit, self.hypothesis, self._dataset, self._white_rng, self.criteria)
+        view.tick, view.seconds_left = self.tick, self.seconds_left
+        view.noise_findings = self.noise_findings
+        found, _, less = self._white
+        view._without_memory = found, respond(found, self.dataset, is_quick=True)
+        return view, less
 
     @property
     def is_memory_doubted(self):

@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
+from bsp_gp.cli import main
 from bsp_gp.errors import DataError
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
@@ -102,6 +103,48 @@ def test_the_drag_against_the_wind_is_found_with_its_thrust():
     assert "norm(v_i - wind)" in " ".join([effect.name, *effect.equivalents])
     (constant,) = report.constants
     assert constant.value == pytest.approx(-DRAG, rel=0.05)
+
+
+def pushed(folder, heading="Force (N)", runs=("",)):
+    """A cart under a logged force, as a sensor's program exports it."""
+    t = np.arange(60) * 0.05
+    columns = {}
+    for k, run in enumerate(runs):
+        force = np.cos(2.0 * t + k)
+        place = 0.1 * t - np.cos(2.0 * t + k) / 4.0 / 0.5
+        for name, values in (("Time (s)", t), ("Position (m)", place), (heading, force)):
+            columns[run + name] = values
+    path = folder / "cart.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def test_a_column_that_a_law_names_is_an_input_if_its_heading_has_the_unit(tmp_path, capsys):
+    path = pushed(tmp_path)
+    assert bsp_gp.load_dataset(path).scenes[0].inputs == {}
+    data = bsp_gp.load_dataset(path, uses=["Force", "c"])
+    assert set(data.scenes[0].inputs) == {"Force"}
+    assert any("laws name 'Force'" in note for note in data.notes)
+    law = ["--property", "mass=0.5[kg]", "--law", "Force * e_x", "--law", "-c * v_i"]
+    assert main(["fit", str(path), *law, "--out", str(tmp_path / "fit"), "--quiet"]) == 0
+    said = capsys.readouterr().out
+    assert "    c: " in said and "    Force: " not in said
+
+
+def test_a_column_without_a_unit_that_a_law_names_is_told(tmp_path):
+    data = bsp_gp.load_dataset(pushed(tmp_path, "Force"), uses=["Force"])
+    assert data.scenes[0].inputs == {}
+    assert any("units={" in note and "Force" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("said", [{"uses": ["Force"]}, {"units": {"Force": "N"}}])
+def test_every_run_of_a_table_has_its_own_log(tmp_path, said):
+    path = pushed(tmp_path, runs=("Run 1: ", "Run 2: "))
+    data = bsp_gp.load_dataset(path, **said)
+    assert [scene.name for scene in data.scenes] == ["Run 1", "Run 2"]
+    first = [scene.inputs["Force"][0, 0] for scene in data.scenes]
+    assert first == pytest.approx([1.0, np.cos(1.0)])
+    assert any("not used: Force (N)" in note for note in bsp_gp.load_dataset(path).notes)
 
 
 def test_a_name_that_laws_cannot_use_is_refused():
