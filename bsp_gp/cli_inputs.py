@@ -209,9 +209,9 @@ def excluded_inputs(args, grammar, dataset):
 def masked_grammar(grammar, dataset):
     """The grammar as the loop masks it to a data set, and the inputs that are missing."""
     from bsp_gp.language.inputs import property_of
-    from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of
+    from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, signed_of
 
     types = dataset_types(dataset)
     columns = {property_of(n)[0]: t for n, t in types.items() if property_of(n)}
-    inputs, angles = input_types_of(dataset), angles_of(dataset)
-    return grammar.for_properties(columns, inputs, angles).masked(types, dataset.n_dims)
+    inputs, kinds = input_types_of(dataset), (angles_of(dataset), signed_of(dataset))
+    return grammar.for_properties(columns, inputs, *kinds).masked(types, dataset.n_dims)

@@ -450,8 +450,8 @@ def _with_inputs(table, declaration):
         for name, unit in told.items()
     ]
     notes += [
-        f"laws name {name!r}, and so is a column called that is not used: --units {name}=UNIT makes "
-        "it an input of laws"
+        f"laws name {name!r}, and so is a column called that is not used: --units {name}=UNIT "
+        "makes it an input of laws"
         for name in named if name not in told
     ]  # fmt: skip
     units = {**told, **declaration.units}

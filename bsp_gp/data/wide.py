@@ -74,8 +74,8 @@ def _owned(found, owners):
         if kind == "scene" and "t" not in own and len(owners) > 1 and not is_run(owner[0]):
             kind = "entity"  # they share their times
         if kind == "scene":  # what was logged in that run
-            logged = {h.name: k for k, h in enumerate(found) if h.sure == UNKNOWN and h.run == owner[0]}
-            own = {**logged, **own}
+            logs = [k for k, h in enumerate(found) if h.sure == UNKNOWN and h.run == owner[0]]
+            own = {**{found[k].name: k for k in logs}, **own}
         groups.append(Group(kind, owner[1] or owner[0], {**shared, **own}))
     if len(groups) == 1 and groups[0].kind == "scene" and not is_run(groups[0].label):
         return (Group("", "", groups[0].columns),)  # such as "Latest": not worth a name

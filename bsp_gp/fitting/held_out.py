@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import FitTolerances, fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
-from bsp_gp.fitting.outliers import without_outliers
+from bsp_gp.fitting.outliers import is_exact, without_outliers
 from bsp_gp.fitting.parts.latents import About, filled, unknown_beyond
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.fitting.unseen import shown
@@ -354,7 +355,9 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         if is_held(found.law):  # these read the law alone, without what holds the bodies
             steps = [np.full_like(step, np.nan) for step in steps]
             accelerations = {k: np.full_like(v, np.nan) for k, v in accelerations.items()}
-        measured = _is_measured(dataset, scenes)
+        measured, off = _is_measured(dataset, scenes), _far_off(dataset, scenes)
+        for step, is_off in zip(steps, off, strict=True):
+            step[is_off[:-2] | is_off[1:-1] | is_off[2:]] = np.nan
         return [
             {
                 "scene": scene.name,
@@ -362,15 +365,30 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
                 "accelerations": accelerations[scene.name],
                 "foreseen": track,
                 "n_initial": _n_initial(dataset, scene, measured),
-                **_track_errors(found, dataset, scene, track, measured),
+                **_track_errors(found, dataset, scene, track, measured, is_off),
             }
-            for scene, track, step in zip(scenes, tracks, steps, strict=True)
+            for scene, track, step, is_off in zip(scenes, tracks, steps, off, strict=True)
         ]
 
 
-def _track_errors(found, dataset, scene, track, measured):
+def _far_off(dataset, scenes):
+    """Rows of bodies that are far off their neighbours, (T, N) per scene: no law foresees them.
+
+    They are told by the tracks alone, so that errors of all laws are of the same rows.
+    """
+    levels = estimate_noise(replace(dataset, scenes=tuple(scenes), train=(), test=())).sigma
+    if is_exact(scenes, levels):
+        return [np.zeros(scene.positions.shape[:2], dtype=bool) for scene in scenes]
+    kept, _ = without_outliers(scenes, levels)
+    return [
+        np.isnan(new.positions).any(axis=2) & np.isfinite(old.positions).all(axis=2)
+        for new, old in zip(kept, scenes, strict=True)
+    ]
+
+
+def _track_errors(found, dataset, scene, track, measured, is_off):
     """Errors of a foreseen track, and at the row of the end point."""
-    observed = scene.positions[:, scene.dynamic]
+    observed = np.where(is_off[..., None], np.nan, scene.positions)[:, scene.dynamic]
     error = np.where(np.isfinite(found.noise.levels), observed - track, 0.0)
     error[: _n_initial(dataset, scene, measured)] = np.nan
     row = dataset.evaluation.endpoint_row

@@ -9,6 +9,7 @@ import numpy as np
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.held_out import with_states
+from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import filled
 from bsp_gp.physics.force import COPY
 
@@ -33,7 +34,8 @@ def simulated(found, dataset, scenes, count, rng):
     """
     if not count or not scenes:
         return []
-    best = with_states(found, dataset, scenes)
+    kept, _ = without_outliers(scenes, found.noise.levels)  # no path leads through what is far off
+    best = with_states(found, dataset, kept)
     if best.is_failed:
         return []
     channels, scenes = best.channels, filled(best.law, scenes)

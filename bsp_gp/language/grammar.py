@@ -231,12 +231,12 @@ class Grammar:
             tuple(enabled),
         )
 
-    def for_properties(self, columns, inputs=None, angles=()):
+    def for_properties(self, columns, inputs=None, angles=(), signed=()):
         """Repeat rules for further property columns of a data set.
 
         Those of ``[each_property]`` for every scalar, of ``[each_vector]`` for every vector, of
-        ``[each_velocity]`` for every vector that is a velocity, and of ``[each_angle]`` alone for
-        every angle.
+        ``[each_velocity]`` for every vector that is a velocity, of ``[each_signed]`` for every
+        input that takes both signs, and of ``[each_angle]`` alone for every angle.
 
         Parameters
         ----------
@@ -244,8 +244,8 @@ class Grammar:
             Columns that no input of the grammar names are added as ``<column>_i``, ``_j``.
         inputs : mapping of str to Type, optional
             Measured inputs: the same rules for the receiver, under their own names.
-        angles : collection of str, optional
-            Inputs that are angles.
+        angles, signed : collection of str, optional
+            Inputs that are angles, and scalars that are both above and below zero.
         """
         known = {property_of(name)[0] for name in self.inputs if property_of(name)}
         source, is_changed = json.loads(json.dumps(dict(self.source))), False
@@ -255,6 +255,7 @@ class Grammar:
             is_velocity = type_ == Type("vector", VELOCITY)
             tables = ["each_property"] if type_.shape == "scalar" else ["each_vector"]
             tables += ["each_velocity"] if is_velocity else []
+            tables += ["each_signed"] if column in signed else []
             tables = ["each_angle"] if column in angles else tables
             rules = [pair for t in tables for pair in self.source.get(t, {}).items()]
             if not rules:
@@ -325,7 +326,7 @@ def read_grammar(source):
 class _Reader:
     tables = {
         "grammar", "types", "inputs", "constants", "rules", "operators", "each_property",
-        "each_vector", "each_velocity", "each_angle", "common", "inside", "beyond",
+        "each_vector", "each_velocity", "each_signed", "each_angle", "common", "inside", "beyond",
     }  # fmt: skip
 
     def __init__(self, source):

@@ -58,7 +58,7 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     list of Round
         The first round of a cause that is refused adopts nothing, and those after it are gone.
     """
-    kept, ratios = {} if kept is None else kept, []
+    kept, helps = {} if kept is None else kept, []
     for k, (done, stream) in enumerate(zip(rounds, rng.spawn(len(rounds)), strict=True)):
         if not done.decision.is_adopted:
             break
@@ -70,16 +70,17 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
             return Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
 
         plain = accounts(0)
-        ratios.append(plain.ratio(0, 1).value)
+        ratio = plain.ratio(0, 1).value
         # Only where predictions are worse does it matter whether that is chance.
-        is_worse = ratios[-1] > WORSE and _is_surely_worse(accounts(N_COPIES).ratio(0, 1))
+        is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES).ratio(0, 1))
         if is_worse or _runs_away(plain):
-            ratios.pop()
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
+        is_better = not ratio > NO_BETTER or not _has_room(accounts)
+        helps.append(is_better)
     if rounds[-1].decision.verdict == "nothing missing":
         return list(rounds)
-    return _that_help(rounds, ratios)
+    return _that_help(rounds, helps)
 
 
 def is_refuted(found, hypothesis, accounts, whole, deadline=None):
@@ -115,11 +116,18 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
     return bool(stats.f.sf(left, more, found.n_rows - found.n_free) < LEVEL)
 
 
-def _that_help(rounds, ratios):
+def _has_room(accounts):
+    """Whether predictions were worse than noise alone makes those of the law that was found."""
+    copied = accounts(N_COPIES)
+    floor = copied.floor.rollout_rmse
+    return not math.isfinite(floor) or NO_BETTER * copied.errors(0).rollout_rmse > floor
+
+
+def _that_help(rounds, helps):
     """Rounds up to the last that adopts what predictions are better with."""
     kept = list(rounds)
-    for k in reversed(range(len(ratios))):
-        if rounds[k].decision.best.kind not in FORESEEING or not ratios[k] > NO_BETTER:
+    for k in reversed(range(len(helps))):
+        if rounds[k].decision.best.kind not in FORESEEING or helps[k]:
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept

@@ -58,8 +58,9 @@ class View:
         For searches that draw.
     drawn : tuple of Candidate
         Laws with constants inside that these have found, once they are known.
-    leading : tuple of Formula
-        The likeliest laws without inner constants, once they are known.
+    leading : dict of Formula to float
+        The likeliest laws without inner constants, once they are known, less their own constant,
+        and the nats that each costs beforehand.
     noise_findings : tuple of Finding
         Of the noise of the fit, once it was asked.
     """
@@ -70,7 +71,7 @@ class View:
         self.dataset = hypothesis.seen(dataset)
         self.seconds_left = None
         self.tick, self.explained, self.promised = None, 0.0, -np.inf
-        self.noise_findings, self.drawn, self.leading = (), (), ()
+        self.noise_findings, self.drawn, self.leading = (), (), {}
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)
         (self._white_rng,) = self._rows_rng.spawn(1)

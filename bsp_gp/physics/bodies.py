@@ -21,7 +21,7 @@ from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
 
 __all__ = [
     "Batch", "Bodies", "FieldInputs", "PairInputs", "angles_of", "dataset_types",
-    "input_types_of", "law_inputs", "stack", "subset", "under",
+    "input_types_of", "law_inputs", "signed_of", "stack", "subset", "under",
 ]  # fmt: skip
 
 
@@ -323,6 +323,16 @@ def angles_of(dataset):
     return tuple(
         name for name, type_ in input_types_of(dataset).items()
         if type_.shape == "scalar" and str(units.get(name, "")).strip().lower() in ANGLES
+    )  # fmt: skip
+
+
+def signed_of(dataset):
+    """Names of measured inputs that are numbers both above and below zero: spins, currents."""
+    return tuple(
+        name for name, type_ in input_types_of(dataset).items()
+        if type_.shape == "scalar" and {-1.0, 1.0} <= {
+            sign for scene in dataset.scenes for sign in np.unique(np.sign(scene.inputs[name]))
+        }
     )  # fmt: skip
 
 

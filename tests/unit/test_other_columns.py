@@ -107,3 +107,11 @@ def test_where_it_is_not_clear_the_options_can_be_copied(column, names, is_stack
         two_bodies(column, names, is_stacked), columns={"scene": column}
     )
     assert len(data.scenes) == 2
+
+
+@pytest.mark.parametrize("heading", ["Lichtzeiger x / mm", "light spot x (mm)", "Spot_x [mm]"])
+def test_one_thing_with_one_place_is_no_body_beside_others(tmp_path, heading):
+    path = tmp_path / "log.csv"
+    path.write_text(f"t / s;{heading}\n" + "".join(f"{k};{k * k}\n" for k in range(8)), "utf-8")
+    (scene,) = bsp_gp.load_dataset(path).scenes
+    assert scene.names == ("object",) and scene.positions[2, 0, 0] == pytest.approx(0.004)

@@ -8,7 +8,7 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.formula import Call, Constant, Input, factors, quotient, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME
@@ -46,8 +46,8 @@ class ByOwner:
         """
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
-        for rest in forms_of(self.laws, view):
-            for by, ties in owners(view, FEWEST).items():
+        for by, ties in owners(view, FEWEST).items():
+            for rest, cost in _bare_forms(forms_of(self.laws, view), view, by).items():
                 try:
                     keys, columns = columns_by(view, Term(rest), {}, by)
                 except EvaluationError:  # some body lacks a property that it names
@@ -64,7 +64,7 @@ class ByOwner:
                 together = evidence_of(view, columns.sum(axis=1, keepdims=True))
                 promised = max(promised, together - view.criteria.cause_nats)
                 if height - together > least:
-                    own = _proposal(view, rest, by, keys, score, height, ties)
+                    own = _proposal(view, rest, by, keys, score, height, ties, cost)
                     _add(found, score.statistic, own)
         # Where some law with one number for all does as well, no other is asked for.
         proposals = [p for _, p in found if p.promise > promised - least]
@@ -84,8 +84,41 @@ def forms_of(laws, view, more=()):
         Forms beside those of textbooks and the leading ones of the search.
     """
     known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
-    forms = dict.fromkeys(split_linear(f)[1] for f in (*more, *laws.common, *view.leading))
+    common = [split_linear(f)[1] for f in (*more, *laws.common)]
+    forms = dict.fromkeys((*common, *reversed(view.leading)))
     return [f for f in forms if not f.constants and f not in known]
+
+
+def _bare_forms(forms, view, by):
+    """Forms without what is one number for each owner, and what they cost beforehand, nats.
+
+    The owner's constant takes that up: of a spin that is told once in every scene no power shows.
+    """
+    fixed, out = _fixed_inputs(view.dataset.scenes, by), {}
+    for form in forms:
+        above, below = ([f for f in part if not _is_of(f, fixed)] for part in factors(form))
+        bare = quotient(above, below)
+        cost = view.leading.get(form, view.criteria.cause_nats)
+        out[bare] = min(cost, out.get(bare, cost))
+    return out
+
+
+def _fixed_inputs(scenes, by):
+    """Names of measured numbers that are one within a scene, or along all tracks of a body."""
+    values = {}
+    for scene in scenes:
+        for name, rows in scene.inputs.items():
+            for k, body in enumerate(scene.names if rows.ndim == 2 else ()):
+                seen = rows[:, k][np.isfinite(rows[:, k])]
+                owner = scene.name if by == "scene" else body
+                values.setdefault(name, {}).setdefault(owner, set()).update(np.unique(seen))
+    return {n for n, own in values.items() if all(len(seen) < 2 for seen in own.values())}
+
+
+def _is_of(factor, names):
+    """Whether a factor is a function of these inputs alone."""
+    inputs = {node.name for node in walk(factor) if isinstance(node, Input)}
+    return bool(inputs) and inputs <= names
 
 
 def _add(found, statistic, proposal):
@@ -106,13 +139,13 @@ def evidence_of(view, columns):
     return float(np.logaddexp.reduce(heights) - np.log(len(SIZES)))
 
 
-def _proposal(view, rest, by, keys, score, height, ties):
+def _proposal(view, rest, by, keys, score, height, ties, cost):
     name = f"{fresh_name(view.fit.law)}[{by}]"
     formula = Call("mul", Constant(name), rest)
     table = {key: float(value) for key, value in zip(keys, score.amplitudes, strict=True)}
     return Proposal(
         f"law_by_{by}", to_text(formula), with_term(view.hypothesis, Term(formula), {name: table}),
-        -view.criteria.cause_nats, 2 * height, score.rank, is_wide=True,
+        -cost - view.criteria.cause_nats, 2 * height, score.rank, is_wide=True,
         formulas=(formula,), n_dims=view.dataset.n_dims,
         ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
     )  # fmt: skip

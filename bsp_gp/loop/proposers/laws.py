@@ -21,7 +21,7 @@ from bsp_gp.loop.proposers.kin import kin_of
 from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.loop.view import MOST_PAIRS, selected
-from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of
+from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, signed_of
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
@@ -71,7 +71,9 @@ class Laws:
         scalars = [c for c, t in columns.items() if t.shape == "scalar"]
         self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
         inputs = input_types_of(dataset)
-        grammar = grammar.for_properties(columns, inputs, angles_of(dataset))
+        grammar = grammar.for_properties(
+            columns, inputs, angles_of(dataset), signed_of(dataset)
+        )
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         beyond, _ = grammar.beyond.masked(self.available | {"t", *PLACED}, dataset.n_dims)
         has_pairs = max(len(scene.entities) for scene in dataset.scenes) > 1
@@ -127,7 +129,9 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
-        view.leading = tuple(one.formula for one in found[:MOST_LEADING])
+        view.leading = {
+            split_linear(one.formula)[1]: one.complexity for one in reversed(found[:MOST_LEADING])
+        }
         if found:
             view.explained = found[0].gain
             view.promised = 0.5 * found[0].gain - found[0].complexity

@@ -104,6 +104,8 @@ def sets_of(view, laws, found, declared):
         )  # fmt: skip
         pool += [(formula, complexity, kind) for formula, complexity in rest]
         columns.append(matrix)
+    if not pool:
+        return []
     columns = np.concatenate(columns, axis=1)
     own, _ = _unit(None, columns)
     marks = np.round(np.abs(own[0] + own[len(own) // 2] + own.sum(axis=0)), 9)
