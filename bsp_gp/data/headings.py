@@ -464,7 +464,7 @@ def _with_bodies(found):
     is_numbered = all(body.isdecimal() for _, body in axes)
     # x1, x2 alone may be two bodies on a line, or the two coordinates of one.
     if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
-        # ``Light spot x / mm``: what is alone, and has the unit of a place, is no body beside others.
+        # ``Light spot x / mm``: what is alone, with the unit of a place, is no body beside others.
         lone = len(axes) == 1 and not is_numbered
         return [
             h if h.is_renamed else replace(h, body="") if lone and h.body and h.unit else old

@@ -58,7 +58,8 @@ def _since(view, begin, span):
     time = Input("t", dataset_types(view.dataset)["t"])
     if abs(begin) < 0.01 * span:
         return time
-    begin = float(f"{begin:.4g}") if abs(begin) < 1e3 * span else begin  # as a person would write it
+    if abs(begin) < 1e3 * span:
+        begin = float(f"{begin:.4g}")  # as a person would write it
     return Call("sub", time, Number(begin, Unit.of(s=1)))
 
 
