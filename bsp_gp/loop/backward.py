@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
@@ -16,10 +17,36 @@ from bsp_gp.loop.evidence import log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, continued, without_term
 from bsp_gp.physics.force import split_linear
 
-__all__ = ["Pruned", "prune"]
+__all__ = ["Pruned", "Restated", "prune"]
 
+OF_ONE = {
+    "constant_per_scene": "number", "constant_per_body": "number", "law_by_scene": "law",
+    "law_by_body": "law",
+}  # fmt: skip
+"""What a cause with a number for each scene or body is with one number for all."""
+
+MAY_BE_ZERO = 3.0
+"""Standard errors from zero of a strength, up to which it is asked whether anything needs it."""
 NEEDED = 50.0
 """Standard errors from zero of a strength that cannot be spared: a thousand nats."""
+
+
+@dataclass(frozen=True, eq=False)
+class Restated:
+    """What a round found, as causes of later rounds let it be told: with one number for all.
+
+    Attributes
+    ----------
+    code, text : str
+    formula : Formula
+    fit : Fit
+        The final one.
+    """
+
+    code: str
+    text: str
+    formula: object
+    fit: object
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +59,10 @@ class Pruned:
     hypothesis : Hypothesis
     removed : frozenset of int
         Numbers of the rounds whose cause was taken back.
+    shed : frozenset of Formula
+        Terms of sums that were adopted, which causes of later rounds have made superfluous.
+    restated : dict of int to Restated
+        By the number of the round.
     displaced : tuple of str
         Declared terms in whose place an adopted one stands: the declared model asked for them, the
         final one does not.
@@ -43,6 +74,8 @@ class Pruned:
     fit: object
     hypothesis: object
     removed: frozenset = frozenset()
+    shed: frozenset = frozenset()
+    restated: dict = field(default_factory=dict)
     displaced: tuple = ()
     n_fits: int = 0
     is_complete: bool = True
@@ -71,12 +104,18 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
     run = _Pruning(rounds, dataset, criteria or Criteria(), bounds, clock or Clock(), progress)
     try:
         run.take_back()
+        run.shed_terms()
+        run.unify()
         run.displace()
     except TimeIsUp:
         run.is_complete = False
+    restated = {
+        number: Restated(code, text, formula, run.found)
+        for number, (code, text, formula) in run.restated.items()
+    }
     return Pruned(
-        run.found, run.hypothesis, frozenset(run.removed), tuple(run.displaced), run.n_fits,
-        run.is_complete,
+        run.found, run.hypothesis, frozenset(run.removed), frozenset(run.shed), restated,
+        tuple(run.displaced), run.n_fits, run.is_complete,
     )  # fmt: skip
 
 
@@ -89,7 +128,8 @@ class _Pruning:
         self.first = rounds[0].entering
         self.adopted = [done for done in rounds if done.decision.is_adopted]
         self.found, self.hypothesis = rounds[-1].after, rounds[-1].continuing
-        self.removed, self.displaced, self.n_fits, self.is_complete = set(), [], 0, True
+        self.removed, self.shed, self.restated, self.displaced = set(), set(), {}, []
+        self.n_fits, self.is_complete = 0, True
 
     def take_back(self):
         """Remove causes of earlier rounds while the evidence does not ask for them."""
@@ -106,6 +146,44 @@ class _Pruning:
                 return
             number, self.found, self.hypothesis = weakest
             self.removed.add(number)
+
+    def shed_terms(self):
+        """Remove single terms of sums of earlier rounds while the evidence does not ask for them.
+
+        Only those whose strength may well be zero: of others a fit need not tell that.
+        """
+        while True:
+            weakest, least = None, 0.0
+            for formula in self._terms_of_sums():
+                own = significance(self.found, split_linear(formula)[0])
+                may_be_zero = len(own) > 0 and bool(np.all(own < MAY_BE_ZERO))
+                smaller = without_term(self.hypothesis, formula) if may_be_zero else None
+                fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
+                if fitted and fitted[2] - self.criteria.cause_nats <= least:
+                    weakest, least = (formula, *fitted[:2]), fitted[2] - self.criteria.cause_nats
+            if weakest is None:
+                return
+            formula, self.found, self.hypothesis = weakest
+            self.shed.add(formula)
+
+    def _terms_of_sums(self):
+        kept = [done for done in self.adopted[:-1] if done.number not in self.removed]
+        sums = [done.proposals[done.decision.best.id].formulas for done in kept]
+        return [f for terms in sums if len(terms) > 1 for f in terms if f not in self.shed]
+
+    def unify(self):
+        """Give all scenes, or bodies, one number where the evidence asks for none of their own.
+
+        Beside a cause that was not known yet a number that is off differs from scene to scene.
+        """
+        for done in self.adopted[:-1]:
+            best = done.decision.best
+            new = OF_ONE.get(best.code) if done.number not in self.removed else None
+            smaller, formula, text = _of_one(self.hypothesis, done) if new else (None, None, "")
+            fitted = smaller and self.fitted(smaller, f"one number for all in {best.text}")
+            if fitted and fitted[2] - self.criteria.cause_nats <= 0.0:
+                self.found, self.hypothesis, _ = fitted
+                self.restated[done.number] = new, text, formula
 
     def displace(self):
         """Remove declared terms in whose place adopted ones stand."""
@@ -173,6 +251,42 @@ def _without(hypothesis, done):
         return None
     lost = [part for part, key in zip(before, known, strict=True) if key not in after]
     return Hypothesis((*lost, *parts))
+
+
+def _of_one(hypothesis, done):
+    """A hypothesis with one number in place of those that a round gave to each owner.
+
+    Returns
+    -------
+    hypothesis : Hypothesis or None
+        None where the number is there no more, or is a declared one's.
+    formula : Formula
+        The term, as it is then.
+    text : str
+    """
+    known = set(done.entering.law.constants)
+    for k, part in enumerate(hypothesis.parts):
+        for i, term in enumerate(part.law.terms if isinstance(part, Forces) else ()):
+            name, rest = split_linear(term.formula)
+            table = part.law.constants.get(name) if name and name.endswith("]") else None
+            stem = name.split("[")[0] if table is not None else ""
+            is_its = not {name, stem} & known and name in done.after.law.constants
+            if table is None or not is_its:
+                continue
+            mean = float(np.mean(list(table.values())))
+            one = Constant(stem)
+            is_changed = OF_ONE[done.decision.best.code] == "number"
+            factor = Call("add", Number(1.0), one) if is_changed else one
+            formula = Call("mul", factor, rest)
+            constants = {n: v for n, v in part.law.constants.items() if n != name}
+            constants[stem] = mean - 1.0 if is_changed else mean
+            terms = list(part.law.terms)
+            terms[i] = replace(term, formula=formula)
+            law = replace(part.law, terms=tuple(terms), constants=constants)
+            parts = (*hypothesis.parts[:k], replace(part, law=law), *hypothesis.parts[k + 1 :])
+            text = f"number of {to_text(rest)}" if is_changed else to_text(formula)
+            return Hypothesis(parts), formula, text
+    return None, None, ""
 
 
 def _identity(part):

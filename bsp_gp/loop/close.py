@@ -389,6 +389,7 @@ def _written(
 ):  # fmt: skip
     """What is told of the rounds, the final law and the tracks, by names of `LoopReport`."""
     first, last, dataset = rounds[0].entering, pruned.fit, ready.train
+    rounds = [_without_shed(done, pruned.shed) for done in rounds]
     left_out = ["intervals"] if n_copies and clock.is_over else []
     scored = _scored(rounds, pruned)
     fits = [found for found, _ in scored]
@@ -408,7 +409,7 @@ def _written(
     records = [
         writing_up.record_of(
             done, _fits_of(done, at), accounts, dataset, bounds, done.number in pruned.removed,
-            asked, criteria, doubt,
+            asked, criteria, doubt, pruned.restated.get(done.number),
         )
         for done in rounds
     ]
@@ -437,6 +438,16 @@ def _written(
 
 def _refitted(ready, job):
     return ready.refitted(*job)
+
+
+def _without_shed(done, shed):
+    """A round whose cause is told without the terms that later ones have made superfluous."""
+    best = done.decision.best
+    proposal = done.proposals.get(best.id) if best else None
+    if proposal is None or not shed & set(proposal.formulas):
+        return done
+    kept = replace(proposal, formulas=tuple(f for f in proposal.formulas if f not in shed))
+    return replace(done, proposals={**done.proposals, best.id: kept})
 
 
 def _scored(rounds, pruned):

@@ -48,7 +48,8 @@ LEAST_LIKELY = 1e-4
 
 
 def record_of(
-    done, scored, accounts, dataset, bounds, is_removed, constancy, criteria, doubt=""
+    done, scored, accounts, dataset, bounds, is_removed, constancy, criteria, doubt="",
+    restated=None,
 ):  # fmt: skip
     """The record of a round.
 
@@ -68,6 +69,8 @@ def record_of(
     criteria : Criteria
     doubt : str
         Why the final law only describes the tracks, of `DESCRIBES`, or "".
+    restated : Restated or None
+        How what it found is told beside what later rounds found.
 
     Returns
     -------
@@ -76,6 +79,7 @@ def record_of(
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
     effect, table, unlisted = _judged(done, dataset, bounds, constancy, criteria)
+    effect = effect if restated is None else _restated(effect, done, restated, dataset, bounds)
     if is_removed:
         verdict, reason = "seen, not adopted", "superseded"
     elif verdict == "effect adopted" and effect.varies_with:
@@ -265,6 +269,18 @@ def _effect(done, dataset, bounds, known, criteria):
     )  # fmt: skip
 
 
+def _restated(effect, done, restated, dataset, bounds):
+    """An effect with one number for all."""
+    own = set(restated.formula.constants) - set(done.entering.law.constants)
+    constants = constant_estimates(restated.fit, dataset, bounds)
+    is_force = effect.kind != "declared_term_change"
+    return replace(
+        effect, name=restated.text, code=restated.code, law=to_text(restated.formula),
+        latex=to_latex(restated.formula), constants=tuple(c for c in constants if c.name in own),
+        formula=restated.formula if is_force else None,
+    )
+
+
 def _exponent(one, criteria):
     return {
         "term": to_text(one.term), "of": to_text(one.of), "stated": one.stated,
@@ -274,9 +290,11 @@ def _exponent(one, criteria):
 
 
 def _added(done, fit):
-    """Terms that a cause has brought in or changed."""
+    """Terms that a cause has brought in or changed, without those that were shed later."""
     known = {term.formula for term in done.entering.law.terms}
-    return tuple(term.formula for term in fit.law.terms if term.formula not in known)
+    own = done.proposals[done.decision.best.id].formulas
+    added = tuple(term.formula for term in fit.law.terms if term.formula not in known)
+    return tuple(f for f in added if f in own) or added
 
 
 def told(constants, details):
