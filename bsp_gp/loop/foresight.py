@@ -76,8 +76,7 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
         if is_worse or _runs_away(plain):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
-        is_better = not ratio > NO_BETTER or not _has_room(accounts)
-        helps.append(is_better)
+        helps.append(not ratio > NO_BETTER or _is_better_in_noise(accounts(N_COPIES)))
     if rounds[-1].decision.verdict == "nothing missing":
         return list(rounds)
     return _that_help(rounds, helps)
@@ -116,11 +115,11 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
     return bool(stats.f.sf(left, more, found.n_rows - found.n_free) < LEVEL)
 
 
-def _has_room(accounts):
-    """Whether predictions were worse than noise alone makes those of the law that was found."""
-    copied = accounts(N_COPIES)
-    floor = copied.floor.rollout_rmse
-    return not math.isfinite(floor) or NO_BETTER * copied.errors(0).rollout_rmse > floor
+def _is_better_in_noise(accounts):
+    """Whether predictions that noise keeps from being much better surely are better."""
+    floor, ratio = accounts.floor.rollout_rmse, accounts.ratio(0, 1)
+    has_room = not math.isfinite(floor) or NO_BETTER * accounts.errors(0).rollout_rmse > floor
+    return not has_room and ratio.high < 1.0
 
 
 def _that_help(rounds, helps):
