@@ -180,6 +180,8 @@ def _deviations(times, x, sigma, usual=None):
         nodes = rows[:, None] + np.array(offsets)
         if is_even:
             weights = _evenly(offsets, degree)
+        elif n <= MANY:
+            weights = _at(times.tobytes(), offsets, degree)
         else:
             weights = _predicting(times[nodes], times[rows], degree)
         gap = np.abs(x[..., rows, :] - (weights[..., None] * x[..., nodes, :]).sum(axis=-2)) / sigma
@@ -221,6 +223,14 @@ def _neighbours(n):
 def _evenly(offsets, degree):
     """The same at even times, (1, k)."""
     return _predicting(np.array([offsets], dtype=float), np.zeros(1), degree)
+
+
+@lru_cache(maxsize=128)
+def _at(times, offsets, degree):
+    """The same at times (T,) given as bytes, (n, k): copies of a track have those of the track."""
+    times = np.frombuffer(times)
+    rows = np.arange(max(-offsets[0], 0), len(times) - max(offsets[-1], 0))
+    return _predicting(times[rows[:, None] + np.array(offsets)], times[rows], degree)
 
 
 def _predicting(nodes, at, degree):

@@ -400,31 +400,42 @@ class _Group:
             transitions[~good] = np.eye(n, n + k)
         n_forces = n_fine * half
         before, after_ = self._kicks()
-        changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
-        kept, felt = self._kept_states(flow), self._felt(flow)
+        # Nothing is led along axes along which nothing moves.
         idle = np.tile(self.is_idle, n // self.n_dims)
-        if idle.any():
-            kept = np.array(kept)
-            kept[:, :, idle] = kept[..., np.flatnonzero(idle)] = 0.0
-        changes[0, :, :, n_forces : n_forces + n + k] = kept[0]
+        led, pushed = np.flatnonzero(~idle), np.flatnonzero(~idle[:half])
+        n_led, n_pushed = len(led), len(pushed)
+        first = n_fine * n_pushed
+        kept, felt = self._kept_states(flow)[:, :, led], self._felt(flow)
+        of_states = kept[..., np.concatenate([led, np.arange(n, n + k)])]
+        of_forces = kept[..., half + pushed]  # of a force what constraints leave
+        if felt is not None:
+            of_forces = of_forces @ felt[:, :, pushed[:, None], pushed]
+        transitions = transitions[:, led]
+        by_state, by_constant = transitions[..., led], transitions[..., n:]
+        gaps = gaps[:, led]
+        found = np.zeros((n_fine, n_pieces, n_led, first + n_led + k + 1))
+        found[0, :, :, first : first + n_led + k] = of_states[0]
         number = np.full((n_fine, n_pieces), -1)
         number[flow.row, flow.chain] = np.arange(flow.n_intervals)
         for row in range(n_fine):
-            at = slice(row * half, (row + 1) * half)
-            pushed = kept[row, :, :, half:n]  # of a force what constraints leave
-            pushed = pushed if felt is None else pushed @ felt[row]
-            changes[row, :, :, at] += before[row, :, None, None] * pushed
+            at = slice(row * n_pushed, (row + 1) * n_pushed)
+            found[row, :, :, at] += before[row, :, None, None] * of_forces[row]
             open_ = np.flatnonzero(number[row] >= 0)
             if row + 1 == n_fine or not len(open_):
                 break
-            kicked = changes[row, open_]
-            kicked[:, :, at] += after_[row, open_, None, None] * pushed[open_]
-            moved = transitions[number[row, open_]]
-            later = moved[:, :, :n] @ kicked
-            later[:, :, n_forces + n : n_forces + n + k] += moved[:, :, n:]
-            later[:, :, -1] += gaps[number[row, open_]]
-            later[:, idle] = 0.0
-            changes[row + 1, open_] = later
+            kicked = found[row, open_]
+            kicked[:, :, at] += after_[row, open_, None, None] * of_forces[row, open_]
+            moved = number[row, open_]
+            later = by_state[moved] @ kicked
+            later[:, :, first + n_led : first + n_led + k] += by_constant[moved]
+            later[:, :, -1] += gaps[moved]
+            found[row + 1, open_] = later
+        if not idle.any():
+            return found
+        changes = np.zeros((n_fine, n_pieces, n, n_forces + n + k + 1))
+        columns = (np.arange(n_fine)[:, None] * half + pushed).ravel()
+        columns = np.concatenate([columns, n_forces + led, n_forces + n + np.arange(k + 1)])
+        changes[:, :, led[:, None], columns] = found
         return changes
 
     def _kept_states(self, flow):
@@ -475,7 +486,8 @@ class _Group:
         rows = np.broadcast_to(np.arange(n_rows)[:, None], (n_rows, n_pieces))
         white = self.noise.whiten(stacked, rows, np.arange(n_pieces))
         white = np.moveaxis(white, 2, 0).reshape(n_pieces, len(stacked), -1).swapaxes(1, 2)
-        return np.concatenate([white, *self._known(white, first)], axis=1)
+        white = np.concatenate([white, *self._known(white, first)], axis=1)
+        return white[:, white.any(axis=(0, 2))]  # of axes along which nothing moves nothing is told
 
     def _known(self, white, first):
         """Rows of what is known of first states, none or one array (W, n, F + n + k + 1)."""
