@@ -28,6 +28,7 @@ CAUSES = {
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
+    "reference": "the acceleration of the body from which places count",
     "kicks": "random kicks", "noise": "noise with a memory from row to row",
     "varying_strength": "a strength that varies, of no listed form",
     "free_force": "a force of no listed form",

@@ -183,7 +183,7 @@ def _noise(finding):
 
 def _parts(effect, law, other):
     """Each of several forces that were found as one, in plain words."""
-    if effect.code == "contact":  # one force along every axis
+    if effect.code in ("contact", "reference"):  # one force along every axis, or by every body
         return ()
     added = {c.name: c.value for c in effect.constants}
     terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
@@ -205,6 +205,8 @@ def _name(effect, parts, other):
         return bad_rows(effect)
     if effect.code == "frame":
         return CAUSES["frame"]
+    if effect.code == "reference":
+        return f"{CAUSES['reference']} ({effect.name}), which the others pull"
     if effect.kind == "declared_term_change":
         known = [c for c in effect.constants if is_number(c.low) and not c.entity]
         own = [c for c in known if re.fullmatch(r"[ns]\d+|wind_[xyz]\d+", c.name)]

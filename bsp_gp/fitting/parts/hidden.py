@@ -19,7 +19,10 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["HiddenBody", "HiddenSource", "beside_origin", "body_pulls", "pull_of", "unit_pull"]
+__all__ = [
+    "HiddenBody", "HiddenSource", "about_origin", "beside_origin", "body_pulls", "pull_of",
+    "unit_pull",
+]  # fmt: skip
 
 SECOND = Unit.of(s=1)
 HELD = 4.0
@@ -177,6 +180,23 @@ def beside_origin(pull):
     receiver is (gravity), since of what the primary is nothing is asked.
     """
     return Call("sub", pull, substitute(pull, {P_I: ORIGIN, V_I: _still()}))
+
+
+def about_origin(formula):
+    """What a pair formula does to a body at rest at the origin.
+
+    Returns
+    -------
+    by_source, by_receiver : Formula
+        What the other body does there, and what the receiver itself does.
+    """
+    there = {P_I: ORIGIN, V_I: _still()}
+    swapped = {P_J: P_I, V_J: V_I}
+    for node in walk(formula):
+        known = property_of(node.name) if isinstance(node, Input) else None
+        if known and known[1] == "j":
+            swapped[node] = Input(f"{node.name[:-2]}_i", node.type)
+    return substitute(formula, there), substitute(formula, {**there, **swapped})
 
 
 def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):

@@ -21,6 +21,7 @@ from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.own_laws import OwnLaws
 from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.pulsing import Pulsing
+from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.varying import Varying
@@ -44,7 +45,7 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     return [
         laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
-        Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), Hidden(),
-        Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(), LateLogs(),
-        Defects(), Noise(),
+        Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
+        Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(),
+        LateLogs(), Defects(), Noise(),
     ]  # fmt: skip
