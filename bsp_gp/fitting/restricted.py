@@ -64,6 +64,7 @@ class Restricted:
         blank = np.empty((0, *residual.shape))
         columns = blank if columns is None else columns
         local = blank if local is None else local
+        columns, local = _by_chain(columns, local, chain)
         self._order = np.argsort(chain, kind="stable")
         self._back = np.argsort(self._order)
         ordered = chain[self._order]
@@ -171,6 +172,28 @@ class Restricted:
         whitened[:, self._order] = rest[-1] - np.tensordot(along, basis, 1)
         remaining[:, self._order] = np.clip(1.0 - leverage, 0.0, 1.0)
         return PureError(value, whitened, np.where(whitener.seen, remaining, 0.0))
+
+
+def _by_chain(columns, local, chain):
+    """Shared columns and those of chains, in which what reaches one chain alone is its own.
+
+    A constant of every body or scene is a column each: as shared ones their cost is that of their
+    number, squared.
+    """
+    if len(columns) < 2:
+        return columns, local
+    names, of_chain = np.unique(chain, return_inverse=True)
+    reached = np.zeros((len(columns), len(names)), dtype=bool)
+    np.logical_or.at(reached.T, of_chain, columns.any(axis=1).T)
+    is_own = reached.sum(axis=1) == 1
+    if not is_own.any() or len(names) == 1:
+        return columns, local
+    owner = reached[is_own].argmax(axis=1)
+    slot = np.array([np.count_nonzero(owner[:k] == owner[k]) for k in range(len(owner))])
+    more = np.zeros((slot.max() + 1, *columns.shape[1:]))
+    for column, k in zip(columns[is_own], slot, strict=True):
+        more[k] += column  # each in the rows of its chain
+    return columns[~is_own], np.concatenate([local, more])
 
 
 def _shared_basis(rest, before):

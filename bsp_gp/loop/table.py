@@ -191,15 +191,26 @@ def held_out_gain(base, other):
         return HeldOut()
     if _count_alone(base, names) != _count_alone(other, names) or other.n_rows < base.n_rows:
         return HeldOut()
-    scale = _level(other) / _level(base)
-    a, b = _scores(base, names, scale), _scores(other, names, 1.0)
-    gains = b - a
+    if bool(base.noise.correlated) == bool(other.noise.correlated):
+        # What the base leaves of tracks that the other made, under the noise of the other.
+        scale = _level(other) / _level(base)
+        gains = _scores(other, names, 1.0) - _scores(base, names, scale)
+        promised = 0.5 * max(float(base.chisqr) / scale**2 - float(other.chisqr), 0.0)
+    else:  # one has the memory of the noise in place of a cause: each under its own
+        one, two = (_scores(f, names, 1.0) + _heights(f, names) for f in (base, other))
+        gains = two - one
+        promised = max(other.log_likelihood - base.log_likelihood, 0.0)
     if not np.isfinite(gains).all():
         return HeldOut()
     se = float(np.sqrt(len(gains)) * gains.std(ddof=1))
-    # What the base leaves of tracks that the other made, under the noise of the other.
-    promised = 0.5 * max(float(base.chisqr) / scale**2 - float(other.chisqr), 0.0)
     return HeldOut(float(gains.sum()), se, promised)
+
+
+def _heights(fit, names):
+    """What the noise itself adds to the log-scores of scenes."""
+    log_dets = fit.noise.whitener(fit.channels).log_dets
+    of_scene = np.array(fit.channels.scene_names)[fit.channels.scene]
+    return np.array([-0.5 * log_dets[of_scene == name].sum() for name in names])
 
 
 def _level(fit):

@@ -25,6 +25,8 @@ __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
 MOST_PAIRS = 300_000
 """Pairs of bodies, at all instants, for which every law is evaluated: more take gigabytes."""
 
+MOST_ROWS = 10_000
+"""Of which forces that change from row to row are asked for."""
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
 MOST_LEVELS = 4
@@ -133,9 +135,11 @@ class View:
     def in_white(self):
         """The same under noise without memory, and the nats that it is less likely; or None.
 
-        None also where it is asked without memory anyway.
+        None also where it is asked without memory anyway, and where rows are so many that asking
+        again with as many moments would take long.
         """
-        if self._white is None or self.is_memory_doubted:
+        n_rows = sum(len(scene.times) for scene in self.dataset.scenes)
+        if self._white is None or self.is_memory_doubted or n_rows > MOST_ROWS:
             return None
         view = View(self._fit, self.hypothesis, self._dataset, self._white_rng, self.criteria)
         view.tick, view.seconds_left = self.tick, self.seconds_left

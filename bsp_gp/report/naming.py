@@ -14,7 +14,7 @@ from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with
 
 __all__ = [
     "bad_rows", "between_bumpers", "change", "constant_distance", "describe", "inclination",
-    "is_untold", "kick", "size_name",
+    "is_untold", "kick", "ripple", "size_name",
 ]  # fmt: skip
 
 _DIRECTIONS = {
@@ -238,6 +238,23 @@ def inclination(effect):
         f"an orbit whose plane is inclined to the sky by {by}, its line of nodes at a position "
         f"angle of {nodes} deg"
     )
+
+
+def ripple(effect):
+    """A force that comes back along its axis: with its period; along an angle, how often a turn."""
+    number = next((c for c in effect.constants if re.fullmatch(r"q\d*", c.name)), None)
+    if number is None or not number.low > 0:
+        return CAUSES["ripple"]
+    if number.unit != "1/rad":
+        unit = re.sub(r"^1/", "", number.unit)
+        ends = (2 * math.pi / v for v in (number.value, number.high, number.low))
+        return f"{CAUSES['ripple']}, every {format_value(*ends, unit)}"
+    times = max(round(number.value), 1)
+    if not number.low <= times <= number.high:
+        turn = 2 * math.pi / number.value
+        return f"a torque that comes back along the angle, every {turn:.4g} rad"
+    often = {1: "once", 2: "twice"}.get(times, f"{times} times")
+    return f"a torque that comes back {often} a turn" + " (out of balance)" * (times == 1)
 
 
 def bad_rows(effect):

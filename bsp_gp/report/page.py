@@ -28,6 +28,7 @@ from bsp_gp.report.naming import (
     describe,
     inclination,
     kick,
+    ripple,
 )
 from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
@@ -201,6 +202,8 @@ def _name(effect, parts, other):
         return kick(effect)
     if effect.code == "inclined":
         return inclination(effect)
+    if effect.code == "ripple":
+        return ripple(effect)
     if effect.code == "bad_row":
         return bad_rows(effect)
     if effect.code == "frame":

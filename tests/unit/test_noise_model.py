@@ -97,6 +97,22 @@ def test_restricted_likelihood_is_that_of_dense_matrices():
         np.testing.assert_allclose(error.remaining.ravel(), remaining, atol=1e-10)
 
 
+def test_a_column_of_one_chain_is_as_good_shared_as_its_own():
+    rng = np.random.default_rng(7)
+    found = channels(12, 4)
+    residual = rng.standard_normal(found.times.shape)
+    shared, local = rng.standard_normal((2, 12, 8)), polynomials(found, 1)
+    own = [rng.standard_normal((12, 8)) * (found.chain == k) for k in (0, 0, 1, 3)]
+    known = residual, found.seen, found.chain, np.ones(found.times.shape)
+    task = Restricted(*known, np.array([*shared, *own]), local)
+    assert len(task._rows) == len(local) + 2 + 2 + 1  # two slots of chains, two shared, the residual
+    whitener = free_model(levels=(0.3, 2.0), correlated=0.6, correlation_time=0.3).whitener(found)
+    every = [*shared, *own, *(np.where(found.chain == k, x, 0.0) for x in local for k in range(4))]
+    value, n_left, _ = dense_restricted(whitener, residual, np.array(every))
+    assert task.n_rows - task.n_free == n_left
+    assert task.value(whitener) == pytest.approx(value, rel=1e-10)
+
+
 def test_levels_are_unbiased_where_most_rows_pay_for_local_numbers():
     found = channels(8, n_scenes=150)
     local = polynomials(found, 2)
