@@ -29,6 +29,8 @@ MISFIT = 9.0
 LEAST_ROWS = 12
 EXACT = 1e-7
 """Part of the extent below which deviations are rounding."""
+MOST_BODIES = 12
+"""That may be tied to one another; of more some two always are about as far apart."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,10 @@ class Rods:
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
         found = [kept for name in free for kept in (_alone(name, tracks[name]),)]
+        others, still = free if len(free) <= MOST_BODIES else [], set(tracks) - set(names)
         found += [
             _together(one, other, tracks)
-            for k, one in enumerate(free) for other in (*free[k + 1 :], *(set(tracks) - set(names)))
+            for k, one in enumerate(free) for other in (*others[k + 1 :], *still)
         ]  # fmt: skip
         found = [kept for kept in found if kept is not None]
         proposals = [p for kept in found for p in (_proposal(view, kept, len(found)),) if p]
