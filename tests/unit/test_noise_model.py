@@ -105,7 +105,7 @@ def test_a_column_of_one_chain_is_as_good_shared_as_its_own():
     own = [rng.standard_normal((12, 8)) * (found.chain == k) for k in (0, 0, 1, 3)]
     known = residual, found.seen, found.chain, np.ones(found.times.shape)
     task = Restricted(*known, np.array([*shared, *own]), local)
-    assert len(task._rows) == len(local) + 2 + 2 + 1  # two slots of chains, two shared, the residual
+    assert len(task._rows) == len(local) + 5  # two of chains, two shared, the residual
     whitener = free_model(levels=(0.3, 2.0), correlated=0.6, correlation_time=0.3).whitener(found)
     every = [*shared, *own, *(np.where(found.chain == k, x, 0.0) for x in local for k in range(4))]
     value, n_left, _ = dense_restricted(whitener, residual, np.array(every))

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.loop.close import close_loop
+from bsp_gp.report.page import page_of
 
 UNITS = {"x": "deg", "time": "s"}
 
@@ -41,7 +42,7 @@ def test_a_wheel_out_of_balance_is_told_from_a_memory_of_the_noise():
     number = next(c for c in first.effect.constants if c.name.startswith("q"))
     assert number.value == pytest.approx(1.0, abs=0.01)  # once in every turn
     assert report.rounds[-1].verdict == "nothing missing"
-    assert "comes back once a turn (out of balance)" in page_of(report).headline
+    assert "comes back once a turn (out of balance)" in page_of(report).rounds[0].effect.name
 
 
 @pytest.mark.slow
