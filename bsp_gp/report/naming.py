@@ -399,8 +399,11 @@ _WORDS = {"norm(p_i - p_j)": "distance", **_SPEEDS}
 
 
 def _scaling(powers):
-    words = []
+    words, senses = [], []
     for name, power in powers.items():
+        if sense := re.fullmatch(r"sign\(([A-Za-z]\w*)\)", name):
+            senses.append(f", with the sign of {sense[1]}")
+            continue
         if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
             continue
         axis = _own_axis(name) if name.startswith("along(v_i, ") else ""
@@ -408,7 +411,7 @@ def _scaling(powers):
         label = _WORDS.get(name, radial if name.startswith("along(") else None)
         label = label or ("|radial speed|" if name.startswith("abs(along(") else size_name(name))
         words.append(label if power == 1 else f"{label}^{power:g}")
-    return f", as {' * '.join(words)}" if words else ""
+    return (f", as {' * '.join(words)}" if words else "") + "".join(senses)
 
 
 def _own_axis(text):

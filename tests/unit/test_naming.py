@@ -10,12 +10,14 @@ from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import input_types
+from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import bad_rows, describe, kick
 from bsp_gp.report.sentences import group_range, powers_sentence
+from bsp_gp.units import Unit
 from tests.worlds import WEIGHT, flights, linear_drag
 
 TYPES = input_types(PROPERTY_UNITS, up="y") | {"wind": input_types(PROPERTY_UNITS)["v_i"]}
@@ -248,3 +250,11 @@ def test_scenes_whose_constant_is_clearly_not_zero_are_named():
     ]
     assert group_range("c[scene]", "N", group).endswith("clearly not zero: 2")
     assert "zero" not in group_range("c[scene]", "N", group[1:2])
+
+
+def test_a_sense_alone_is_told_as_such():
+    types = TYPES | {"spin": Type("scalar", Unit.of(s=-1))}
+    term = parse_formula("c1 * (sign(spin) * perp(normalize(v_i)))", types)
+    assert "with the sign of spin" in describe(term)
+    push = parse_formula("c1 * (sign(spin) * e_y)", types)
+    assert describe(push) == "uniform push along y, with the sign of spin"
