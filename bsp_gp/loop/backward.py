@@ -168,7 +168,8 @@ class _Pruning:
 
     def _terms_of_sums(self):
         kept = [done for done in self.adopted[:-1] if done.number not in self.removed]
-        sums = [done.proposals[done.decision.best.id].formulas for done in kept]
+        made = (done.proposals.get(done.decision.best.id) for done in kept)
+        sums = [proposal.formulas for proposal in made if proposal is not None]
         return [f for terms in sums if len(terms) > 1 for f in terms if f not in self.shed]
 
     def unify(self):

@@ -292,7 +292,8 @@ def _exponent(one, criteria):
 def _added(done, fit):
     """Terms that a cause has brought in or changed, without those that were shed later."""
     known = {term.formula for term in done.entering.law.terms}
-    own = done.proposals[done.decision.best.id].formulas
+    proposal = done.proposals.get(done.decision.best.id)
+    own = proposal.formulas if proposal else ()
     added = tuple(term.formula for term in fit.law.terms if term.formula not in known)
     return tuple(f for f in added if f in own) or added
 
