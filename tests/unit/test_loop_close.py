@@ -17,7 +17,7 @@ from bsp_gp.loop.criteria import CAUSES, LEFT_OUT, REASONS, STOP_REASONS, VERDIC
 from bsp_gp.loop.decide import Decision
 from bsp_gp.loop.kept import text_of
 from bsp_gp.loop.loop import Round, run_rounds
-from bsp_gp.loop.proposal import continued, with_term
+from bsp_gp.loop.proposal import Proposal, continued, with_term
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.table import HypothesisTable, Row
@@ -283,7 +283,7 @@ def test_what_is_no_round_is_refused():
 # --- removal --------------------------------------------------------------------------------------
 
 
-def rounds_of(data, *texts):
+def rounds_of(data, *texts, codes=("law", "law")):
     """Rounds that adopt these laws one after the other, whatever the evidence says."""
     hypothesis = Hypothesis.from_laws(data, [WEIGHT])
     found, rounds = fit(hypothesis, data), []
@@ -292,7 +292,8 @@ def rounds_of(data, *texts):
         law = read_law(data, [text])
         more = with_term(hypothesis, replace(law.terms[0], is_declared=False), law.constants)
         new = fit(more, data)
-        best = Row(1, "law", text, "test", new.status, 0.0, -3.0, new.log_likelihood, new.n_free)
+        said = 1, codes[number - 1], text, "test", new.status
+        best = Row(*said, 0.0, -3.0, new.log_likelihood, new.n_free)
         table = HypothesisTable((best,), 0.0)
         decision = Decision("effect adopted", "adopted", best, True)
         rounds.append(
@@ -323,6 +324,38 @@ def test_what_the_evidence_asks_for_stays():
     pruned = prune(rounds, data)
     assert pruned.removed == frozenset()
     assert pruned.fit is rounds[-1].after
+
+
+def test_numbers_of_each_scene_become_one_where_later_causes_make_them_superfluous():
+    data = unsplit(worlds.head_wind)
+    codes = "law_by_scene", "law"
+    pruned = prune(rounds_of(data, "a[scene] * e_x", "-c * v_i", codes=codes), data)
+    assert pruned.removed == frozenset()
+    assert [name for name, _ in pruned.fit.parameters] == ["a", "c"]
+    restated = pruned.restated[1]
+    assert (restated.code, restated.text) == ("law", "a * e_x")
+    alone = prune(rounds_of(data, "a * e_x", "-c * v_i"), data)
+    assert pruned.fit.log_likelihood == pytest.approx(alone.fit.log_likelihood, abs=1e-6)
+
+
+def test_a_term_of_a_sum_that_may_be_zero_is_shed():
+    data = unsplit(worlds.linear_drag)
+    first, second = rounds_of(data, "a * e_x", "-c * v_i")
+    terms = first.continuing.law.terms[1:] + second.continuing.law.terms[2:]
+    proposal = Proposal(
+        "law", "both", second.continuing, 0.0, 1.0, formulas=tuple(t.formula for t in terms)
+    )
+    both = replace(
+        first, fits={0: first.entering, 1: second.after},
+        hypotheses={0: first.hypotheses[0], 1: second.continuing}, proposals={1: proposal},
+    )  # fmt: skip
+    last = replace(
+        second, entering=second.after, fits={0: second.after, 1: second.after},
+        hypotheses={0: second.continuing, 1: second.continuing},
+    )  # fmt: skip
+    pruned = prune([both, last], data)
+    assert pruned.shed == {terms[0].formula}
+    assert [name for name, _ in pruned.fit.parameters] == ["c"]
 
 
 def test_removal_without_time_says_so():
