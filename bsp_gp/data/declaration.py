@@ -106,7 +106,9 @@ class Declaration:
     ):  # fmt: skip
         """Let the caller's arguments win over the file."""
         reader = _Reader({"noise": noise}, "arguments")
-        changes = {"uses": tuple(uses)} if noise is None else {"noise": reader.noise()}
+        changes = {} if noise is None else {"noise": reader.noise()}
+        if uses:
+            changes["uses"] = tuple(uses)
         if properties is not None:
             changes["properties"] = dict(properties)
         if sky is not None:

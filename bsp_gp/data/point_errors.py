@@ -181,7 +181,7 @@ def _deviations(times, x, sigma, usual=None):
         if is_even:
             weights = _evenly(offsets, degree)
         elif n <= MANY:
-            weights = _at(times.tobytes(), offsets, degree)
+            weights = _unevenly(times.tobytes(), offsets, degree)
         else:
             weights = _predicting(times[nodes], times[rows], degree)
         gap = np.abs(x[..., rows, :] - (weights[..., None] * x[..., nodes, :]).sum(axis=-2)) / sigma
@@ -226,7 +226,7 @@ def _evenly(offsets, degree):
 
 
 @lru_cache(maxsize=128)
-def _at(times, offsets, degree):
+def _unevenly(times, offsets, degree):
     """The same at times (T,) given as bytes, (n, k): copies of a track have those of the track."""
     times = np.frombuffer(times)
     rows = np.arange(max(-offsets[0], 0), len(times) - max(offsets[-1], 0))

@@ -21,8 +21,6 @@ EXACT = 1e-9
 """Noise below this part of the extent is numerical."""
 RESOLUTION = 1e-7
 """Part of the extent by which neighbours of exact rows are taken to predict one."""
-
-
 TOGETHER = 10_000
 """Rows of tracks that are looked at at once."""
 

@@ -237,8 +237,8 @@ def respond(fit, dataset, is_quick=False):
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
             hits = _hits(fit, chains, nodes)
             pieces = cut_pieces(chains, noise, batch, n_held, per_row, hits)
-            group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row)
-            group.lost = NOTHING if is_quick else LOST
+            lost = NOTHING if is_quick else LOST
+            group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row, lost)
             own = group.batches()
             columns += group.columns(own)
             batches += own
@@ -333,8 +333,8 @@ def _instants_per_row(fit, chains, nodes):
 class _Group:
     """The pieces of one group of like-built chains."""
 
-    def __init__(self, fit, chains, nodes, noise, pieces, per_row):
-        self.fit, self.pieces, self.per_row = fit, pieces, per_row
+    def __init__(self, fit, chains, nodes, noise, pieces, per_row, lost):
+        self.fit, self.pieces, self.per_row, self.lost = fit, pieces, per_row, lost
         self.chains, self.noise = pieces.chains(chains), pieces.noise(noise)
         self.motion = Motion(fit.law, self.chains, fit.parameters)
         self.motion.set_constants(fit.values)
@@ -351,7 +351,7 @@ class _Group:
         seen = np.isfinite(chains.observed).any(axis=(0, 1, 2))
         self.is_idle = seen & np.isnan(levels)
         constraints = constraints_of(fit.law)
-        self.is_held, self.n_told, self.lost = bool(constraints), None, LOST
+        self.is_held, self.n_told = bool(constraints), None
         held = {name for part in constraints for name in part.names}
         self.held = np.array([name in held for name, _ in fit.parameters], dtype=bool)
 

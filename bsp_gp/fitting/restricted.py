@@ -189,7 +189,9 @@ def _by_chain(columns, local, chain):
     if not is_own.any() or len(names) == 1:
         return columns, local
     owner = reached[is_own].argmax(axis=1)
-    slot = np.array([np.count_nonzero(owner[:k] == owner[k]) for k in range(len(owner))])
+    order = np.argsort(owner, kind="stable")
+    slot = np.empty(len(owner), dtype=int)  # how many before it reach the same chain
+    slot[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
     more = np.zeros((slot.max() + 1, *columns.shape[1:]))
     for column, k in zip(columns[is_own], slot, strict=True):
         more[k] += column  # each in the rows of its chain

@@ -13,7 +13,7 @@ from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.evidence import log_evidence, significance
+from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, continued, without_term
 from bsp_gp.physics.force import split_linear
 
@@ -25,8 +25,6 @@ OF_ONE = {
 }  # fmt: skip
 """What a cause with a number for each scene or body is with one number for all."""
 
-MAY_BE_ZERO = 3.0
-"""Standard errors from zero of a strength, up to which it is asked whether anything needs it."""
 NEEDED = 50.0
 """Standard errors from zero of a strength that cannot be spared: a thousand nats."""
 
@@ -156,7 +154,7 @@ class _Pruning:
             weakest, least = None, 0.0
             for formula in self._terms_of_sums():
                 own = significance(self.found, split_linear(formula)[0])
-                may_be_zero = len(own) > 0 and bool(np.all(own < MAY_BE_ZERO))
+                may_be_zero = len(own) > 0 and bool(np.all(own < WEAK))
                 smaller = without_term(self.hypothesis, formula) if may_be_zero else None
                 fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
                 if fitted and fitted[2] - self.criteria.cause_nats <= least:

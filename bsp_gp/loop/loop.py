@@ -15,7 +15,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
-from bsp_gp.loop.evidence import log_evidence, significance
+from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
@@ -56,8 +56,6 @@ MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
-WEAK = 3.0
-"""Standard errors of its strength below which a term of a sum may be one too many."""
 
 
 @dataclass(frozen=True, eq=False)

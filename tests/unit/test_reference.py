@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
@@ -64,9 +65,11 @@ def test_pulls_on_the_origin_are_those_of_all_others_and_of_oneself():
     assert pulls_on_origin(spring) == ()  # who knows how heavy what it pulls at is
 
 
-def test_the_acceleration_of_the_star_is_found():
+@pytest.mark.parametrize("strength", [f"{G} [au^3/Msun/yr^2]", "Gn"])
+def test_the_acceleration_of_the_star_is_found(strength):
     data = system()
-    report = close_loop(data, [PULL], rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)
+    pull = PULL.replace(f"{G} [au^3/Msun/yr^2]", strength)
+    report = close_loop(data, [pull], rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)
     first = report.rounds[0]
     assert first.adopted and first.effect.code == "reference"
     assert report.rounds[-1].verdict == "nothing missing"

@@ -179,7 +179,7 @@ def beside_origin(pull):
     pulled is accelerated: a companion moves by the difference. The pull has to be as heavy as its
     receiver is (gravity), since of what the primary is nothing is asked.
     """
-    return Call("sub", pull, substitute(pull, {P_I: ORIGIN, V_I: _still()}))
+    return Call("sub", pull, about_origin(pull)[0])
 
 
 def about_origin(formula):
@@ -255,7 +255,7 @@ def body_pulls(term, strength, is_declared=True, is_relative=False):
     if not is_relative:
         return (Term(pair, "pair"),)
     about = {P_J: ORIGIN, V_J: _still()}
-    own = Call("neg", substitute(pull, {P_I: ORIGIN, V_I: _still(), P_J: P_I, V_J: V_I}))
+    own = Call("neg", about_origin(pull)[1])
     if is_declared and not column:
         pair = Call("sub", pair, Call("mul", feels, term.formula))
         own = Call("add", own, substitute(term.formula, about))

@@ -14,8 +14,12 @@ __all__ = ["Reference", "pulls_on_origin"]
 
 @dataclass(frozen=True)
 class Reference(Forces):
-    """What a body at the origin is pulled by, turned about, on all others: one cause."""
+    """What a body at the origin is pulled by, turned about, on all others: one cause.
 
+    Its numbers are those of the declared pulls.
+    """
+
+    parameters = ()
     is_one_cause = True
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Constant, Input, factors, quotient, walk
+from bsp_gp.language.formula import Call, Constant, factors, quotient
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME
@@ -46,8 +46,9 @@ class ByOwner:
         """
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
+        forms = forms_of(self.laws, view)
         for by, ties in owners(view, FEWEST).items():
-            for rest, cost in _bare_forms(forms_of(self.laws, view), view, by).items():
+            for rest, cost in _bare_forms(forms, view, by).items():
                 try:
                     keys, columns = columns_by(view, Term(rest), {}, by)
                 except EvaluationError:  # some body lacks a property that it names
@@ -85,7 +86,7 @@ def forms_of(laws, view, more=()):
     """
     known = [split_linear(term.formula)[1] for term in view.fit.law.terms]
     common = [split_linear(f)[1] for f in (*more, *laws.common)]
-    forms = dict.fromkeys((*common, *reversed(view.leading)))
+    forms = dict.fromkeys((*common, *view.leading))
     return [f for f in forms if not f.constants and f not in known]
 
 
@@ -117,8 +118,7 @@ def _fixed_inputs(scenes, by):
 
 def _is_of(factor, names):
     """Whether a factor is a function of these inputs alone."""
-    inputs = {node.name for node in walk(factor) if isinstance(node, Input)}
-    return bool(inputs) and inputs <= names
+    return bool(factor.inputs) and set(factor.inputs) <= names
 
 
 def _add(found, statistic, proposal):

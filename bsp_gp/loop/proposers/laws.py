@@ -129,9 +129,9 @@ class Laws:
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
         proposals += [_proposal(view, *each) for each in sets]
-        view.leading = {
-            split_linear(one.formula)[1]: one.complexity for one in reversed(found[:MOST_LEADING])
-        }
+        view.leading = {}
+        for one in found[:MOST_LEADING]:
+            view.leading.setdefault(split_linear(one.formula)[1], one.complexity)
         if found:
             view.explained = found[0].gain
             view.promised = 0.5 * found[0].gain - found[0].complexity

@@ -25,10 +25,9 @@ class References:
         view : View
         """
         null = np.zeros(view.moment_draws.shape[1])
-        known = {term.formula for term in view.fit.law.terms}
-        found = map(pulls_on_origin, view.fit.law.terms) if view.reference else ()
-        terms = tuple(term for pair in found for term in pair if term.formula not in known)
-        if not terms:
+        is_known = any(isinstance(part, Reference) for part in view.hypothesis.parts)
+        terms = tuple(t for term in view.fit.law.terms for t in pulls_on_origin(term))
+        if is_known or not view.reference or not terms:
             return Family(self.name, null=null)
         names = {name for term in terms for name in term.formula.constants}
         values = {name: view.fit.law.constants[name] for name in names}
@@ -42,7 +41,7 @@ class References:
         # Whoever is pulled by others pulls them: that is no more than the declared law says.
         proposal = Proposal(
             "reference", view.reference, view.hypothesis + Reference(ForceLaw(terms, {})), 0.0,
-            gain, 1, is_first=True, kind="force", formulas=tuple(t.formula for t in terms),
-            ties=(), n_dims=view.dataset.n_dims,
+            gain, 1, is_first=True, formulas=tuple(t.formula for t in terms),
+            n_dims=view.dataset.n_dims,
         )  # fmt: skip
         return Family(self.name, (proposal,), max(gain, 0.0), 1, null, n_tried=1)

@@ -86,7 +86,8 @@ class Rods:
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
         found = [kept for name in free for kept in (_alone(name, tracks[name]),)]
-        others, still = free if len(free) <= MOST_BODIES else [], set(tracks) - set(names)
+        others = free if len(free) <= MOST_BODIES else []
+        still = [name for name in tracks if name not in names]
         found += [
             _together(one, other, tracks)
             for k, one in enumerate(free) for other in (*others[k + 1 :], *still)
