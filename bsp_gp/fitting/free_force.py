@@ -89,11 +89,22 @@ class FreeForce:
             heights[memory] = _as_likely(turned, values)[1] - (LIKELIER if memory else 0.0)
         return replace(self, memory=max(heights, key=heights.get))
 
+    def strength(self, left):
+        """The likeliest variance beside which moments (W, m) were left, (W, 1); None if none is."""
+        values, turned = self.seen(left)
+        strength, height, least = _as_likely(turned, values)
+        return strength if strength.any() and height >= least + LIKELIER else None
+
+    def expected(self, strength, vectors):
+        """What a force of such variances (W, 1) shows along vectors (W, m, m), squared, (W, m)."""
+        turned = np.swapaxes(vectors, 1, 2)
+        return strength * ((turned @ self.spread) * (turned @ self.by_force)).sum(axis=2)
+
     def smoothest(self, left):
         """Accelerations (W, L R d) that are likeliest to have left moments (W, m); None if none."""
         (values, turned), (_, vectors) = self.seen(left), self.shown
-        strength, height, least = _as_likely(turned, values)
-        if not strength.any() or height < least + LIKELIER:
+        strength = self.strength(left)
+        if strength is None:
             return None
         weight = strength / (1 + strength * values)
         inner = (vectors * weight[:, None]) @ turned[..., None]

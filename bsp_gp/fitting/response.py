@@ -61,6 +61,8 @@ MEMORIES = 3.0
 """Correlation times that pieces must last for their noise to be independent of one another."""
 MOST_KEPT = 1 << 24
 """Moments of laws that are kept, in numbers."""
+ALIKE = 1e-8
+"""Part of what a force shows by which it may differ from what it shows elsewhere."""
 NOTHING = 1e-12
 """Part of what a force shows best, below which a moment is rounding."""
 MOST_JOINED = 2000
@@ -95,6 +97,17 @@ class ResponseBatch(RegressionBatch):
             size = np.abs(out).max(axis=1, keepdims=True, initial=0.0)
             out = np.where(size > NOTHING * most, out, 0.0)
         return np.moveaxis(out, 0, 1).reshape(*out.shape[1::-1], 1, *values.shape[3:-1], 1)
+
+    def of(self, chosen):
+        """The same of some of the pieces, by their numbers."""
+        return replace(
+            self, bodies=subset(self.bodies, chosen),
+            scene_names=tuple(self.scene_names[k] for k in chosen),
+            whitener=self.whitener[chosen],
+            **{name: getattr(self, name)[:, chosen]
+               for name in ("times", "positions", "velocities", "target", "valid", "scale", "kept",
+                            "moments")},
+        )  # fmt: skip
 
     def in_plane(self, matrix):
         """The same of forces in a plane of which this is a picture.
@@ -134,6 +147,37 @@ class ResponseRegression(Regression):
     def in_plane(self, matrix):
         """Batch by batch, see `ResponseBatch.in_plane`."""
         return replace(self, batches=tuple(batch.in_plane(matrix) for batch in self.batches))
+
+    def part(self, most):
+        """Chains, spread evenly over all, with no more pairs than so many at all instants.
+
+        Parameters
+        ----------
+        most : int
+
+        Returns
+        -------
+        regression : ResponseRegression
+            Of one chain at least.
+        rows : ndarray of int
+            Where its moments stand among all.
+        """
+        counts = [batch.target.shape[1] for batch in self.batches]
+        n_pairs = [
+            np.prod(batch.target.shape[:3]) * (batch.positions.shape[2] - 1)
+            for batch in self.batches
+        ]
+        wanted = int(np.clip(most * sum(counts) // sum(n_pairs), 1, sum(counts)))
+        every = np.unique(np.linspace(0, sum(counts) - 1, wanted).astype(int))
+        batches, rows, first, begin = [], [], 0, 0
+        for batch, count in zip(self.batches, counts, strict=True):
+            chosen = every[(first <= every) & (every < first + count)] - first
+            numbers = begin + np.arange(batch.kept.size).reshape(-1, count)
+            first, begin = first + count, begin + batch.kept.size
+            if len(chosen):
+                batches.append(batch.of(chosen))
+                rows.append(numbers[:, chosen].ravel())
+        return replace(self, batches=tuple(batches)), np.concatenate(rows)
 
     def column(self, term, per_entity=False, cache=None):
         """As `Regression.column`; bodies are told apart before their moments are taken."""
@@ -344,6 +388,7 @@ class _Group:
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
         self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
+        self.strength = None
         self.free = FreeForce(np.zeros((0, 0, 0)), self.fine.times)
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
         # Axes along which nothing moves; what a rounding error leads to there is nothing either.
@@ -513,6 +558,7 @@ class _Group:
         kept : ndarray of bool, shape (W, m)
         """
         n = 2 * self.n_own * self.n_dims
+        before = None
         for turn in range(PASSES):
             changes = self.linearised()
             white = self._white(changes)
@@ -522,16 +568,20 @@ class _Group:
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
             beyond[:, :, :n_forces] = self._told(beyond[:, :, :n_forces])
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
-            if turn + 1 == PASSES or not self._smoothed(changes, white, by_force, left):
+            # Where places do not matter to what forces do, one pass leads to the smoothed tracks.
+            is_last = turn + 1 == PASSES or turn > 0 and _are_alike(by_force, before)
+            if is_last or not self._smoothed(changes, white, by_force, left):
                 break
-        values, _ = FreeForce(by_force, self.fine.times).shown
+            before = by_force
         error = self._inexact(by_force, left)
+        self.strength = self.free.strength(left) if self.free.memory else None
         self._linked = self._links(changes, white, error)
-        self._weigh(by_force, values, left)
         beyond = less_exact(by_force, beyond, error)
-        by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
+        by_force = beyond[:, :, :n_forces]
         values, vectors = FreeForce(by_force, self.fine.times).shown
-        keep = self._kept(values, left)
+        self._weigh(left, _n_open(values))
+        left = beyond[:, :, -1]
+        keep = self._kept(values, left, self._expected(by_force, vectors))
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
         vectors = vectors[:, :, -count:] * keep[:, None, -count:]
@@ -590,11 +640,23 @@ class _Group:
         error.reshape(shape)[:, self.at_rows] = own
         return error
 
-    def _kept(self, values, left):
-        """Moments without which less than `lost` is lost of what a force white in time may show."""
+    def _kept(self, values, left, expected=None):
+        """Moments without which less than `lost` is lost of what a force may show.
+
+        Of a force white in time, that shows as much as is left; where what is left tells how smooth
+        the force is, of that one, and of a white one that shows little.
+        """
         shown = max(float(np.square(left).sum()) - left.size, LEAST_SHOWN)
+        shown = shown if expected is None else LEAST_SHOWN
         tail = np.cumsum(values, axis=1)  # eigenvalues rise
-        return tail * shown > self.lost * tail[:, -1:].max()
+        keep = tail * shown > self.lost * tail[:, -1:].max()
+        return keep if expected is None else keep | (np.cumsum(expected, axis=1) > self.lost)
+
+    def _expected(self, by_force, vectors):
+        """What the force that is left shows in moments, (W, m); None where it has no memory."""
+        if self.strength is None:
+            return None
+        return self.free.on(by_force, self.fine.times).expected(self.strength, vectors)
 
     def _smoothed(self, changes, white, by_force, left):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""
@@ -616,23 +678,23 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _weigh(self, by_force, white, left):
+    def _weigh(self, left, count):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
         What a law leaves may have been taken for noise: its level is that of the pure error.
 
         Parameters
         ----------
-        by_force : ndarray, shape (W, m, F)
-        white : ndarray, shape (W, m)
-            What a white force shows in moments of pieces, squared.
         left : ndarray, shape (W, m)
+            Moments of pieces, their errors those of what was measured.
+        count : int
+            How many of them forces reach.
         """
-        values, turned = self.free.on(by_force, self.fine.times).seen(left)
+        values, turned = self.free.seen(left)
         scaled, top = in_units(values)
         if not np.any(top > 0):
             return
-        parts, count = [(turned, scaled)], _n_open(white)
+        parts = [(turned, scaled)]
         if self._linked is not None:
             links = self._linked[0]
             mean = np.where(links.pieces >= 0, top[links.pieces, 0], np.nan)
@@ -754,6 +816,12 @@ class _Group:
             out[:, self.held] = direct.reshape(out.shape)[:, self.held]
             columns.append(out)
         return columns
+
+
+def _are_alike(one, other):
+    """Whether two arrays differ by rounding only."""
+    top = np.abs(other).max(initial=0.0)
+    return bool(np.abs(one - other).max(initial=0.0) <= ALIKE * top)
 
 
 def _n_open(values):

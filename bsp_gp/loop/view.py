@@ -22,8 +22,8 @@ from bsp_gp.units import OF_THE_SKY, Unit
 
 __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
 
-MOST_PAIRS = 300_000
-"""Pairs of bodies, at all instants, for which every law is evaluated: more take gigabytes."""
+MOST_PAIRS = 100_000
+"""Pairs of bodies, at all instants, for which every law is evaluated; of more only the best are."""
 
 MOST_ROWS = 10_000
 """Of which forces that change from row to row are asked for."""

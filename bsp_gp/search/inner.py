@@ -22,6 +22,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import Term, kind_of, split_linear
+from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 
 __all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
 
@@ -45,7 +46,7 @@ MOVES, LITTLE = 6, 1e-3
 """Times that a finer grid moves along, and the part of a gain that is worth it."""
 MOST_PEAKS = 3
 """Places on the first grid that are looked at more closely."""
-CHUNK = 1 << 21
+CHUNK = 1 << 19
 """Numbers in one array at a time."""
 CENTRE, MIDDLE = (Input(name, STATE_INPUTS["p_i"]) for name in ("centre", "middle"))
 ABOUT = "about "
@@ -266,13 +267,25 @@ class InnerSearch:
         grain = 10.0 ** np.floor(np.log10(self.size / 10))
         self.span = rows.min(axis=0), rows.max(axis=0)
         self.middle = np.round((self.span[0] + self.span[1]) / 2 / grain) * grain
-        self._known, self._lookups, self._placed = {}, {}, {}
+        self._known, self._lookups, self._placed, self._cached = {}, {}, {}, {}
 
     def of_target(self, target):
         """The same for another target, beside what constants take up."""
         other = copy(self)
         other.target = target
         return other
+
+    def of_part(self, regression, rows, beside):
+        """The same of a part of the regression, whose moments stand at `rows` among all."""
+        other = copy(self)
+        other.batches, other.beside = regression.batches, beside
+        other.target, other.draws = beside(self.target[rows]), beside(self.draws[rows])
+        other._lookups, other._cached = {}, {}
+        return other
+
+    def anew(self, scan):
+        """A scan of a part with what its best explains here."""
+        return self._best_near(scan, scan.at[None, None])[0]
 
     def axes_of(self, form):
         """Ranges of the inner constants of a form; None where one has none on these data."""
@@ -422,7 +435,10 @@ class InnerSearch:
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""
         term = self._term(form.term)
         values = np.stack([axis.values(points[:, k]) for k, axis in enumerate(axes)])
-        size = sum(b.target.size * max(b.bodies.others.shape[1], 1) for b in self.batches)
+        size = sum(
+            b.target.size * (b.bodies.others.shape[1] if term.kind == "pair" else 1)
+            for b in self.batches
+        )
         step = max(CHUNK // size, 1)
         columns = np.concatenate([
             self._columns(term, {a.name: v for a, v in zip(axes, some, strict=True)})
@@ -466,7 +482,10 @@ class InnerSearch:
             tail = (1,) * (batch.target.ndim - 1 + (term.kind == "pair"))
             constants = {name: value.reshape(-1, *tail) for name, value in values.items()}
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                force = evaluate(term.acceleration_formula, self._lookup(index, term), constants)
+                force = evaluate(
+                    term.acceleration_formula, self._lookup(index, term), constants,
+                    self._cache(index, term),
+                )  # fmt: skip
             count = len(next(iter(values.values())))
             value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
             moments = batch.whiten(np.moveaxis(value, 0, 3))
@@ -482,6 +501,11 @@ class InnerSearch:
                 term.kind, b.bodies, b.positions, b.velocities, b.times
             )
         return self._lookups[key]
+
+    def _cache(self, index, term):
+        """What is known of a batch of sub-formulas without constants, for terms of a kind."""
+        share = CACHE_BYTES // max(len(self.batches), 1)
+        return self._cached.setdefault((index, term.kind), BoundedCache(share))
 
     def _term(self, term):
         """A term of a form with its places written out."""

@@ -13,6 +13,9 @@ from bsp_gp.search.scoring import TILE_BYTES, GroupScorer, values_of
 
 __all__ = ["MomentScorer"]
 
+SAME = 1e-13
+"""Part of the patterns of sources that is rounding."""
+
 
 class MomentScorer(GroupScorer):
     """As `GroupScorer`, for batches whose `whitener` leads to moments (S, m, n, R, d)."""
@@ -24,13 +27,15 @@ class MomentScorer(GroupScorer):
         n_y = self.ys.shape[1]
         targets = np.moveaxis(targets.reshape(m, s, -1), 1, 0)  # (S, m, y)
         whitener = np.ascontiguousarray(np.moveaxis(batch.whitener, 3, 1)).reshape(s, r, m, -1)
-        groups = left.reshape(len(left), s, r * j)
+        weights, groups = _patterns(left.reshape(len(left), s, r, j))
         right = values_of(self.block.right)
-        widest = max(n * vector.shape[-1], m, targets.shape[2])
-        step = max(1, TILE_BYTES // (8 * s * r * j * widest))
+        kinds = groups.shape[2]
+        own, every = (kinds // r if weights is not None else j), max(m, targets.shape[2])
+        widest = max(n * max(vector.shape[-1] * own, j), every * own)
+        step = max(1, TILE_BYTES // (8 * s * r * widest))
         for first in range(0, len(right), step):
             tile = slice(first, first + step)
-            seen = self._seen(whitener, vector, right[tile], index)  # (S, m, b, g)
+            seen = self._seen(whitener, vector, right[tile], index, weights)  # (S, m, b, g)
             if self.mask is not None:
                 mask = self.mask[part].reshape(m, s).T
                 seen = seen * mask[:, :, None, None]
@@ -42,17 +47,57 @@ class MomentScorer(GroupScorer):
             if raw is not None:
                 raw[:, tile] += _sizes(seen, groups)
 
-    def _seen(self, whitener, vector, right, index):
-        """What direction x right factor adds to the moments by every receiver and source."""
+    def _seen(self, whitener, vector, right, index, weights):
+        """What direction x right factor adds to the moments by every receiver and source.
+
+        Or by every pattern of sources, where there are `weights` (S, R, K, J).
+        """
         n, s, r, j, d = vector.shape
         values = np.stack([self.search.rows.unflatten(value)[index] for value in right])
-        field = vector[None] * values[..., None]  # (b, n, S, R, J, d)
-        field = np.ascontiguousarray(field.transpose(2, 3, 1, 5, 0, 4)).reshape(s, r, n * d, -1)
+        if weights is None:
+            field = vector[None] * values[..., None]  # (b, n, S, R, J, d)
+            field = field.transpose(2, 3, 1, 5, 0, 4)
+        else:
+            j = weights.shape[2]
+            weighed = np.einsum("nsrjd,srkj->srndkj", vector, weights).reshape(s, r, n, d * j, -1)
+            field = weighed @ np.ascontiguousarray(values.transpose(2, 3, 1, 4, 0))
+            field = np.swapaxes(field.reshape(s, r, n, d, j, -1), 4, 5)
+        field = np.ascontiguousarray(field).reshape(s, r, n * d, -1)
         seen = whitener @ field  # (S, R, m, b J)
         seen = seen.reshape(s, r, -1, len(right), j)
         return np.ascontiguousarray(seen.transpose(0, 2, 3, 1, 4)).reshape(
             s, seen.shape[2], len(right), r * j
         )
+
+
+def _patterns(left):
+    """Patterns in which left factors weigh the sources of a receiver, where these are fewer.
+
+    Sources of equal properties are one, and a factor of the receiver's own weighs all alike: of
+    many sources few sums have to be seen.
+
+    Parameters
+    ----------
+    left : ndarray, shape (n_left, S, R, J)
+
+    Returns
+    -------
+    weights : ndarray, shape (S, R, K, J), or None
+        None where every source is its own pattern.
+    groups : ndarray, shape (n_left, S, R K)
+        What each factor makes of every pattern.
+    """
+    n_left, s, r, j = left.shape
+    if j > 1:
+        size = np.abs(left).max(axis=3, keepdims=True)
+        rows = np.moveaxis(left / np.where(size > 0, size, 1.0), 0, 2)  # (S, R, left, J)
+        u, share, weights = np.linalg.svd(rows, full_matrices=False)
+        count = max(int((share > SAME * share[..., :1]).sum(axis=2).max()), 1)
+        if count < j:
+            of_each = u[..., :count] * share[..., None, :count]
+            groups = np.moveaxis(of_each, 2, 0) * size
+            return weights[:, :, :count], groups.reshape(n_left, s, r * count)
+    return None, left.reshape(n_left, s, r * j)
 
 
 def _sizes(seen, groups):

@@ -27,6 +27,8 @@ __all__ = ["Inside", "inner_search"]
 
 MOST = 8
 """Forms that are proposed."""
+SCANNED = 25_000
+"""Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -67,14 +69,15 @@ class Inside:
         left = view.left @ view.left - (view.explained if view.fit.law.terms else 0.0)
         is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
         drawn = [Form(Term(split_linear(c.formula)[1], c.kind), c.complexity) for c in view.drawn]
-        scans = []
+        parts, scans = {"field": search, "pair": search}, []
+        if view.n_pairs > MOST_PAIRS:
+            parts["pair"] = _of_part(view, search)
         for form in (*self.forms, *drawn):
             if view.tick is not None:
                 view.tick()
-            is_dear = form.term.kind == "pair" and view.n_pairs > MOST_PAIRS
-            axes = None if is_dear else search.axes_of(form)
+            axes = search.axes_of(form)
             if axes and not (is_noise and len(axes) > 1):
-                scans.append(search.scan(form))
+                scans.append(parts[form.term.kind].scan(form))
         if not scans:
             return Family(self.name)
         distinct = []
@@ -85,7 +88,13 @@ class Inside:
             else:
                 distinct.append(scan)
         # A peak may be much narrower than the grid is coarse: every form is looked at closely.
-        closer = sorted((search.closer(scan) for scan in distinct), key=lambda s: -s.promise)[:MOST]
+        closer = [parts[scan.form.term.kind].closer(scan) for scan in distinct]
+        closer = sorted(closer, key=lambda s: -s.promise)
+        if parts["pair"] is not search:  # what the best of a part explain of all
+            of_pairs = [s for s in closer if s.form.term.kind == "pair"][:MOST]
+            closer = [s for s in closer if s.form.term.kind != "pair"][:MOST]
+            closer = sorted([*closer, *map(search.anew, of_pairs)], key=lambda s: -s.promise)
+        closer = closer[:MOST]
         least = (1 + ROUNDING) * view.explained + 1.0  # what its constants gain by chance alone
         every = [_proposal(view, search, s) for s in closer if s.best > least]
         if not is_noise:
@@ -208,6 +217,13 @@ def inner_search(view, grammar, draws):
         np.isfinite(view.fit.noise.levels), grammar.inside.get("ranges", {}),
         dataset_types(view.dataset),
     )  # fmt: skip
+
+
+def _of_part(view, search):
+    """A search in as many pairs as are scanned."""
+    regression, rows = view.response.regression.part(SCANNED)
+    q = orthonormal(view.taken[rows], len(rows))
+    return search.of_part(regression, rows, lambda columns: columns - q @ (q.T @ columns))
 
 
 def _proposal(view, search, scan):

@@ -25,6 +25,7 @@ from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, sign
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
+from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.inner import expanded
 
 __all__ = ["Laws"]
@@ -35,6 +36,8 @@ MOST_ANEW, CLEAR = 20, 1000.0
 """Draws of noise that are searched anew, and times below the level of chance where none is."""
 MOST_LEADING = 12
 """Laws of which others ask whether their constants are another in every scene."""
+MOST_SCORED_ANEW = 12
+"""Laws of pairs that are scored on all data where a part was searched."""
 MOST_SEEDS = 20
 """Laws from which a guided search sets out."""
 PARALLEL = 1e-6
@@ -151,26 +154,35 @@ class Laws:
         certificates : list of str
         n_tried : int
         """
-        regression, (_, columns) = view.response.regression, view.response.left()
         found, null, certificates, n_tried = [], np.zeros(draws.shape[1]), [], 0
-        sizes = np.square(view.beside(draws)).sum(axis=0)
+        columns = view.response.left()[1]
         guided = self.searching.is_guided
         inner = inner_search(view, self.grammar, draws) if guided else None
         for kind, name in product(self.kinds, names):
-            if kind == "pair" and name == "exhaustive" and view.n_pairs > MOST_PAIRS:
-                certificates.append(
-                    f"laws of pairs: {view.n_pairs:,} pairs at all instants are more than "
-                    f"{MOST_PAIRS:,}, so that only those of textbooks were scored"
-                )
-                continue
+            regression, rows = view.response.regression, slice(None)
+            is_part = kind == "pair" and view.n_pairs > MOST_PAIRS
+            if is_part:
+                regression, rows = regression.part(MOST_PAIRS)
+                if name != "exhaustive":
+                    continue
             result, text = self.searching.run(
-                name, regression, kind, view.search_rng, target=target,
-                nuisance=columns if columns.size else None, null=draws, max_ties=MOST_TIES,
-                progress=view.tick, inner=inner and inner.of_target(view.beside(target)),
+                name, regression, kind, view.search_rng, target=target[rows],
+                nuisance=columns[rows] if columns.size else None, null=draws[rows],
+                max_ties=MOST_TIES, progress=view.tick,
+                inner=inner and inner.of_target(view.beside(target)),
                 known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
             )  # fmt: skip
+            sizes = np.square(_beside(draws[rows], columns[rows])).sum(axis=0)
             null = np.maximum(null, np.array(result.null_gains) * sizes)
-            found += result.candidates
+            candidates = result.candidates
+            if is_part:
+                text += (
+                    f"\nof {view.n_pairs:,} pairs at all instants, more than {MOST_PAIRS:,}, those "
+                    f"of {len(rows):,} moments were searched: the best were scored on all"
+                )
+                best = (_scored(view, c.formula, c) for c in candidates[:MOST_SCORED_ANEW])
+                candidates = [c for c in best if c is not None]
+            found += candidates
             certificates.append(text)
             n_tried += result.n_evaluated
         return found, null, certificates, n_tried
@@ -263,8 +275,17 @@ def _proposal(view, candidates, amounts=None, gain=None):
     )  # fmt: skip
 
 
-def _scored(view, formula):
-    """A law that was typed, as a candidate; None where these data do not show it."""
+def _beside(draws, columns):
+    """Moments of noise beside what constants of a law take up."""
+    q = orthonormal(columns, len(draws))
+    return draws - q @ (q.T @ draws)
+
+
+def _scored(view, formula, known=None):
+    """A law that was typed, or is known of a part of the data, as a candidate.
+
+    None where these data do not show it.
+    """
     name, term = split_linear(formula)[0], Term(formula)
     try:
         column = _column(view, formula)
@@ -277,9 +298,10 @@ def _scored(view, formula):
         return None
     value, total = float(row @ view.left) / length, float(view.left @ view.left)
     gain = value**2 * length
+    complexity = view.criteria.cause_nats if known is None else known.complexity
     return Candidate(
-        formula, term.kind, {name: value}, 0.5 * (total - gain), view.criteria.cause_nats, gain,
-        total,
+        formula, term.kind, {name: value}, 0.5 * (total - gain), complexity, gain, total,
+        ties=() if known is None else known.ties,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from bsp_gp.fitting.response import RESOLVED
 from bsp_gp.language.formula import Call, Constant, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
@@ -23,6 +24,8 @@ __all__ = ["is_property", "pairs_of", "properties_of", "sets_of"]
 
 MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
 """Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
+MOST_BEST = 12
+"""Laws of pairs in sets, where these are too many to be all evaluated."""
 LEAST_APART = 0.02
 """Part of a law, squared, that must lie beside another for the two to be told apart."""
 SIMILAR = 0.01
@@ -98,6 +101,12 @@ def sets_of(view, laws, found, declared):
     wanted = properties_of(min(near, key=lambda c: c.complexity).formula)
     pool, columns = [], []
     for kind in laws.kinds:
+        if kind == "pair" and view.n_pairs > MOST_PAIRS:  # those only that were scored anyway
+            best = [c for c in found if c.kind == kind and len(c.formula.constants) == 1]
+            pool += [(split_linear(c.formula)[1], c.complexity, kind) for c in best[:MOST_BEST]]
+            if best:
+                columns.append(_columns(view, best[:MOST_BEST]))
+            continue
         rest, matrix = law_pool(
             view.response.regression, laws.grammar, kind=kind, max_levels=laws.max_levels,
             is_left=lambda formula: properties_of(formula) == wanted,
