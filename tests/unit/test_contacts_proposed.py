@@ -1,6 +1,7 @@
 """Kicks that nobody declared: found at their instant, with their velocity, and not invented."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import selected
+from bsp_gp.report.naming import kick
 from tests.loop_views import GRAVITY, edited, throws, view_of
 
 INSTANT, GAIN = 0.433, np.array([0.6, -0.8])
@@ -112,6 +114,31 @@ def test_the_loop_adopts_a_kick_and_no_force():
     )  # fmt: skip
     assert [r.decision.verdict for r in rounds] == ["effect adopted", "nothing missing"]
     assert rounds[0].decision.best.code == "contact"
+
+
+def test_kicks_here_and_there_are_proposed_at_once():
+    """Two of one body, and one in another scene: where each lies depends on the others."""
+    dataset = kicked(np.random.default_rng(0))
+    for scene, instant, gain in ((0, 0.3, (0.2, 0.7)), (1, 0.22, (-0.5, 0.3))):
+        since = np.maximum(dataset.scenes[scene].times - instant, 0.0)
+
+        def change(positions, since=since, gain=gain):
+            positions[:, -1] += since[:, None] * np.array(gain)
+
+        dataset = edited(dataset, change, scene=scene)
+    best = max(Contacts().propose(view_of(dataset)).proposals, key=lambda p: p.promise)
+    assert best.rank == 9
+    found = fit(best.hypothesis, dataset, starts=best.starts, bounds=best.bounds)
+    values = {name: value for (name, _), value in zip(found.parameters, found.values, strict=True)}
+    instants = sorted(value for name, value in values.items() if name.startswith("t"))
+    assert instants == pytest.approx([0.22, 0.3, INSTANT], abs=0.03)
+    told = SimpleNamespace(name=best.text, constants=[
+        SimpleNamespace(name=name, value=value, unit="s" if name[0] == "t" else "m/s")
+        for name, value in values.items()
+    ])  # fmt: skip
+    text = kick(told)
+    assert text.startswith("3 kicks: the velocity of 1 jumps by ")
+    assert text.count(" in scene 2") == 2 and text.count(" in scene 1") == 1
 
 
 def test_other_scenes_do_not_feel_it():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
@@ -10,13 +13,16 @@ from bsp_gp.physics.force import fresh_name
 
 __all__ = ["Contacts"]
 
-N_STARTS = 2
+N_STARTS, MOST_KICKS = 2, 6
+"""Single kicks that are proposed, and kicks at once."""
 LEAST_ROWS = 4
 """Of a body before a kick and behind it: of fewer, a kick says no more than that they are off."""
 APART = 3
 """Instants within which two kicks of a body are one."""
 DETERMINED = 1e-6
 """Part of a kick, squared, that must lie beyond all that is free."""
+BESIDE = 0.25
+"""Intervals before an instant at which a fit begins: at a row itself slopes jump."""
 BRIEF = 1e-2
 """Duration of a kick, in the shortest interval between rows."""
 
@@ -41,12 +47,77 @@ class Contacts:
             first += batch.kept.size
         null = np.max([scan.null for scan in scans], axis=0)
         peaks = [peak for scan in scans for peak in scan.peaks(spans)]
-        peaks = sorted(peaks, key=lambda peak: -peak[0])[:N_STARTS]
+        peaks = sorted(peaks, key=lambda peak: -peak.gain)[:N_STARTS]
+        single = [_proposal(view, spans, (peak,), peak.gain) for peak in peaks]
         return Family(
-            self.name, tuple(_proposal(view, spans, *peak) for peak in peaks),
-            max((peak[0] for peak in peaks), default=0.0), view.dataset.n_dims, null,
+            self.name, (*single, *_several(view, scans, spans)),
+            max((peak.gain for peak in peaks), default=0.0), view.dataset.n_dims, null,
             n_tried=sum(scan.gains.size for scan in scans), is_continuum=True,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """A kick that explains more than others near it.
+
+    Attributes
+    ----------
+    gain : float
+    scene, body : str
+    time : float, s
+    velocity : ndarray, shape (d,), m/s
+    columns : ndarray, shape (n, d)
+        Moments by a velocity of one along each axis, of all batches.
+    """
+
+    gain: float
+    scene: str
+    body: str
+    time: float
+    velocity: np.ndarray
+    columns: np.ndarray
+
+
+def _several(view, scans, spans):
+    """Several kicks at once, one after the other where most is left: what one alone hides.
+
+    Bodies that are kicked now and then would else pass for bodies that are kicked all the time.
+    """
+    chosen, gain, least = [], 0.0, 2 * (view.criteria.cause_nats + view.odd_nats)
+    while len(chosen) < MOST_KICKS:
+        more = _next(view, scans, spans, chosen)
+        if more is None:
+            break
+        found = [*chosen, more]
+        for k in range(len(found) - 1):  # beside one that was not known then it may lie elsewhere
+            others = [*found[:k], *found[k + 1 :]]
+            found[k] = _next(view, scans, spans, others) or found[k]
+        amounts, rest = _weighed(view, found)
+        explained = float(view.left @ view.left - rest @ rest)
+        if explained - gain < least:
+            break
+        chosen, gain, velocities = found, explained, amounts.reshape(len(found), -1)
+    if len(chosen) < 2:
+        return []
+    peaks = tuple(replace(p, velocity=v) for p, v in zip(chosen, velocities, strict=True))
+    return [_proposal(view, spans, peaks, gain)]
+
+
+def _next(view, scans, spans, chosen):
+    """The kick that explains most of what others leave; None where there is none."""
+    rest = _weighed(view, chosen)[1]
+    taken = [(peak.scene, peak.body, peak.time) for peak in chosen]
+    peaks = [peak for scan in scans for peak in scan.of_target(rest).peaks(spans, taken, 1)]
+    return max(peaks, key=lambda peak: peak.gain, default=None)
+
+
+def _weighed(view, peaks):
+    """Velocities of kicks that explain most together, and the moments that these leave."""
+    if not peaks:
+        return np.zeros(0), view.left
+    columns = view.beside(np.concatenate([peak.columns for peak in peaks], axis=1))
+    amounts = np.linalg.lstsq(columns, view.left, rcond=1e-10)[0]
+    return amounts, view.left - columns @ amounts
 
 
 class _Scan:
@@ -60,32 +131,52 @@ class _Scan:
     """
 
     def __init__(self, view, batch, first):
-        self.batch = batch
+        self.batch, self.total = batch, len(view.left)
         m, s = batch.kept.shape[:2]
-        rows = slice(first, first + m * s)
-        own = np.moveaxis(batch.whitener, 1, -1)  # (S, n, R, d, m)
-
-        def mine(values):
-            """Moments (N, ...) of this batch, (S, m, ...)."""
-            return np.swapaxes(values[rows].reshape(m, s, *values.shape[1:]), 0, 1)
-
-        free = own @ mine(view.taken)[:, None, None]  # (S, n, R, d, k)
+        self.rows = slice(first, first + m * s)
+        self.own = own = np.moveaxis(batch.whitener, 1, -1)  # (S, n, R, d, m)
+        free = own @ self._mine(view.taken)[:, None, None]  # (S, n, R, d, k)
         gram = own @ np.swapaxes(own, -1, -2) - free @ np.swapaxes(free, -1, -2)
-        targets = np.concatenate([view.left[:, None], view.draws_left], axis=1)
-        along = own @ mine(targets)[:, None, None]  # (S, n, R, d, 1 + B)
-        values, vectors = np.linalg.eigh(gram)
+        values, self._vectors = np.linalg.eigh(gram)
         size = np.square(own).sum(axis=(-1, -2))[..., None]
         used = values > np.maximum(DETERMINED * size, 1e-12 * size.max(initial=0.0))
-        inverse = np.where(used, 1 / np.where(used, values, 1.0), 0.0)
-        turned = np.swapaxes(vectors, -1, -2) @ along
-        gains = (inverse[..., None] * np.square(turned)).sum(axis=-2)
+        self._inverse = np.where(used, 1 / np.where(used, values, 1.0), 0.0)
+        self.step = np.gradient(np.nan_to_num(batch.times), axis=0).T
+        targets = np.concatenate([view.left[:, None], view.draws_left], axis=1)
+        gains, self.velocities = self._explained(targets)
         self.gains, self.null = gains[..., 0], gains[..., 1:].max(axis=(0, 1, 2))
-        found = (vectors @ (inverse[..., None] * turned))[..., 0]
-        step = np.gradient(np.nan_to_num(batch.times), axis=0).T
-        self.velocities = found * step[..., None, None]
 
-    def peaks(self, spans):
-        """The best kicks that are apart, within spans: gain, scene, body, instant, velocity."""
+    def of_target(self, target):
+        """The same for other moments (n,), beside what constants take up."""
+        other = copy(self)
+        gains, other.velocities = self._explained(target[:, None])
+        other.gains = gains[..., 0]
+        return other
+
+    def _mine(self, values):
+        """Moments (N, ...) of this batch, (S, m, ...)."""
+        m, s = self.batch.kept.shape[:2]
+        return np.swapaxes(values[self.rows].reshape(m, s, *values.shape[1:]), 0, 1)
+
+    def _explained(self, targets):
+        """What a kick explains of targets (n, B), (S, n, R, B), and its velocity for the first."""
+        along = self.own @ self._mine(targets)[:, None, None]  # (S, n, R, d, B)
+        turned = np.swapaxes(self._vectors, -1, -2) @ along
+        gains = (self._inverse[..., None] * np.square(turned)).sum(axis=-2)
+        found = (self._vectors @ (self._inverse[..., None] * turned[..., :1]))[..., 0]
+        return gains, found * self.step[..., None, None]
+
+    def _columns(self, s, k, r):
+        """Moments by velocities of one that a body gains at an instant, (N, d)."""
+        out = np.zeros((self.total, self.own.shape[3]))
+        m, n_pieces = self.batch.kept.shape[:2]
+        mine = np.zeros((m, n_pieces, self.own.shape[3]))
+        mine[:, s] = self.own[s, k, r].T / (self.step[s, k] or 1.0)
+        out[self.rows] = mine.reshape(-1, mine.shape[2])
+        return out
+
+    def peaks(self, spans, taken=(), count=N_STARTS):
+        """The best kicks that are apart, within spans, and none of those that are taken."""
         left, batch = self.gains.copy(), self.batch
         for s, (scene, bodies) in enumerate(
             zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
@@ -94,13 +185,18 @@ class _Scan:
                 first, last = spans[scene, body]
                 is_inside = (batch.times[:, s] >= first) & (batch.times[:, s] <= last)
                 left[s, ~is_inside, r] = 0.0
-        for _ in range(N_STARTS):
+                for at in (time for where, own, time in taken if (where, own) == (scene, body)):
+                    k = int(np.argmin(np.abs(np.nan_to_num(batch.times[:, s], nan=np.inf) - at)))
+                    left[s, max(k - APART, 0) : k + APART + 1, r] = 0.0
+        for _ in range(count):
             s, k, r = np.unravel_index(np.argmax(left), left.shape)
             if left[s, k, r] <= 0:
                 return
             scene, body = batch.scene_names[s], batch.bodies.receiver_names[s][r]
-            yield (float(left[s, k, r]), scene, body, float(batch.times[k, s]),
-                   self.velocities[s, k, r])  # fmt: skip
+            yield _Peak(
+                float(left[s, k, r]), scene, body, float(batch.times[k, s]),
+                self.velocities[s, k, r], self._columns(s, k, r),
+            )  # fmt: skip
             left[s, max(k - APART, 0) : k + APART + 1, r] = 0.0
 
 
@@ -116,20 +212,28 @@ def _spans(dataset):
     return found
 
 
-def _proposal(view, spans, gain, name, body, time, velocity):
-    """A kick as a cause that may be missing."""
-    law, n_dims = view.fit.law, len(velocity)
-    scene = next(s for s in view.dataset.scenes if s.name == name)
-    gains = tuple(fresh_name(law, f"w_{axis}") for axis in "xyz"[:n_dims])
-    instant = fresh_name(law, "t")
-    starts = {**dict(zip(gains, map(float, velocity), strict=True)), instant: time}
+def _proposal(view, spans, peaks, gain):
+    """Kicks as a cause that may be missing."""
+    law, hypothesis, starts = view.fit.law, view.hypothesis, {}
     taken = {n for s in view.dataset.scenes for e in s.entities for n in e.properties}
-    number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
-    part = Kick.of(
-        name, body, f"kicked{number}", gains, instant, starts,
-        spans[name, body], BRIEF * float(np.diff(scene.times).min()),
-    )  # fmt: skip
+    for peak in peaks:
+        gains = tuple(fresh_name(law, f"w_{axis}") for axis in "xyz"[: len(peak.velocity)])
+        instant = fresh_name(law, "t")
+        scene = next(s for s in view.dataset.scenes if s.name == peak.scene)
+        interval, (low, high) = float(np.diff(scene.times).min()), spans[peak.scene, peak.body]
+        time = float(np.clip(peak.time - BESIDE * interval, low, high))
+        own = {**dict(zip(gains, map(float, peak.velocity), strict=True)), instant: time}
+        number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
+        taken.add(f"kicked{number}")
+        part = Kick.of(
+            peak.scene, peak.body, f"kicked{number}", gains, instant, own, (low, high),
+            BRIEF * interval,
+        )  # fmt: skip
+        hypothesis, starts = hypothesis + part, starts | own
+        for term in part.law.terms:
+            law = law.plus(term, own)
+    where = ", ".join(f"{p.body}[{p.scene}, {p.time:.4g} s]" for p in peaks)
     return Proposal(
-        "contact", f"kick {body}[{name}, {time:.4g} s]", view.hypothesis + part,
-        -view.criteria.cause_nats - view.odd_nats, gain, n_dims + 1, starts,
+        "contact", f"kick {where}", hypothesis,
+        -(view.criteria.cause_nats + view.odd_nats) * len(peaks), gain, len(starts), starts,
     )  # fmt: skip
