@@ -249,7 +249,7 @@ class Hypothesis:
                 constants.update(part.law.constants)
                 frame += part.law.frame
                 unseen += part.law.unseen
-            elif part.kind in HOLDING or part.kind != "noise" and part.parameters:
+            elif part.kind in (*HOLDING, "rail") or part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))

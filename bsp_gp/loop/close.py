@@ -12,6 +12,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
+from bsp_gp.data.flat import held_flat
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
@@ -28,9 +29,11 @@ from bsp_gp.fitting.law_fit import (
     unset,
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.fitting.parts.rails import rail_of
 from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
@@ -48,7 +51,7 @@ from bsp_gp.loop.questions import hidden_bound
 from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
-from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.bodies import dataset_types, input_types_of, stack
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
@@ -256,8 +259,9 @@ class _Ready:
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
         self.law = declared if is_law else read_law(dataset, declared)
-        self.dataset = with_usable_masses(dataset)
+        self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
         self.noise = estimate_noise(self.dataset)
+        self.rail = None if self.law.frame or self.law.unseen else rail_of(self.dataset)
         self.latents = latents
         self._learn_from(choose_split(self.dataset, rng))
 
@@ -273,6 +277,8 @@ class _Ready:
 
     def _declared(self, train):
         hypothesis = Hypothesis.from_laws(train, unset(self.law))
+        if self.rail is not None:
+            hypothesis += self.rail
         if self.latents is not None:
             hypothesis += unknown_properties(self.dataset, self.latents, train.scenes)
         return hypothesis
@@ -347,6 +353,20 @@ class _Ready:
             *about_outliers(found, self.is_weeded, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
+
+
+def _spoken(law, dataset):
+    """Axes of which a law speaks; all where it has constraints or frames, or the data vectors."""
+    types, axes = dataset_types(dataset) | input_types_of(dataset), set()
+    vectors = [n for n in types if n not in STATE_INPUTS and types[n].shape == "vector"]
+    if law.frame or law.unseen or vectors:
+        return set("xyz"[: dataset.n_dims])
+    for name in {name for term in law.terms for name in term.formula.inputs}:
+        if name in ("up", "down"):
+            axes.add((dataset.up or "y").strip("-"))
+        elif name.startswith("e_") or name[:2] in ("x_", "y_", "z_"):
+            axes.add(name[2] if name.startswith("e_") else name[0])
+    return axes
 
 
 def _cut(found, scenes):

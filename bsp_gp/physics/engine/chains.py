@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.engine.rails import rails_of
 from bsp_gp.physics.geometry import DISC, MAT, WALL
 from bsp_gp.physics.series import Series
 
@@ -214,11 +215,11 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_l
         together = is_coupled(law, batch) if coupled is None else coupled
         led = may_lead and together and len(batch.bodies.receivers) > MOST_TOGETHER
         led = led and not any(part.is_coupling for part in law.frame)
-        out.append(_chains(batch, together and not led, led))
+        out.append(_chains(batch, together and not led, led, rails_of(law)))
     return out
 
 
-def _chains(batch, coupled, led):
+def _chains(batch, coupled, led, rails=()):
     n_scenes, n_entities = batch.positions.shape[1:3]
     moving, everyone = batch.bodies.receivers, np.arange(n_entities)
     groups = [moving] if coupled else [np.array([k]) for k in moving]
@@ -246,7 +247,7 @@ def _chains(batch, coupled, led):
     others = [order[g][n_own:] for g in range(len(groups)) for _ in range(n_scenes)]
     shapes = batch.bodies.shapes
     times = np.concatenate([batch.times] * len(groups), axis=1)
-    begun, begun_errors = _begun(batch.scenes, [rows[:n_own] for rows in order])
+    begun, begun_errors = _begun(batch.scenes, [rows[:n_own] for rows in order], rails)
     return Chains(
         scenes=tuple(scene.name for _ in groups for scene in batch.scenes),
         bodies=tuple(tuple(name[k] for k in own) for name, own in zip(names, owners, strict=True)),
@@ -270,9 +271,12 @@ def _chains(batch, coupled, led):
     )
 
 
-def _begun(scenes, owners):
-    """Known first states of chains and their errors, (2, R, d, G * S) each; None where none is."""
-    if all(scene.first is None for scene in scenes):
+def _begun(scenes, owners, rails=()):
+    """Known first states of chains and their errors, (2, R, d, G * S) each; None where none is.
+
+    Along `rails` bodies are where they are seen, at rest.
+    """
+    if all(scene.first is None for scene in scenes) and not rails:
         return None, None
     values, errors = [], []
     for own in owners:
@@ -285,6 +289,11 @@ def _begun(scenes, owners):
                 error[1] = scene.first.velocity_error[own]
                 if scene.first.is_placed:
                     known[0], error[0] = scene.positions[0, own], 0.0
+            for axis in rails:
+                places = scene.positions[:, own, axis]
+                row = np.isfinite(places).argmax(axis=0)
+                known[:, :, axis] = places[row, np.arange(len(own))], np.zeros(len(own))
+                error[:, :, axis] = 0.0
             values.append(known)
             errors.append(error)
     return np.stack(values, axis=-1), np.stack(errors, axis=-1)

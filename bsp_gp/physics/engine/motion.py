@@ -17,6 +17,7 @@ from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.linked import Linkages, linkages_of
 from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
 from bsp_gp.physics.engine.owners import Owners, fitted_properties
+from bsp_gp.physics.engine.rails import rails_of
 from bsp_gp.physics.engine.seen import Frame
 from bsp_gp.physics.engine.walls import Walls, walls_of
 from bsp_gp.physics.series import late_inputs
@@ -89,6 +90,8 @@ class _Program:
             if term.needs_mass and "mass" in unknown:
                 force = [g.div(f, g.constant("mass_i")) for f in force]
             total = [g.add(a, g.mul(weight, f)) for a, f in zip(total, force, strict=True)]
+        for axis in rails_of(law):
+            total[axis] = g.zero
         if frame:
             total = frame.acceleration(total)
         names = replace(law, terms=tuple(self.terms)).names

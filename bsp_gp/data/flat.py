@@ -1,0 +1,115 @@
+"""Axes along which no body moves beyond its noise, as of carts on a straight track.
+
+There a track tells nothing but noise, and places that are off by as much would have forces between
+bodies push aside what a track or a table holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import fft, stats
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import Evaluation
+from bsp_gp.units import OF_THE_SKY
+
+__all__ = ["held_flat"]
+
+LEAST_ROWS, SLOW = 8, 3
+"""Rows that tell whether a body moves, and waves over a track by which slow motion is told."""
+SWEPT = 30.0
+"""Times that motion along another axis must be larger than the noise."""
+ROOM = 1e6
+"""Size of data from which nothing holds bodies, m."""
+CHANCE = 0.01
+"""By which noise alone may look as much like motion, at the least."""
+
+
+def held_flat(dataset, spoken=()):
+    """The data set with bodies at rest along axes on which they show nothing but noise.
+
+    Every body of every scene must be so. Nothing is done where rows are counted (`Evaluation`),
+    velocities are data, or the data are of the sky.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    spoken : collection of str
+        Axes of which a declared law speaks: there bodies are free.
+
+    Returns
+    -------
+    Dataset
+        With a note; the same one where there is no such axis.
+    """
+    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
+    is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
+    if not is_plain or dataset.n_dims == 1 or _is_sky(dataset):
+        return dataset
+    sigma = np.array(estimate_noise(dataset).sigma)
+    moving = [k for k in np.flatnonzero(np.isfinite(sigma)) if _span(dataset, k) > 0]
+    flat = [k for k in moving if "xyz"[k] not in spoken and _is_flat(dataset, k)]
+    swept = [k for k in moving if k not in flat]
+    levels = [sigma[k] for k in flat]
+    if not flat or not swept or max(_span(dataset, k) for k in swept) < SWEPT * max(levels):
+        return dataset
+    scenes = tuple(_at_rest(scene, flat) for scene in dataset.scenes)
+    names = " and ".join("xyz"[k] for k in flat)
+    note = (
+        f"along {names} no body moves beyond its noise: {'it is' if len(flat) == 1 else 'they are'}"
+        " taken as at rest there, as on a track or a table"
+    )
+    return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
+
+
+def _is_sky(dataset):
+    size = max(_span(dataset, k) for k in range(dataset.n_dims))
+    return size > ROOM or dataset.units.symbols.get("m") in OF_THE_SKY
+
+
+def _tracks(dataset, axis):
+    """Seen coordinates of every body of every scene."""
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            values = scene.positions[:, k, axis]
+            yield values[np.isfinite(values)]
+
+
+def _span(dataset, axis):
+    return max((float(np.ptp(x)) for x in _tracks(dataset, axis) if len(x)), default=0.0)
+
+
+def _is_flat(dataset, axis):
+    """Whether no track shows a slope, a bend or a wave, beside the noise from row to row."""
+    tracks = list(_tracks(dataset, axis))
+    if not tracks or min(map(len, tracks)) < LEAST_ROWS:
+        return False
+    steps = np.concatenate([np.diff(x, 3) for x in tracks])
+    level = np.mean(np.square(steps)) / 20
+    if not level > 0:
+        return False
+    # Cosines are independent under white noise; the first few are what a slow motion shows.
+    waves = [np.square(fft.dct(x - x.mean(), norm="ortho")[1:]) / level for x in tracks]
+    doubt = 1 + np.sqrt(2 * 2.3 / len(steps))  # of the level itself
+    slow = sum(float(w[:SLOW].sum()) for w in waves)
+    total = sum(float(w.sum()) for w in waves)
+    largest = max(float(w.max()) for w in waves)
+    count = sum(map(len, waves))
+    chances = (
+        stats.chi2.sf(slow / doubt, SLOW * len(waves)),
+        stats.chi2.sf(total / doubt**2, count),
+        -np.expm1(count * np.log1p(-stats.chi2.sf(largest / doubt, 1))),
+    )
+    return min(chances) > CHANCE / len(chances)
+
+
+def _at_rest(scene, axes):
+    """A scene whose bodies stay where they are on the average along some axes."""
+    positions = scene.positions.copy()
+    for k in scene.dynamic:
+        for axis in axes:
+            values = positions[:, k, axis]
+            positions[:, k, axis] = np.where(np.isfinite(values), np.nanmean(values), np.nan)
+    return replace(scene, positions=positions)
