@@ -18,6 +18,10 @@ FALL = np.round(2 - 4.905 * T**2, 6)
 SPRING = np.round(0.25 + 0.1 * np.cos(6 * T), 6)
 ACROSS = np.round(1.5 * T, 6)
 OBJECT = "object"
+END = "***End_of_Header***"
+LVM = ["LabVIEW Measurement", "Writer_Version\t2", "Reader_Version\t2"]
+SEGMENT = ["Channels\t1", "X_Dimension\tTime", "X0\t0,0E+0", "Delta_X\t0,05", END,
+           "X_Value\tPosition (m)\tComment"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -322,6 +326,26 @@ MORE = {
     "units after a dash": Sample("cart.csv", table(
         "Elapsed time - s,Displacement - cm", T, 100 * SPRING,
     ).encode(), one(x=SPRING), told=("Displacement",)),
+    "labview": Sample("spring.lvm", table(
+        [*LVM, "Separator\tTab", "X_Columns\tOne", END, "\t\t", "Channels\t1\t",
+         "Y_Unit_Label\tcm\t", "X_Dimension\tTime\t", "X0\t0.0E+0\t", "Delta_X\t0.05\t", END,
+         "X_Value\tPosition\tComment"], T, 100 * SPRING, sep="\t",
+    ).encode(), one(x=SPRING), told=("Position (cm)",)),
+    "labview, segments without times": Sample("spring.lvm", table(
+        [*LVM, "Separator\tTab", "Decimal_Separator\t,", "X_Columns\tNo", END, *SEGMENT],
+        [""] * 8, SPRING, sep="\t", decimal=",",
+    ).encode() + table(["", *SEGMENT], [""] * 8, ACROSS, sep="\t", decimal=",").encode(),
+        one(x=SPRING, scene="1") | one(x=ACROSS, scene="2")),
+    "labview, times of every channel": Sample("table.lvm", table(
+        [*LVM, "Separator\tComma", "X_Columns,Multi", END, "Channels,2", "X0,0.0,0.0", END,
+         "X_Value,x (m),X_Value,y (m),Comment"], T, ACROSS, T, FALL,
+    ).encode(), one(ACROSS, FALL)),
+    "an unknown word with a unit of time": Sample("heave.txt", table(
+        "X_Value (s)\tHeave (mm)", T, 1000 * SPRING, sep="\t",
+    ).encode(), one(x=SPRING), told=("'X_Value (s)' as t", "'Heave (mm)' as x")),
+    "a map": Sample("gps.csv", table(
+        "run,time_s,easting_m,northing_m", ["1"] * 8, T, ACROSS, FALL,
+    ).encode(), one(ACROSS, FALL, scene="1"), told=("'northing_m' as y",)),
     "runs that no heading tells": Sample("two.csv", table(
         "Zeit in s;Weg in cm", [*T, *T], [*100 * ACROSS, *100 * SPRING], sep=";", decimal=",",
     ).encode(), refused=("must increase", "--columns scene=")),

@@ -27,7 +27,8 @@ _WORDS = {
     "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
-    "year": "jahr jahre années ans anni años yrs", "au": "ae ua", "deg": "° grad degrees degree",
+    "year": "jahr jahre années ans anni años yrs", "au": "ae ua",
+    "deg": "° grad degrees degree grados grado gradi degré degrés graus graden",
     "rad": "radian radians radiant", "arcsec": "\" ″ '' ” arcsecs",
 }  # fmt: skip
 _WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}

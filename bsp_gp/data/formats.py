@@ -23,6 +23,7 @@ from bsp_gp.data.headings import (
     UNKNOWN,
     has_place,
     is_body,
+    is_height,
     number_columns,
     run_of,
     told,
@@ -178,7 +179,7 @@ def long_table(
         frame[column] = frame[column].map(plain_cell)
     of_names = {n: u for n, u in zip(names, units, strict=True) if u and n in frame.columns}
     unused = {} if as_text else {h.name or h.theirs: h.of_any_run for h in rest if h.theirs}
-    is_height = any(h.name == "y" and h.sure == GUESS and not h.body for h in found)
+    is_upright = any(map(is_height, found))
     return Table(
         frame=frame, units=of_names | ({"t": "s"} if dated else {}),
         renamed=frozenset(h.ignored or (f"{h.body}_{h.name}" if h.body else h.name)
@@ -187,7 +188,7 @@ def long_table(
         notes=(*notes, *date_notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
-        present=tuple(h.theirs for h in found if h.theirs), up="y" if is_height else None,
+        present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
         unused=unused,
     )  # fmt: skip
 

@@ -30,8 +30,8 @@ from bsp_gp.units import ANGLES, Unit
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
     "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error",
-    "is_frame_name", "is_ignored", "is_no_place", "is_rate", "is_run", "number_columns",
-    "property_of_words", "run_of", "told",
+    "is_frame_name", "is_height", "is_ignored", "is_no_place", "is_rate", "is_run",
+    "number_columns", "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
 NUMBER_COLUMNS = (
@@ -63,13 +63,14 @@ def _set(text):
     return frozenset(text.split())
 
 
-_TIME_WORDS = _set("time elapsed relative zeit temps tiempo tempo")
+_TIME_WORDS = _set("time elapsed relative zeit temps tiempo tempo uptime")
 _PLACE_WORDS = _set(
     "position pos coordinate coord coordinates koordinate ort lage weg location posición"
     " posizione displacement"
 )
 _AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
 """Beside a symbol: ``x-Richtung``."""
+_MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
 _SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
 _ACCELERATION_WORDS = _set(
@@ -127,15 +128,18 @@ _GUESSES = {
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
                   " wurf throw drop shot release flight fall swing attempt recording aufnahme"
                   " repetition scene szene take durchgang durchlauf messreihe lancer lanzamiento"
-                  " lancio clip video launch toss kick"),
+                  " lancio clip video launch toss kick putt pitch serve stroke jump leap dive lap"
+                  " mission session sweep coast descent ascent collision"),
     "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
                    " cart wagen track trajectory"),
-    "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe"),
+    "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe northing"
+              " hochwert"),
     "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
                              " extension s weite wurfweite sprungweite flugweite horizontal"
                              " horizontale orizzontale waagerecht waagerechte waagrecht"
-                             " waagrechte alcance portée gittata"),
+                             " waagrechte alcance portée gittata easting rechtswert depth tiefe"
+                             " profondeur profundidad profondità heave surge sway"),
 }  # fmt: skip
 """Words that may mean a column of ours where no plainer heading does; counting words may stand
 beside those of scenes, bodies and frames."""
@@ -300,7 +304,22 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
+        found = _with_clock(found)
     return tuple(_settled(found))
+
+
+def _with_clock(found):
+    """The only column with a unit of time as the time, where there is no other."""
+    clocks = [h for h in found if h.sure == UNKNOWN and h.unit and unit_of(h.unit) == _TIME]
+    if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
+        return found
+    return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
+
+
+def is_height(heading):
+    """Whether a column means heights, so that its axis points up."""
+    is_guess = heading.name == "y" and heading.sure == GUESS and not heading.body
+    return is_guess and not _words(heading.theirs) & _MAP_WORDS
 
 
 def is_ignored(text, cells):

@@ -2,7 +2,8 @@
 
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
-loggers, the texts of Leybold's CASSY Lab, and vector tables of JPL Horizons.
+loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, and vector tables of JPL
+Horizons.
 """
 
 from __future__ import annotations
@@ -118,6 +119,56 @@ def _campbell(text, path):
     return "\n".join([",".join(f'"{name}"' for name in named), *lines[4:]]) + "\n"
 
 
+def _labview(text, path):
+    """A measurement file: a header of the file, and headers and tables of its segments.
+
+    Of several segments each is a run. Times stand before all channels, before each of them, or
+    follow from a first one and a step.
+    """
+    whole, head, *bodies = text.split(_LVM_END)
+    about, out = dict(_pair(line) for line in whole.splitlines()), []
+    delimiter = "," if about.get("Separator", "Tab").lower() == "comma" else "\t"
+    kind = about.get("X_Columns", "One")
+    for number, body in enumerate(bodies, 1):
+        own = dict(_pair(line, delimiter) for line in head.splitlines())
+        lines = [line for line in body.splitlines() if line.strip()]
+        end = next((k for k, line in enumerate(lines) if line.startswith("Channels")), len(lines))
+        lines, head = lines[:end], "\n".join(lines[end:])
+        names, *rows = (_cells(line, delimiter) for line in lines)
+        count = int(own.get("Channels", "1").split(delimiter)[0])
+        at = [1 + (2 if kind == "Multi" else 1) * k for k in range(count)]
+        if not out:
+            units = own.get("Y_Unit_Label", "").split(delimiter)
+            is_time = own.get("X_Dimension", "Time").split(delimiter)[0] == "Time"
+            told = [_named(names[a], units, k) for k, a in enumerate(at)]
+            out.append(["run", "t (s)" if is_time else names[0], *told])
+        first, step = (_first(own, name, delimiter) for name in ("X0", "Delta_X"))
+        for k, row in enumerate(rows):
+            time = f"{first + k * step:.9g}" if kind == "No" or not row[0] else row[0]
+            cells = [row[a] if a < len(row) else "" for a in at]
+            out.append([str(number), *(cell.replace(",", ".") for cell in (time, *cells))])
+    skipped = 1 if len(bodies) == 1 else 0
+    return "\n".join("\t".join(row[skipped:]) for row in out) + "\n"
+
+
+_LVM_END = "***End_of_Header***"
+
+
+def _pair(line, delimiter=None):
+    """A name and what is said of it."""
+    name, _, value = line.partition(delimiter or ("\t" if "\t" in line else ","))
+    return name.strip(), value.strip("\t, ")
+
+
+def _first(about, name, delimiter):
+    return float(about.get(name, "0").split(delimiter)[0].replace(",", ".") or 0)
+
+
+def _named(name, units, k):
+    unit = units[k].strip() if k < len(units) else ""
+    return f"{name} ({unit})" if unit and "(" not in name else name
+
+
 def _cassy(text, path):
     found = re.search(r"^DEF=(.*)$", text, re.MULTILINE)
     header = found[1].replace('"', "").strip()
@@ -131,7 +182,8 @@ def _horizons(text, path):
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy, "*" * 10: _horizons,
-    "API": _horizons, "Ephemeris": _horizons, "JPL": _horizons, "{": _horizons,
+    "LabVIEW Measurement": _labview, "API": _horizons, "Ephemeris": _horizons, "JPL": _horizons,
+    "{": _horizons,
 }  # fmt: skip
 HEADS = tuple(_KNOWN)
 """How such files begin."""
