@@ -54,7 +54,8 @@ MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
 RESOLVED = 1e-6
 """Part of what is left that is beyond the moments: forces act in steps from instant to instant."""
-PASSES = 3
+PASSES, WORSE = 3, 2.0
+"""Times that tracks are smoothed, and how many times as much may be left of them afterwards."""
 INEXACT = 0.02
 """Part of what is left of slow motion that is not believed: no exacter are forces between rows."""
 MEMORIES = 3.0
@@ -403,7 +404,8 @@ class _Group:
     def _flow(self, chains):
         motion = self.motion.on(chains, self.fit.law)
         motion.set_constants(self.fit.values)
-        return Flow(motion, self.tolerance, self.fit.paper_steps)
+        # Errors of all intervals add up on the way to the last row.
+        return Flow(motion, self.tolerance / chains.times.shape[0], self.fit.paper_steps)
 
     def _between(self):
         """States at all instants, from those of the rows."""
@@ -558,8 +560,8 @@ class _Group:
         kept : ndarray of bool, shape (W, m)
         """
         n = 2 * self.n_own * self.n_dims
-        before = None
-        for turn in range(PASSES):
+        before, kept, is_last = None, (np.inf, self.nodes), False
+        for turn in range(PASSES + 1):
             changes = self.linearised()
             white = self._white(changes)
             n_forces = white.shape[2] - n - len(self.fit.values) - 1
@@ -568,11 +570,17 @@ class _Group:
             beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
             beyond[:, :, :n_forces] = self._told(beyond[:, :, :n_forces])
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
+            if is_last:
+                break
+            shown = float(np.square(left).sum())
+            if shown > WORSE * kept[0] + left.size:  # so far from the fit nothing is linear
+                self.nodes, is_last = kept[1], True
+                continue
             # Where places do not matter to what forces do, one pass leads to the smoothed tracks.
-            is_last = turn + 1 == PASSES or turn > 0 and _are_alike(by_force, before)
+            is_last = turn + 1 >= PASSES or turn > 0 and _are_alike(by_force, before)
+            before, kept = by_force, (shown, self.nodes)
             if is_last or not self._smoothed(changes, white, by_force, left):
                 break
-            before = by_force
         error = self._inexact(by_force, left)
         self.strength = self.free.strength(left) if self.free.memory else None
         self._linked = self._links(changes, white, error)

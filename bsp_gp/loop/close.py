@@ -327,7 +327,7 @@ class _Ready:
         Only where the scenes were cut in time has it seen any of them. It begins at the fit, and
         ends where the rows that are left lead; one that cannot be fitted to these foresees nothing.
         """
-        if self.before_cut is None or found.is_failed:
+        if self.before_cut is None:
             return found
         if found not in self._refitted:
             self._refitted[found] = self._without_held_out(found, hypothesis, bounds, clock)
@@ -336,7 +336,7 @@ class _Ready:
     def _without_held_out(self, found, hypothesis, bounds, clock):
         nothing = replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
         hypothesis = continued(hypothesis, found)
-        if not _shows_motion(hypothesis.seen(self.before_cut).scenes):
+        if found.is_failed or not _shows_motion(hypothesis.seen(self.before_cut).scenes):
             return nothing
         try:
             return fit(

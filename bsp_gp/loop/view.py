@@ -154,6 +154,11 @@ class View:
         return self._without_memory is not None
 
     @property
+    def is_lost(self):
+        """Whether the law could not be fitted, so that its tracks are not those of the bodies."""
+        return self._fit.is_failed
+
+    @property
     def fit(self):
         return self._found[0]
 

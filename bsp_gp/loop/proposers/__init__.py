@@ -24,6 +24,7 @@ from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
+from bsp_gp.loop.proposers.unfollowed import Unfollowed
 from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
 from bsp_gp.loop.proposers.winds import Winds
@@ -47,5 +48,5 @@ def standard(grammar, dataset, **settings):
         laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
         Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
         Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(),
-        LateLogs(), Defects(), Noise(),
+        LateLogs(), Defects(), Noise(), Unfollowed(laws),
     ]  # fmt: skip
