@@ -44,7 +44,7 @@ def moons(seed=0):
 
 
 def test_moments_of_sparse_nights_are_those_of_the_fit():
-    """What forces do is asked of what the fit leaves: no error of the way between nights is in it."""
+    """Forces are asked of what the fit leaves: no error of the way between nights is in it."""
     dataset = moons()
     hypothesis = Hypothesis.from_laws(dataset, (PULL, STEEPER))
     found = fit(hypothesis, dataset)
