@@ -358,9 +358,19 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         size = "" if is_loose else f", {_in_speed(speed + (text == 'perp(v_i)'))}"
         return f"{across}{size}{_scaling(rest)} (magnetic or Magnus){where}"
     if text in ("e_x", "e_y", "e_z"):
+        own, size = f"v{text[-1]}_i", f"abs(v{text[-1]}_i)"
+        if powers.get(own, 0) % 2 == 1:  # of the sign of the velocity
+            total = powers[own] + powers.get(size, 0) + speed
+            kind = "drag" if value is None or value <= 0 else "forward push"
+            rest = {n: p for n, p in powers.items() if n not in (own, size, *_SPEEDS)}
+            named = _POWERS.get(total, f"power {total:g}")
+            return f"{kind} along {text[-1]}, {named} in speed{_scaling(rest)}{where}"
         is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
-        verb = f"force along {text[-1]}" if is_placed else f"uniform push along {text[-1]}"
+        is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
+        verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"
         return verb + _scaling(powers) + where
+    if re.fullmatch(r"perp\((?:normalize\()?p_i - p_\w+\)*", text):
+        return f"force across the line to the other body{_scaling(powers)}{where}"
     if text.startswith("normalize(p_i - p"):
         verb = "force along the line to the other body"
         if value is not None:
@@ -400,7 +410,10 @@ def _side(text, powers, value):
 
 
 _SPEEDS = {"norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
-_WORDS = {"norm(p_i - p_j)": "distance", **_SPEEDS}
+_COMPONENTS = {f"v{a}_i": f"speed along {a}" for a in "xyz"} | {
+    f"abs(v{a}_i)": f"|speed along {a}|" for a in "xyz"
+}
+_WORDS = {"norm(p_i - p_j)": "distance", **_SPEEDS, **_COMPONENTS}
 
 
 def _scaling(powers):
@@ -409,7 +422,8 @@ def _scaling(powers):
         if sense := re.fullmatch(r"sign\(([A-Za-z]\w*)\)", name):
             senses.append(f", with the sign of {sense[1]}")
             continue
-        if any(property_of(word) for word in _input_names(name)) and "norm" not in name:
+        is_property = any(property_of(word) for word in _input_names(name))
+        if is_property and "norm" not in name and name not in _WORDS:
             continue
         axis = _own_axis(name) if name.startswith("along(v_i, ") else ""
         radial = f"speed {axis}" if axis else "radial speed"
