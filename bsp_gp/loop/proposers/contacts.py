@@ -9,6 +9,7 @@ import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import fresh_name
 
 __all__ = ["Contacts"]
@@ -82,7 +83,10 @@ def _several(view, scans, spans):
     """Several kicks at once, one after the other where most is left: what one alone hides.
 
     Bodies that are kicked now and then would else pass for bodies that are kicked all the time.
+    Where the noise is not as it was assumed none are: enough kicks explain any noise.
     """
+    if least_chance(view.noise_findings) <= view.criteria.alpha:
+        return []
     chosen, gain, least = [], 0.0, 2 * (view.criteria.cause_nats + view.odd_nats)
     while len(chosen) < MOST_KICKS:
         more = _next(view, scans, spans, chosen)

@@ -8,6 +8,7 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.questions import least_chance
 
 __all__ = ["Noise"]
 
@@ -58,8 +59,12 @@ class Noise:
         return Family(self.name, (proposal,), is_control=True)
 
     def doubted(self, view):
-        """Noise that was declared, estimated where the pure error contradicts it."""
-        chance = view.noise_chance
+        """Noise that was declared, estimated where the pure error contradicts it.
+
+        Whether a force that knows no physics explains as much does not matter: a memory of the
+        noise is explained by one as well.
+        """
+        chance = least_chance(view.noise_findings)
         if chance > view.criteria.alpha:
             return Family(self.name)
         model = view.fit.noise
