@@ -273,7 +273,7 @@ class _Turn:
         # greatest promise that was kept by what leaves no misfit, and what that may be off by.
         self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
         self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
-        self.enough = math.inf  # laws that leave nothing beyond the noise
+        self.leaving_nothing = []  # laws that do, and how likely they are
         self.explained = None  # what the first of those says of others
 
     def note_time(self, code):
@@ -447,6 +447,12 @@ class _Turn:
         near = 0.0 if is_again else 2 * self.run.criteria.class_nats
         return _is_hopeless(proposal, broken) or self._nats_behind(proposal) > near
 
+    @property
+    def enough(self):
+        """How many laws leave nothing beyond the noise, and are about as likely as any so far."""
+        least = max(row.log_posterior for row in self.rows) - 2 * self.run.criteria.class_nats
+        return min((n for n, nats in self.leaving_nothing if nats > least), default=math.inf)
+
     def _explained(self, row, proposal, found):
         """What a law that leaves nothing says of others, where that is more than they promise."""
         if not proposal.promise > FAR_BEHIND or self.run.clock.is_over:
@@ -481,7 +487,7 @@ class _Turn:
         dof = new.n_rows - new.n_free
         left = max(self._left(new) - 1.0, 0.0) * dof
         if proposal.formulas and left < WITHIN_NOISE * math.sqrt(2.0 * dof):
-            self.enough = min(len(proposal.formulas), self.enough)
+            self.leaving_nothing.append((len(proposal.formulas), row.log_posterior))
             if self.explained is None and row.log_posterior > self.rows[0].log_posterior:
                 self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
@@ -509,8 +515,11 @@ class _Turn:
         highest = max(row.log_evidence for row in self.rows)
         equal = highest - 2 * criteria.tie_nats
         known = {row.key for row in self.rows}
+        best = self.proposals.get(max(self.rows, key=lambda row: row.log_posterior).id)
+        # Sums that are as long as the likeliest one are told, too.
+        enough = max(self.enough, len(best.formulas) if best else 0)
         for source, proposal in every:
-            if source not in above or len(proposal.formulas) > self.enough:
+            if source not in above or len(proposal.formulas) > enough:
                 continue
             loss = self.explained.loss(proposal) if self.explained else math.nan
             if not math.isnan(loss):  # told by more than promises

@@ -78,13 +78,17 @@ def test_odd_noise_alone_is_no_effect():
     assert report.verdict in ("the noise is not as assumed", "nothing missing")
 
 
-def test_what_a_quick_force_leaves_is_no_noise():
+def test_noise_is_a_rival_of_a_quick_force_and_no_more():
     def move(t, mass):
         return np.outer(0.05 * np.sin(25 * t), [1.0, 0.0])
 
-    view = view_of(throws(np.random.default_rng(4), move=move))
-    assert proposed(view) == ()
+    data = throws(np.random.default_rng(4), move=move)
+    view = view_of(data)
+    assert len(proposed(view)) == 1
     assert min(f.p_value for f in view.noise_findings) < 1e-6, "the questions alone are misled"
+    report = close_loop(data, GRAVITY, rng=0, n_bootstrap=0, max_rounds=1)
+    assert report.verdict == "effect adopted"
+    assert report.rounds[0].effect.code == "period"
 
 
 def test_a_slow_weak_memory_is_proposed_whatever_forces_explain():
