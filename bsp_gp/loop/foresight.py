@@ -73,6 +73,9 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
         if done.entering.is_failed:  # it foresees nothing: what it was left at has seen all rows
             helps.append(math.isfinite(plain.errors(1).rollout_rmse))
             continue
+        if done.decision.best.kind == "noise":  # no cause: rows are weighed otherwise
+            helps.append(True)
+            continue
         ratio = plain.ratio(0, 1).value
         # Only where predictions are worse does it matter whether that is chance.
         is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES).ratio(0, 1))

@@ -22,10 +22,11 @@ def world():
     return thrown(n_scenes=6, n_rows=40)
 
 
-def round_of(number, dataset, before, after):
+def round_of(number, dataset, before, after, kind="force", status="converged"):
     hypotheses = {k: Hypothesis.from_laws(dataset, laws) for k, laws in enumerate((before, after))}
     fits = {k: fit(hypothesis, dataset) for k, hypothesis in hypotheses.items()}
-    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1, kind="force"), True)
+    fits[0] = replace(fits[0], status=status)
+    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1, kind=kind), True)
     return Round(number, fits[0], None, decision, fits, hypotheses, ())
 
 
@@ -44,6 +45,17 @@ def test_a_cause_that_makes_predictions_worse_is_refused_and_ends_the_rounds(wor
     assert not done.decision.is_adopted
     assert done.decision.reason == "predictions_worse"
     assert done.continuing is done.hypotheses[0]
+
+
+def test_noise_is_told_whatever_it_makes_of_predictions(world):
+    """As no cause: "seen, not adopted" was said of scenes of which one is noisier."""
+    (done,) = looked_at(world, ([GRAVITY], [GRAVITY, PUSH], "noise"))
+    assert done.decision.is_adopted
+
+
+def test_what_was_not_fitted_foresees_nothing(world):
+    (done,) = looked_at(world, ([GRAVITY], [GRAVITY, PUSH], "force", "unconverged"))
+    assert done.decision.is_adopted
 
 
 def test_a_cause_that_makes_them_better_stays(world):
