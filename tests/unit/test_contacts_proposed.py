@@ -116,8 +116,8 @@ def test_the_loop_adopts_a_kick_and_no_force():
     assert rounds[0].decision.best.code == "contact"
 
 
-def test_kicks_here_and_there_are_proposed_at_once():
-    """Two of one body, and one in another scene: where each lies depends on the others."""
+def kicked_thrice():
+    """Two kicks of one body, and one in another scene."""
     dataset = kicked(np.random.default_rng(0))
     for scene, instant, gain in ((0, 0.3, (0.2, 0.7)), (1, 0.22, (-0.5, 0.3))):
         since = np.maximum(dataset.scenes[scene].times - instant, 0.0)
@@ -126,6 +126,12 @@ def test_kicks_here_and_there_are_proposed_at_once():
             positions[:, -1] += since[:, None] * np.array(gain)
 
         dataset = edited(dataset, change, scene=scene)
+    return dataset
+
+
+def test_kicks_here_and_there_are_proposed_at_once():
+    """Where each lies depends on the others."""
+    dataset = kicked_thrice()
     best = max(Contacts().propose(view_of(dataset)).proposals, key=lambda p: p.promise)
     assert best.rank == 9
     found = fit(best.hypothesis, dataset, starts=best.starts, bounds=best.bounds)
@@ -139,6 +145,29 @@ def test_kicks_here_and_there_are_proposed_at_once():
     text = kick(told)
     assert text.startswith("3 kicks: the velocity of 1 jumps by ")
     assert text.count(" in scene 2") == 2 and text.count(" in scene 1") == 1
+
+
+@pytest.mark.slow
+def test_the_loop_adopts_kicks_here_and_there():
+    """Though such kicks, before they are known, are as odd as odd noise."""
+    dataset = kicked_thrice()
+    laws = Laws(load_grammar("physics"), dataset, max_levels=5)
+    rounds = run_rounds(
+        Hypothesis.from_laws(dataset, (GRAVITY,)), dataset, [laws, Contacts()],
+        rng=np.random.default_rng(0), max_rounds=2,
+    )  # fmt: skip
+    assert [r.decision.verdict for r in rounds] == ["effect adopted", "nothing missing"]
+    assert (rounds[0].decision.best.code, rounds[0].decision.best.text.count("[")) == ("contact", 3)
+
+
+def test_a_push_is_no_kicks_here_and_there():
+    """A few of many instants imitate it, and pay for having been chosen."""
+    def move(t, mass):
+        return np.outer(0.02 * np.square(t), [1.0, 0.0])
+
+    view = view_of(throws(np.random.default_rng(6), move=move))
+    assert view.left @ view.left > 100
+    assert {p.rank for p in Contacts().propose(view).proposals} == {3}
 
 
 def test_other_scenes_do_not_feel_it():

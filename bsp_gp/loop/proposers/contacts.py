@@ -9,7 +9,6 @@ import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import fresh_name
 
 __all__ = ["Contacts"]
@@ -83,28 +82,30 @@ def _several(view, scans, spans):
     """Several kicks at once, one after the other where most is left: what one alone hides.
 
     Bodies that are kicked now and then would else pass for bodies that are kicked all the time.
-    Where the noise is not as it was assumed none are: enough kicks explain any noise.
+    Every one has to be chosen among all instants, and pays for that: a few of thousands imitate
+    what is smooth. None where one alone promises as much.
     """
-    if least_chance(view.noise_findings) <= view.criteria.alpha:
-        return []
-    chosen, gain, least = [], 0.0, 2 * (view.criteria.cause_nats + view.odd_nats)
+    single = view.criteria.cause_nats + view.odd_nats
+    cost = single + float(np.log(sum(scan.gains.size for scan in scans)))
+    chosen, gains = [], []
     while len(chosen) < MOST_KICKS:
         more = _next(view, scans, spans, chosen)
         if more is None:
             break
         found = [*chosen, more]
-        for k in range(len(found) - 1):  # beside one that was not known then it may lie elsewhere
+        for k in range(len(chosen)):  # beside one that was not known then it may lie elsewhere
             others = [*found[:k], *found[k + 1 :]]
             found[k] = _next(view, scans, spans, others) or found[k]
         amounts, rest = _weighed(view, found)
-        explained = float(view.left @ view.left - rest @ rest)
-        if explained - gain < least:
+        gain = float(view.left @ view.left - rest @ rest)
+        if gains and gain - gains[-1] < 2 * single:
             break
-        chosen, gain, velocities = found, explained, amounts.reshape(len(found), -1)
-    if len(chosen) < 2:
+        chosen, velocities = found, amounts.reshape(len(found), -1)
+        gains.append(gain)
+    if len(chosen) < 2 or 0.5 * gains[-1] - cost * len(chosen) <= 0.5 * gains[0] - single:
         return []
     peaks = tuple(replace(p, velocity=v) for p, v in zip(chosen, velocities, strict=True))
-    return [_proposal(view, spans, peaks, gain)]
+    return [replace(_proposal(view, spans, peaks, gains[-1]), log_prior=-cost * len(peaks))]
 
 
 def _next(view, scans, spans, chosen):
