@@ -28,10 +28,11 @@ _WORDS = {
     "ms": "millisekunde millisekunden msec millisecondes milisegundos",
     "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
     "year": "jahr jahre années ans anni años yrs", "au": "ae ua",
-    "deg": "° grad degrees degree grados grado gradi degré degrés graus graden",
-    "rad": "radian radians radiant", "arcsec": "\" ″ '' ” arcsecs",
+    "arcsec": "\" ″ '' ” arcsecs",
 }  # fmt: skip
-_WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+_WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()} | {
+    word: "rad" if size == 1.0 else "deg" for word, size in ANGLES.items()
+}
 """Units as people write them out, in the languages whose headings are known."""
 KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?|arcsec(?:ond)?s?|mas)\b", re.IGNORECASE)

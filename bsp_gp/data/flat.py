@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft, stats
 
-from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.scene import Evaluation
-from bsp_gp.units import OF_THE_SKY
 
 __all__ = ["held_flat"]
 
@@ -21,8 +20,8 @@ LEAST_ROWS, SLOW = 8, 3
 """Rows that tell whether a body moves, and waves over a track by which slow motion is told."""
 SWEPT = 30.0
 """Times that motion along another axis must be larger than the noise."""
-ROOM = 1e6
-"""Size of data from which nothing holds bodies, m."""
+DIFFERENCES, TIED = 20, 2.3
+"""Variance of third differences of white noise, in its own, and how many of them are as one."""
 CHANCE = 0.01
 """By which noise alone may look as much like motion, at the least."""
 
@@ -46,14 +45,14 @@ def held_flat(dataset, spoken=()):
     """
     is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
-    if not is_plain or dataset.n_dims == 1 or _is_sky(dataset):
+    if not is_plain or is_of_the_sky(dataset):
         return dataset
-    sigma = np.array(estimate_noise(dataset).sigma)
-    moving = [k for k in np.flatnonzero(np.isfinite(sigma)) if _span(dataset, k) > 0]
-    flat = [k for k in moving if "xyz"[k] not in spoken and _is_flat(dataset, k)]
-    swept = [k for k in moving if k not in flat]
-    levels = [sigma[k] for k in flat]
-    if not flat or not swept or max(_span(dataset, k) for k in swept) < SWEPT * max(levels):
+    tracks = [_tracks(dataset, axis) for axis in range(dataset.n_dims)]
+    spans = [max((float(np.ptp(x)) for x in own if len(x)), default=0.0) for own in tracks]
+    moving = [k for k, span in enumerate(spans) if span > 0]
+    flat = [k for k in moving if "xyz"[k] not in spoken and _is_flat(tracks[k])]
+    swept = max((spans[k] for k in moving if k not in flat), default=0.0)
+    if not flat or swept < SWEPT * max(_level(tracks[k]) for k in flat):
         return dataset
     scenes = tuple(_at_rest(scene, flat) for scene in dataset.scenes)
     names = " and ".join("xyz"[k] for k in flat)
@@ -64,35 +63,29 @@ def held_flat(dataset, spoken=()):
     return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
 
 
-def _is_sky(dataset):
-    size = max(_span(dataset, k) for k in range(dataset.n_dims))
-    return size > ROOM or dataset.units.symbols.get("m") in OF_THE_SKY
-
-
 def _tracks(dataset, axis):
     """Seen coordinates of every body of every scene."""
-    for scene in dataset.scenes:
-        for k in scene.dynamic:
-            values = scene.positions[:, k, axis]
-            yield values[np.isfinite(values)]
+    tracks = [s.positions[:, k, axis] for s in dataset.scenes for k in s.dynamic]
+    return [values[np.isfinite(values)] for values in tracks]
 
 
-def _span(dataset, axis):
-    return max((float(np.ptp(x)) for x in _tracks(dataset, axis) if len(x)), default=0.0)
+def _level(tracks):
+    """Noise from row to row, told by third differences."""
+    steps = np.concatenate([np.diff(x, 3) for x in tracks])
+    return float(np.sqrt(np.mean(np.square(steps)) / DIFFERENCES))
 
 
-def _is_flat(dataset, axis):
+def _is_flat(tracks):
     """Whether no track shows a slope, a bend or a wave, beside the noise from row to row."""
-    tracks = list(_tracks(dataset, axis))
     if not tracks or min(map(len, tracks)) < LEAST_ROWS:
         return False
-    steps = np.concatenate([np.diff(x, 3) for x in tracks])
-    level = np.mean(np.square(steps)) / 20
-    if not level > 0:
+    variance = _level(tracks) ** 2
+    if not variance > 0:
         return False
     # Cosines are independent under white noise; the first few are what a slow motion shows.
-    waves = [np.square(fft.dct(x - x.mean(), norm="ortho")[1:]) / level for x in tracks]
-    doubt = 1 + np.sqrt(2 * 2.3 / len(steps))  # of the level itself
+    waves = [np.square(fft.dct(x - x.mean(), norm="ortho")[1:]) / variance for x in tracks]
+    n_steps = sum(len(x) - 3 for x in tracks)
+    doubt = 1 + np.sqrt(2 * TIED / n_steps)  # of the variance itself
     slow = sum(float(w[:SLOW].sum()) for w in waves)
     total = sum(float(w.sum()) for w in waves)
     largest = max(float(w.max()) for w in waves)

@@ -14,7 +14,7 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import HOLDING, ForceLaw, Term, constant_units, tabled
+from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import FORCE, Unit
 
 __all__ = [
@@ -249,7 +249,7 @@ class Hypothesis:
                 constants.update(part.law.constants)
                 frame += part.law.frame
                 unseen += part.law.unseen
-            elif part.kind in (*HOLDING, "rail") or part.kind != "noise" and part.parameters:
+            elif part.kind in FRAMING or part.kind != "noise" and part.parameters:
                 constants.update({p.name: p.start for p in part.parameters})
                 frame.append(part)
         return ForceLaw(tuple(terms), constants, tuple(frame), tuple(unseen))

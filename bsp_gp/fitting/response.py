@@ -389,7 +389,6 @@ class _Group:
         self.at_rows = np.arange(0, self.fine.times.shape[0], self.per_row)
         self.nodes = self._flow(self.fine).held(self._between())
         self.level, self.free_gain, self.free_height = 1.0, 0.0, 0.0
-        self.strength = None
         self.free = FreeForce(np.zeros((0, 0, 0)), self.fine.times)
         self.n_own, self.n_dims = chains.n_moving, chains.n_dims
         # Axes along which nothing moves; what a rounding error leads to there is nothing either.
@@ -582,14 +581,17 @@ class _Group:
             if is_last or not self._smoothed(changes, white, by_force, left):
                 break
         error = self._inexact(by_force, left)
-        self.strength = self.free.strength(left) if self.free.memory else None
+        strength = self.free.strength(left) if self.free.memory else None
         self._linked = self._links(changes, white, error)
         beyond = less_exact(by_force, beyond, error)
         by_force = beyond[:, :, :n_forces]
         values, vectors = FreeForce(by_force, self.fine.times).shown
         self._weigh(left, _n_open(values))
         left = beyond[:, :, -1]
-        keep = self._kept(values, left, self._expected(by_force, vectors))
+        expected = None  # where what is left may change at once, it tells no smoothness
+        if strength is not None:
+            expected = self.free.on(by_force, self.fine.times).expected(strength, vectors)
+        keep = self._kept(values, left, expected)
         count = int(keep.sum(axis=1).max(initial=1))
         # Eigenvalues rise: the strongest moments stand last.
         vectors = vectors[:, :, -count:] * keep[:, None, -count:]
@@ -659,12 +661,6 @@ class _Group:
         tail = np.cumsum(values, axis=1)  # eigenvalues rise
         keep = tail * shown > self.lost * tail[:, -1:].max()
         return keep if expected is None else keep | (np.cumsum(expected, axis=1) > self.lost)
-
-    def _expected(self, by_force, vectors):
-        """What the force that is left shows in moments, (W, m); None where it has no memory."""
-        if self.strength is None:
-            return None
-        return self.free.on(by_force, self.fine.times).expected(self.strength, vectors)
 
     def _smoothed(self, changes, white, by_force, left):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""

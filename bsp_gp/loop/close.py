@@ -33,7 +33,7 @@ from bsp_gp.fitting.parts.rails import rail_of
 from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
-from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.inputs import DIRECTIONS, STATE_INPUTS
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
@@ -261,7 +261,9 @@ class _Ready:
         self.law = declared if is_law else read_law(dataset, declared)
         self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
         self.noise = estimate_noise(self.dataset)
-        self.rail = None if self.law.frame or self.law.unseen else rail_of(self.dataset)
+        self.rail = None if self.law.frame or self.law.unseen else rail_of(
+            self.dataset, self.noise.inactive_axes
+        )
         self.latents = latents
         self._learn_from(choose_split(self.dataset, rng))
 
@@ -361,11 +363,8 @@ def _spoken(law, dataset):
     vectors = [n for n in types if n not in STATE_INPUTS and types[n].shape == "vector"]
     if law.frame or law.unseen or vectors:
         return set("xyz"[: dataset.n_dims])
-    for name in {name for term in law.terms for name in term.formula.inputs}:
-        if name in ("up", "down"):
-            axes.add((dataset.up or "y").strip("-"))
-        elif name.startswith("e_") or name[:2] in ("x_", "y_", "z_"):
-            axes.add(name[2] if name.startswith("e_") else name[0])
+    for name in {name for term in law.terms for name in term.formula.inputs} & {*DIRECTIONS}:
+        axes.add(dataset.up.strip("-") if name in ("up", "down") else name[-1])
     return axes
 
 

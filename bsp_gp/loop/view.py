@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from bsp_gp.data.extent import is_astronomical, is_of_the_sky
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, TrackNoise
 from bsp_gp.fitting.response import respond
@@ -18,7 +19,6 @@ from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.units import OF_THE_SKY, Unit
 
 __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
 
@@ -27,8 +27,6 @@ MOST_PAIRS = 100_000
 
 MOST_ROWS = 10_000
 """Of which forces that change from row to row are asked for."""
-ASTRONOMICAL = 1e6
-"""Size of the data from which an attraction is gravity, and nothing is held, m."""
 MOST_LEVELS = 4
 """Times that the level of the noise is told anew beside a free force."""
 N_DRAWS, N_ROW_DRAWS = 49, 99
@@ -186,17 +184,12 @@ class View:
     @cached_property
     def is_astronomical(self):
         """Whether tracks are so large, in metres, that only gravity acts as far."""
-        sizes = [
-            np.nanmax(s.positions, axis=(0, 1)) - np.nanmin(s.positions, axis=(0, 1))
-            for s in self.dataset.scenes
-        ]
-        is_known = self.dataset.units.is_calibrated(Unit.of(m=1, s=1))
-        return bool(is_known and np.max(sizes) > ASTRONOMICAL)
+        return is_astronomical(self.dataset)
 
     @cached_property
     def is_sky(self):
         """Whether places are of the sky: of astronomical size, or angles without a distance."""
-        return self.is_astronomical or self.dataset.units.symbols.get("m") in OF_THE_SKY
+        return is_of_the_sky(self.dataset)
 
     @property
     def odd_nats(self):
@@ -309,6 +302,21 @@ class View:
         """Moments (n, c) beside what the constants of the law can take up."""
         q = self._moments[1]
         return columns - q @ (q.T @ columns)
+
+    def part(self, most):
+        """A part of the moments, of no more pairs at all instants than so many.
+
+        Returns
+        -------
+        regression : ResponseRegression
+        rows : ndarray of int
+            Where its moments stand among all.
+        beside : callable
+            ``beside(columns)``: moments (n, c) of it beside what constants of the law take up.
+        """
+        regression, rows = self.response.regression.part(most)
+        q = orthonormal(self.taken[rows], len(rows))
+        return regression, rows, lambda columns: columns - q @ (q.T @ columns)
 
     @cached_property
     def draws_left(self):

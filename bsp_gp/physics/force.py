@@ -31,12 +31,15 @@ from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import BASE, FORCE, Unit
 
 __all__ = [
-    "COPY", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry", "fresh_name",
-    "fresh_names", "key_of", "kind_of", "needs_masses", "split_linear", "tabled", "term_gradient",
+    "COPY", "FRAMING", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry",
+    "fresh_name", "fresh_names", "key_of", "kind_of", "needs_masses", "split_linear", "tabled",
+    "term_gradient",
 ]  # fmt: skip
 
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
+FRAMING = (*HOLDING, "rail")
+"""The same, with what a law is told without."""
 _MASS = ("m_i", "mass_i")
 PURE = ("exp", "log", "sin", "cos", "tanh")
 """Functions of pure numbers."""

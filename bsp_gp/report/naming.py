@@ -363,8 +363,7 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             total = powers[own] + powers.get(size, 0) + speed
             kind = "drag" if value is None or value <= 0 else "forward push"
             rest = {n: p for n, p in powers.items() if n not in (own, size, *_SPEEDS)}
-            named = _POWERS.get(total, f"power {total:g}")
-            return f"{kind} along {text[-1]}, {named} in speed{_scaling(rest)}{where}"
+            return f"{kind} along {text[-1]}, {_in_speed(total)}{_scaling(rest)}{where}"
         is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
         is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
         verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"

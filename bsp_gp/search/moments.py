@@ -29,9 +29,8 @@ class MomentScorer(GroupScorer):
         whitener = np.ascontiguousarray(np.moveaxis(batch.whitener, 3, 1)).reshape(s, r, m, -1)
         weights, groups = _patterns(left.reshape(len(left), s, r, j))
         right = values_of(self.block.right)
-        kinds = groups.shape[2]
-        own, every = (kinds // r if weights is not None else j), max(m, targets.shape[2])
-        widest = max(n * max(vector.shape[-1] * own, j), every * own)
+        own = groups.shape[2] // r  # patterns, or sources, of each receiver
+        widest = max(n * max(vector.shape[-1] * own, j), max(m, targets.shape[2]) * own)
         step = max(1, TILE_BYTES // (8 * s * r * widest))
         for first in range(0, len(right), step):
             tile = slice(first, first + step)

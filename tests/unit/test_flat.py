@@ -77,8 +77,9 @@ def test_noise_is_seldom_taken_for_motion():
 def test_forces_across_a_rail_move_nothing():
     """The strength is that of the motion along, where free bodies would be turned aside."""
     dataset = held_flat(carts(np.random.default_rng(3), noise=(NOISE, 0.0)))
-    assert rail_of(dataset) == Rail((1,))
-    assert rail_of(carts(np.random.default_rng(3), lanes=(0.0, 0.0), noise=(NOISE, 0.0))) is None
+    assert rail_of(dataset, ("y",)) == Rail((1,)) and rail_of(dataset, ()) is None
+    behind = carts(np.random.default_rng(3), lanes=(0.0, 0.0), noise=(NOISE, 0.0))
+    assert rail_of(behind, ("y",)) is None
     hypothesis = Hypothesis.from_laws(dataset, (LAW,))
     free, held = (fit(h, dataset) for h in (hypothesis, hypothesis + Rail((1,))))
     assert held.status == "converged" and held.chisqr < 1.3 * held.n_rows

@@ -58,11 +58,12 @@ def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
         ("vicon", lambda text: text[:20], "preamble cannot be read"),
         ("campbell", lambda text: "\n".join(text.splitlines()[:2]), "preamble cannot be read"),
         ("cassy", lambda text: text.replace("DEF", "Def"), "preamble cannot be read"),
+        ("labview", lambda text: text[:60], "preamble cannot be read"),
     ],
 )
 def test_a_preamble_that_is_not_as_the_program_writes_it_is_told(tmp_path, name, cut, said):
-    path = tmp_path / CAPTURES[name].name
-    path.write_text(cut(CAPTURES[name].content.decode("cp1252")), "utf-8")
+    path = tmp_path / SAMPLES[name].name
+    path.write_text(cut(SAMPLES[name].content.decode("cp1252")), "utf-8")
     with pytest.raises(DataError, match=said):
         load_dataset(path)
 

@@ -68,6 +68,17 @@ def test_what_a_part_shows_is_scored_on_all(crowd, monkeypatch):
     assert forms.n_tried > 0
 
 
+def test_guided_searches_take_a_part_as_well(crowd, monkeypatch):
+    for module in (inside, laws, sums):
+        monkeypatch.setattr(module, "MOST_PAIRS", 500)
+    proposer = Laws(
+        load_grammar("physics"), crowd, max_levels=6, search="cross_entropy", budget=100
+    )
+    told = proposer.propose(view_of(crowd)).certificate
+    assert "cross_entropy search" in told and "pair laws of grammar physics" in told
+    assert told.count("the best were scored on all") == 1
+
+
 def test_moments_that_a_smooth_force_does_not_show_are_left_out(crowd):
     """What is left of a push is large and smooth: few moments tell it, and they tell all of it."""
     view = view_of(crowd)

@@ -28,23 +28,24 @@ class Rail(Numbered):
         return f"held along {' and '.join('xyz'[axis] for axis in self.axes)}"
 
 
-def rail_of(dataset):
-    """The rail of a data set; None where no force along an axis would act on what is seen.
+def rail_of(dataset, still):
+    """The rail of a data set; None where no force across it would act on what is seen.
 
-    That is where no body moves along an axis and bodies, or what pulls them, stand side by side
-    there: forces between them point aside, and nothing is moved.
+    That is where bodies, or what pulls them, stand side by side along an axis on which none moves:
+    forces between them point aside, and nothing is moved.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    still : collection of str
+        Axes along which no body moves, see `NoiseEstimate.inactive_axes`.
     """
-    axes = tuple(k for k in range(dataset.n_dims) if _holds(dataset, k))
+    axes = tuple("xyz".index(name) for name in still)
+    axes = tuple(k for k in axes if any(_are_aside(scene, k) for scene in dataset.scenes))
     return Rail(axes) if axes else None
 
 
-def _holds(dataset, axis):
-    is_aside = False
-    for scene in dataset.scenes:
-        places = scene.positions[:, :, axis]
-        first = np.array([x[np.isfinite(x)][:1] for x in places.T if np.isfinite(x).any()])
-        moving = [x[np.isfinite(x)] for x in places[:, scene.dynamic].T]
-        if any(np.ptp(x) > 0 for x in moving if len(x)):
-            return False
-        is_aside |= len(first) > 1 and np.ptp(first) > 0
-    return bool(is_aside)
+def _are_aside(scene, axis):
+    places = scene.positions[:, :, axis]
+    places = places[np.isfinite(places)]
+    return bool(len(places) and np.ptp(places) > 0)

@@ -71,7 +71,7 @@ class Inside:
         drawn = [Form(Term(split_linear(c.formula)[1], c.kind), c.complexity) for c in view.drawn]
         parts, scans = {"field": search, "pair": search}, []
         if view.n_pairs > MOST_PAIRS:
-            parts["pair"] = _of_part(view, search)
+            parts["pair"] = search.of_part(*view.part(SCANNED))
         for form in (*self.forms, *drawn):
             if view.tick is not None:
                 view.tick()
@@ -217,13 +217,6 @@ def inner_search(view, grammar, draws):
         np.isfinite(view.fit.noise.levels), grammar.inside.get("ranges", {}),
         dataset_types(view.dataset),
     )  # fmt: skip
-
-
-def _of_part(view, search):
-    """A search in as many pairs as are scanned."""
-    regression, rows = view.response.regression.part(SCANNED)
-    q = orthonormal(view.taken[rows], len(rows))
-    return search.of_part(regression, rows, lambda columns: columns - q @ (q.T @ columns))
 
 
 def _proposal(view, search, scan):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, sign
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
-from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.inner import expanded
 
 __all__ = ["Laws"]
@@ -158,33 +156,31 @@ class Laws:
         columns = view.response.left()[1]
         guided = self.searching.is_guided
         inner = inner_search(view, self.grammar, draws) if guided else None
-        for kind, name in product(self.kinds, names):
-            regression, rows = view.response.regression, slice(None)
+        inner = inner and inner.of_target(view.beside(target))
+        for kind in self.kinds:
             is_part = kind == "pair" and view.n_pairs > MOST_PAIRS
-            if is_part:
-                regression, rows = regression.part(MOST_PAIRS)
-                if name != "exhaustive":
-                    continue
-            result, text = self.searching.run(
-                name, regression, kind, view.search_rng, target=target[rows],
-                nuisance=columns[rows] if columns.size else None, null=draws[rows],
-                max_ties=MOST_TIES, progress=view.tick,
-                inner=inner and inner.of_target(view.beside(target)),
-                known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
-            )  # fmt: skip
-            sizes = np.square(_beside(draws[rows], columns[rows])).sum(axis=0)
-            null = np.maximum(null, np.array(result.null_gains) * sizes)
-            candidates = result.candidates
-            if is_part:
-                text += (
-                    f"\nof {view.n_pairs:,} pairs at all instants, more than {MOST_PAIRS:,}, those "
-                    f"of {len(rows):,} moments were searched: the best were scored on all"
-                )
-                best = (_scored(view, c.formula, c) for c in candidates[:MOST_SCORED_ANEW])
-                candidates = [c for c in best if c is not None]
-            found += candidates
-            certificates.append(text)
-            n_tried += result.n_evaluated
+            whole = view.response.regression, slice(None), view.beside
+            regression, rows, beside = view.part(MOST_PAIRS) if is_part else whole
+            own = inner.of_part(regression, rows, beside) if inner and is_part else inner
+            sizes = np.square(beside(draws[rows])).sum(axis=0)
+            for name in names:
+                result, text = self.searching.run(
+                    name, regression, kind, view.search_rng, target=target[rows],
+                    nuisance=columns[rows] if columns.size else None, null=draws[rows],
+                    max_ties=MOST_TIES, progress=view.tick, inner=own,
+                    known=[c.formula for c in found if c.kind == kind][:MOST_SEEDS],
+                )  # fmt: skip
+                null = np.maximum(null, np.array(result.null_gains) * sizes)
+                candidates = result.candidates
+                if is_part:
+                    text += (
+                        f"\nof {view.n_pairs:,} pairs at all instants, more than {MOST_PAIRS:,}, "
+                        f"those of {len(rows):,} moments were searched: the best were scored on all"
+                    )
+                    candidates = list(_scored_anew(view, candidates))
+                found += candidates
+                certificates.append(text)
+                n_tried += result.n_evaluated
         return found, null, certificates, n_tried
 
     def _searched_anew(self, view, best, null):
@@ -275,10 +271,16 @@ def _proposal(view, candidates, amounts=None, gain=None):
     )  # fmt: skip
 
 
-def _beside(draws, columns):
-    """Moments of noise beside what constants of a law take up."""
-    q = orthonormal(columns, len(draws))
-    return draws - q @ (q.T @ draws)
+def _scored_anew(view, candidates):
+    """The best candidates of a part of the data as all data have them.
+
+    Those with constants inside have none of their own: these are fitted, see `Inside`.
+    """
+    for candidate in candidates[:MOST_SCORED_ANEW]:
+        known = candidate.constants
+        scored = _scored(view, candidate.formula, candidate) if known else candidate
+        if scored is not None:
+            yield scored
 
 
 def _scored(view, formula, known=None):
