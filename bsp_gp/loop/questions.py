@@ -16,9 +16,11 @@ from bsp_gp.fitting.tangent import p_of_gain
 from bsp_gp.loop.trace import moments_of
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Finding", "HiddenBound", "hidden_bound", "least_chance", "noise_findings"]
+__all__ = [
+    "MOST_QUICK", "Finding", "HiddenBound", "hidden_bound", "least_chance", "noise_findings",
+]  # fmt: skip
 
-MOST_FUNCTIONS = 8
+MOST_FUNCTIONS, MOST_QUICK = 8, 64
 ROWS_EACH = 4
 """Rows for each of the smooth functions, at the least."""
 LEAST_LEFT = 0.05
@@ -54,7 +56,7 @@ class Finding:
     row: int = -1
 
 
-def noise_findings(view):
+def noise_findings(view, most=MOST_FUNCTIONS):
     """Answers to all questions about the noise, the most striking first.
 
     Parts that the fit adopted (`NoiseModel.findings`) are findings, and whitened away for the rest.
@@ -62,6 +64,9 @@ def noise_findings(view):
     Parameters
     ----------
     view : View
+    most : int
+        Functions of time for each channel. What forces do quickly is taken for noise beside few,
+        and memories that are long for forces beside many.
 
     Returns
     -------
@@ -75,7 +80,7 @@ def noise_findings(view):
     steps, levels = np.array(noise.steps), np.array(noise.levels)
     if np.any((steps > 0) & (steps >= levels)):
         found.append(Finding("grid", 0.0))
-    error = _PureError(view)
+    error = _PureError(view, most)
     if error.z[0].any():
         found += error.findings()
     return tuple(sorted(found, key=lambda f: f.p_value))
@@ -108,11 +113,11 @@ class _PureError:
         Of unit variance; 0 where nothing can be said.
     """
 
-    def __init__(self, view):
+    def __init__(self, view, most):
         fit, tangent = view.fit, view.tangent
         self.view, self.channels = view, fit.channels
         seen = tangent.whitener.seen
-        smooth = _smooth(tangent.whitener, fit.channels, seen)  # (K, T, C)
+        smooth = _smooth(tangent.whitener, fit.channels, seen, most)  # (K, T, C)
         flat = np.concatenate([tangent.residual[None], view.row_draws])
         self.rows = np.zeros((len(flat), *seen.shape))
         self.left = seen - np.square(smooth).sum(axis=0)
@@ -181,10 +186,10 @@ class _PureError:
         yield Finding(code, min(float(chance[k]) * len(able), 1.0), **{place: names[k]})
 
 
-def _smooth(whitener, channels, seen):
+def _smooth(whitener, channels, seen, most):
     """Whitened polynomials of time, orthonormal channel by channel, (K, T, C)."""
     counts = seen.sum(axis=0)
-    n = int(np.clip(counts[counts > 0].min() // ROWS_EACH, 1, MOST_FUNCTIONS))
+    n = int(np.clip(counts[counts > 0].min() // ROWS_EACH, 1, most))
     low, high = (
         f(np.where(seen, channels.times, end), axis=0)
         for f, end in ((np.min, np.inf), (np.max, -np.inf))

@@ -90,7 +90,7 @@ def test_a_table_with_wrong_columns_is_mended_a_slip_told_and_the_report_downloa
     card.get_by_label("Unit of t", exact=True).select_option("cm")
     card.locator(".up").select_option("y")
     text = card.locator(".text")
-    sync_api.expect(text).to_contain_text("Axis y: from 0.5750 to 2.199 m", timeout=60_000)
+    sync_api.expect(text).to_contain_text("Axis y: from 57.50 to 219.9 cm", timeout=60_000)
     sync_api.expect(card.locator(":scope > .error")).to_be_hidden()
     sync_api.expect(card.locator("img.picture")).to_be_visible()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.questions import least_chance
+from bsp_gp.loop.questions import MOST_QUICK, least_chance, noise_findings
 
 __all__ = ["Noise"]
 
@@ -61,10 +61,12 @@ class Noise:
     def doubted(self, view):
         """Noise that was declared, estimated where the pure error contradicts it.
 
-        Whether a force that knows no physics explains as much does not matter: a memory of the
-        noise is explained by one as well.
+        Where a force that knows no physics explains as much, the error beside what is quick has to
+        contradict it, too: either may be a memory of the noise.
         """
         chance = least_chance(view.noise_findings)
+        if chance <= view.criteria.alpha and view.free_gain > view.criteria.noise_nats:
+            chance = least_chance(noise_findings(view, MOST_QUICK))
         if chance > view.criteria.alpha:
             return Family(self.name)
         model = view.fit.noise
