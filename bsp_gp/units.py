@@ -317,6 +317,12 @@ class UnitSystem:
         """Whether angles stand in the place of places: rad for m."""
         return self.symbols.get("m") == "rad"
 
+    @property
+    def is_si(self):
+        """Whether lengths and times are told in metres and seconds."""
+        told = [self.declared.get(kind, "").strip() for kind in ("length", "time")]
+        return told[0] == "m" and told[1] in ("s", "sec")
+
     def is_calibrated(self, unit):
         """Whether every base unit that occurs in `unit` is known in SI."""
         return all(

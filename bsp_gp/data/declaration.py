@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bsp_gp.data.headings import is_frame_name
+from bsp_gp.data.headings import is_angle_name, is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
@@ -123,7 +123,7 @@ class Declaration:
                 renames, "velocity", ("measured", "ignore"), self.velocity
             )
             renames.pop("velocity", None)
-            changes["columns"] = {**self.columns, **renames}
+            changes["columns"] = {**self.columns, **_our_keys(renames)}
         if fps is not None or dt is not None:
             changes["fps"] = reader.positive({"fps": fps}, "fps")
             changes["dt"] = reader.positive({"dt": dt}, "dt")
@@ -140,6 +140,26 @@ class Declaration:
             return self
         columns = {"frame" if name == "t" else name: c for name, c in self.columns.items()}
         return dataclasses.replace(self, columns=columns)
+
+
+_KEYS = {
+    "body": "entity", "particle": "entity", "object": "entity", "individual": "entity",
+    "time": "t", "run": "scene", "trial": "scene", "recording": "scene",
+}  # fmt: skip
+"""What users call what a column is."""
+
+
+def _our_keys(columns):
+    """Columns under our keys: a lone angle is the coordinate x, each of several that of a body."""
+    columns = {
+        _KEYS[key] if key in _KEYS and _KEYS[key] not in columns else key: theirs
+        for key, theirs in columns.items()
+    }
+    angles = [key for key in columns if is_angle_name(key)]
+    if {"x", "y", "r", "distance", "separation"} & set(columns):
+        return columns
+    own = {key: f"{key}_x" for key in angles} if len(angles) > 1 else dict.fromkeys(angles, "x")
+    return {own.get(key, key): theirs for key, theirs in columns.items()}
 
 
 def read_declaration(path):
@@ -246,7 +266,7 @@ class _Reader:
             noise=self.noise(),
             noise_memory=self.noise_memory(),
             velocity=velocity,
-            columns=columns,
+            columns=_our_keys(columns),
             sky=self.texts(self.table("sky", SKY), "sky"),
             first_position=self.choice(initial, "position", FIRST_PLACES, "measured"),
             first_velocity=self.choice(initial, "velocity", FIRST_VELOCITIES, "unknown"),

@@ -43,6 +43,7 @@ def held_flat(dataset, spoken=()):
     Dataset
         With a note; the same one where there is no such axis.
     """
+    dataset = _from_its_height(dataset, spoken)
     is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
     if not is_plain or is_of_the_sky(dataset):
@@ -60,6 +61,24 @@ def held_flat(dataset, spoken=()):
         f"along {names} no body moves beyond its noise: {'it is' if len(flat) == 1 else 'they are'}"
         " taken as at rest there, as on a track or a table"
     )
+    held = replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
+    return _from_its_height(held, spoken)
+
+
+def _from_its_height(dataset, spoken):
+    """Heights z from where bodies are that stay at one: what pulls to a place does so in a plane.
+
+    Of walkers whose heads are tracked above a floor, say. Nothing is done where something is at
+    rest in a place of its own, or a law speaks of the axis.
+    """
+    scenes = dataset.scenes
+    if dataset.n_dims < 3 or "z" in spoken or any(e.is_static for s in scenes for e in s.entities):
+        return dataset
+    heights = [s.positions[..., 2] for s in scenes]
+    if any(np.nanmin(z) != np.nanmax(z) or z.flat[0] == 0 for z in heights):
+        return dataset
+    scenes = tuple(replace(s, positions=s.positions * (1.0, 1.0, 0.0)) for s in scenes)
+    note = "z does not change: it is taken as 0, so that distances to a place are those in the plane"
     return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
 
 

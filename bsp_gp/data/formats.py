@@ -36,7 +36,7 @@ from bsp_gp.errors import DataError
 
 __all__ = ["Table", "long_table", "read_table"]
 
-_NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "--", "---"]
+_NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _HEAD_LINES = 60
 
 
@@ -103,7 +103,7 @@ def read_table(path, *, rename=None, as_text=False):
     DataError
         Whatever is wrong with the file, with its line and column.
     """
-    source = open_source(Path(path))
+    source = open_source(Path(path), (rename or {}).values())
     path = source.path
     with source.open() as stream:
         head = [line.rstrip("\n") for _, line in zip(range(_HEAD_LINES), stream, strict=False)]

@@ -41,6 +41,7 @@ TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
     "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
     "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec", "epoch": "t",
+    "jdtdb": "t", "x_value": "t",
     **POLAR_ALIASES,
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)

@@ -11,7 +11,7 @@ import re
 __all__ = ["is_horizons", "plain_table"]
 
 _BEGIN, _END = "$$SOE", "$$EOE"
-_NAMES = {"JDTDB": "t", "VX": "vx", "VY": "vy", "VZ": "vz", "X": "x", "Y": "y", "Z": "z"}
+_NAMES = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
 _UNITS = {"AU-D": ("au", "day"), "KM-S": ("km", "s"), "KM-D": ("km", "day")}
 
 
@@ -41,10 +41,9 @@ def plain_table(text):
     length, time = _UNITS.get(units[1].rstrip(",") if units else "", ("", ""))
     body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", above, re.MULTILINE)
     kept = [k for k, name in enumerate(names) if name in _NAMES]
-    own = {"t": "day", "v": f"{length}/{time}" if time else ""}
+    own = {"J": "day", "V": f"{length}/{time}" if time else ""}
     header = []
-    for k in kept:
-        name = _NAMES[names[k]]
+    for name in (names[k] for k in kept):
         unit = own.get(name[0], length)
         header.append(f"{name} ({unit})" if unit else name)
     lines = ["\t".join(["entity", *header])]

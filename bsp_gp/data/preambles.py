@@ -96,7 +96,8 @@ def _qualisys(text, path):
     about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
     names = [name for name in _cells(lines[start], "\t")[1:] if name]
     rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip()]
-    header = rows.pop(0) if not _is_number(rows[0][0]) else []
+    first = next(k for k, row in enumerate(rows) if _is_number(row[0]))
+    header, rows = rows[first - 1] if first else [], rows[first:]
     before = len(header or rows[0]) - 3 * len(names)
     rate = float(about["FREQUENCY"])
     at = header.index("Time") if "Time" in header else None
@@ -141,7 +142,7 @@ def _labview(text, path):
             units = own.get("Y_Unit_Label", "").split(delimiter)
             is_time = own.get("X_Dimension", "Time").split(delimiter)[0] == "Time"
             told = [_named(names[a], units, k) for k, a in enumerate(at)]
-            out.append(["run", "t (s)" if is_time else names[0], *told])
+            out.append(["run", f"{names[0]} (s)" if is_time else names[0], *told])
         first, step = (_first(own, name, delimiter) for name in ("X0", "Delta_X"))
         for k, row in enumerate(rows):
             time = f"{first + k * step:.9g}" if kind == "No" or not row[0] else row[0]

@@ -86,16 +86,17 @@ def with_properties(dataset, said):
     Raises
     ------
     DataError
-        If there is no such body, or a unit does not fit.
+        If there is no such body, or scene of one moving body, or a unit does not fit.
     """
     found = read_properties(said)
     if not found:
         return dataset
     bodies = list(dict.fromkeys(name for scene in dataset.scenes for name in scene.names))
+    lone = {scene.name for scene in dataset.scenes if len(scene.dynamic) == 1} - set(bodies)
     values, units = {}, dict(dataset.property_units)
     declared = dict(dataset.units.declared)
     for name, of_bodies in found.items():
-        for body in (b for b in of_bodies if b is not None and b not in bodies):
+        for body in (b for b in of_bodies if b is not None and b not in (*bodies, *lone)):
             left_out = [n.removeprefix(CHECK) for n in dataset.notes if n.startswith(LEFT_OUT)]
             raise DataError(
                 f"{name} is given for {body!r}, and there is no such body; present are "
@@ -116,20 +117,25 @@ def with_properties(dataset, said):
             values[name][body] = number * scale
     made = {}
 
-    def changed(entity):
-        if id(entity) not in made:  # scenes share their bodies
+    def changed(entity, scene):
+        owner = scene.name if scene.name in lone and not entity.is_static else None
+        key = id(entity), owner if any(owner in each for each in values.values()) else None
+        if key not in made:  # scenes share their bodies
             new = dict(entity.properties)
             for name, of_bodies in values.items():
-                value = of_bodies.get(entity.name, of_bodies.get(None))
+                each = (of_bodies.get(told) for told in (entity.name, owner, None))
+                value = next((v for v in each if v is not None), None)
                 if value is not None:
                     new[name] = value
-            made[id(entity)] = replace(entity, properties=new)
-        return made[id(entity)]
+            made[key] = replace(entity, properties=new)
+        return made[key]
 
     told = "; ".join(f"{name} = {_told(of_bodies)}" for name, of_bodies in found.items())
     return replace(
         dataset, units=UnitSystem.from_declared(declared), property_units=units,
-        scenes=tuple(replace(s, entities=tuple(map(changed, s.entities))) for s in dataset.scenes),
+        scenes=tuple(
+            replace(s, entities=tuple(changed(e, s) for e in s.entities)) for s in dataset.scenes
+        ),
         provenance={**dataset.provenance, "properties": told},
     )  # fmt: skip
 

@@ -178,12 +178,11 @@ def _decimal(lines, delimiter):
 
 
 def _is_unit_row(row, names):
-    if len(row) != len(names) or not any(row):
+    """Whether a row below the names has units of all numbers that we know; others say anything."""
+    if len(row) != len(names) or any(map(_is_number, row)):
         return False
     numeric = [cell for cell, name in zip(row, names, strict=True) if name in number_columns(names)]
-    if not any(numeric):
-        return False
-    return all(is_unit(cell) and not _is_number(cell) for cell in row)
+    return any(numeric) and all(map(is_unit, filter(None, numeric)))
 
 
 def _is_number(text):

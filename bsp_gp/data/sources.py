@@ -67,8 +67,15 @@ class Source:
         return self.path if self.text is None else io.StringIO(self.text)
 
 
-def open_source(path):
+def open_source(path, names=()):
     """The source of a table.
+
+    Parameters
+    ----------
+    path : path-like
+    names : collection of str
+        Columns that the caller knows. Where only the file's own header has them, what a program
+        wrote is not turned into a plain table.
 
     Raises
     ------
@@ -89,10 +96,10 @@ def open_source(path):
             "this format is not read", file=path,
             remedy=f"it is {_OWN_FORMATS[path.suffix.lower()]}, and give that file",
         )  # fmt: skip
-    return _workbook(path) if path.suffix.lower() in _WORKBOOKS else _text_file(path)
+    return _workbook(path) if path.suffix.lower() in _WORKBOOKS else _text_file(path, names)
 
 
-def _text_file(path):
+def _text_file(path, names):
     """SHA-256, encoding and counts of delimiters, after the checks that need every byte."""
     digest = hashlib.sha256()
     decoder = codecs.getincrementaldecoder("utf-8")()
@@ -103,7 +110,9 @@ def _text_file(path):
         for number in itertools.count():
             if not (chunk := stream.read(1 << 22)):
                 break
-            if chunk[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in chunk:
+            if number == 0 and chunk.startswith(_UTF_16):
+                return _utf_16(path, names)
+            if b"\x00" in chunk:
                 _fail_encoding(path, None, "UTF-16")
             digest.update(chunk)
             try:
@@ -123,14 +132,36 @@ def _text_file(path):
         raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
     _require_rows(path, counts[b"\n"])
     if bad_line is None:
-        return _told_apart(Source(path, digest.hexdigest(), counts))
+        return _told_apart(Source(path, digest.hexdigest(), counts), names)
     if not _is_windows(path):
         _fail_encoding(path, bad_line)
     note = f"{path.name} is not UTF-8: read as Windows-1252, as Excel writes it"
-    return _told_apart(Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,)))
+    return _told_apart(Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,)), names)
 
 
-def _told_apart(source):
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def _utf_16(path, names):
+    """The source of a file in UTF-16 that says so by its first bytes, as Windows writes it."""
+    content = path.read_bytes()
+    try:
+        text = content.decode("utf-16").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        _fail_encoding(path, line, "UTF-16")
+    if not text.strip():
+        raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
+    _require_rows(path, text.count("\n"))
+    digest = hashlib.sha256(content).hexdigest()
+    return _told_apart(Source(path, digest, _counts(text), text=text), names)
+
+
+def _counts(text):
+    return {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
+
+
+def _told_apart(source, names):
     """The source itself, or the plain table below the preamble of a program."""
     with source.open() as stream:
         head = stream.read(20)
@@ -138,10 +169,18 @@ def _told_apart(source):
             return source
         text = head + stream.read()
     plain = without_preamble(text, source.path)
-    if plain == text:
+    own = set(names) - set(plain.split("\n", 1)[0].split("\t"))
+    if plain == text or own and any(own <= _cells_of(line) for line in text.splitlines()[:_HEADER]):
         return source
-    counts = {mark.encode(): plain.count(mark) for mark in (",", ";", "\t", "\n", '"')}
-    return replace(source, text=plain, counts=counts)
+    return replace(source, text=plain, counts=_counts(plain))
+
+
+_HEADER = 60
+"""Lines among which the names of the columns are looked for."""
+
+
+def _cells_of(line):
+    return {cell.strip() for mark in "\t,;" for cell in line.split(mark)}
 
 
 def _is_windows(path):

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.frames import expanded
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.language.bare import bare_number, with_bare_unit
 from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
-from bsp_gp.units import FORCE, Unit
+from bsp_gp.units import ACCELERATION, FORCE, Unit
 
 __all__ = [
     "NOTHING", "Forces", "Hypothesis", "Numbered", "Parameter", "Part", "Positions", "TrackNoise",
@@ -346,16 +347,35 @@ def read_law(dataset, texts: Sequence[str]):
     for text in forces:
         text = expanded(text, dataset.n_dims)
         formula = read_torque(text, types, dataset.units) if is_angle else None
-        formula = formula or parse_formula(text, types, units=dataset.units)
-        unit = formula.type.unit
-        if unit is not None and unit != FORCE:
-            raise LawError(
-                f"law {text!r} has the unit {unit}, but a force has {FORCE}; "
-                "give its number a unit, as in 9.81 [m/s^2]"
-            )
+        formula = formula or _read_force(text, types, dataset)
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {}, tuple(frame))
     return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
+
+
+def _read_force(text, types, dataset):
+    """A force, or an acceleration, which is one for each unit of mass.
+
+    A number without a unit has that which the law needs, if the data are in SI: there is no other.
+    """
+    formula = parse_formula(text, types, units=dataset.units)
+    unit = formula.type.unit
+    if unit is None or unit == FORCE:
+        return formula
+    mass = Input("m_i", types["m_i"])
+    if unit == ACCELERATION:
+        return Call("mul", mass, formula)
+    has_mass = "mass" in dataset.property_names
+    needed = (FORCE if has_mass or unit.exponents[0] else ACCELERATION) / unit
+    number = bare_number(formula, unit)
+    if number is None or not dataset.units.is_si:
+        as_in = "9.81 [m/s^2]" if number is None else f"{number.text} [{needed}]"
+        raise LawError(
+            f"law {text!r} has the unit {unit}, but a force has {FORCE}; "
+            f"give its number a unit, as in {as_in}"
+        )
+    formula = with_bare_unit(formula, number, needed)
+    return formula if formula.type.unit == FORCE else Call("mul", mass, formula)
 
 
 def read_torque(text, types, units):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.language.formula import summands
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.engine.constrained import Constraints, constraints_of
 from bsp_gp.physics.engine.graph import Graph, Tape
@@ -98,8 +99,8 @@ class _Program:
         names += tuple(f"{column}_{role}" for column in unknown for role in "ij")
         self.constants = tuple(name for name in names if g.has_constant(name))
         # Drag that fades with the speed brings nothing to rest.
-        lasting = (t for t in self.terms if not fades_at_rest(t.formula))
-        may_stop = any("v_i" in t.formula.inputs for t in lasting)
+        forces = (force for term in self.terms for force in summands(term.formula))
+        may_stop = any("v_i" in f.inputs and not fades_at_rest(f) for f in forces)
         self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, self.moving)
         self._add_slopes(total, chains.n_dims)

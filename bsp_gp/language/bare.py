@@ -1,0 +1,44 @@
+"""Numbers that were typed without a unit, where only one unit makes the law a force."""
+
+from __future__ import annotations
+
+from bsp_gp.language.formula import Call, Number, substitute, summands
+from bsp_gp.units import DIMENSIONLESS
+
+__all__ = ["bare_number", "with_bare_unit"]
+
+
+def bare_number(formula, unit):
+    """The lone number without a unit that multiplies terms of the wrong unit, or None.
+
+    Parameters
+    ----------
+    formula : Formula
+        A law whose unit is known, and is not the one that it should have.
+    unit : Unit
+        That of terms that need one.
+
+    Returns
+    -------
+    Number or None
+        None also where there are several: who knows of which the unit was left out.
+    """
+    found = [n for term in summands(formula) if term.type.unit == unit for n in _numbers(term)]
+    return found[0] if len(found) == 1 else None
+
+
+def with_bare_unit(formula, number, unit):
+    """The law with a unit for a number that had none."""
+    return substitute(formula, {number: Number(number.value, unit, f"{number.text} [{unit}]")})
+
+
+def _numbers(term):
+    """Numbers without a unit among the factors of a term, signs apart."""
+    if isinstance(term, Number):
+        is_bare = term.type.unit == DIMENSIONLESS and "[" not in term.text
+        return [term] if is_bare and abs(term.value) != 1 else []
+    if isinstance(term, Call) and term.operator in ("mul", "neg"):
+        return [n for arg in term.args for n in _numbers(arg)]
+    if isinstance(term, Call) and term.operator == "div":
+        return _numbers(term.args[0])
+    return []
