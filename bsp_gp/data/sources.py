@@ -169,7 +169,8 @@ def _told_apart(source, names):
             return source
         text = head + stream.read()
     plain = without_preamble(text, source.path)
-    own = set(names) - set(plain.split("\n", 1)[0].split("\t"))
+    header = plain.split("\n", 1)[0].split("\t")
+    own = set(names) - {*header, *(cell.rpartition(" (")[0] for cell in header)}
     if plain == text or own and any(own <= _cells_of(line) for line in text.splitlines()[:_HEADER]):
         return source
     return replace(source, text=plain, counts=_counts(plain))

@@ -44,6 +44,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
         phrase = "pull of an oblate centre (its flattening, about z)"
     elif split_linear(formula)[1].constants:
         phrase = _inner_phrase(direction, formula, powers)
+        if value is not None and value < 0:
+            phrase = re.sub(r"^force to a point", "force away from a point", phrase)
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
@@ -95,6 +97,8 @@ _WHOLE = (
      "force round a point (a vortex), to a fitted power of distance"),
     (r"norm\(.*centre_.*\)\^n\d* \* normalize",
      "force to a point, to a fitted power of distance"),
+    (r"exp\(-\(?norm\(.*centre_.* \* normalize",
+     "force to a point, fading with distance (exponential)"),
 )  # fmt: skip
 """Texts of laws with constants inside that have a name of their own."""
 
