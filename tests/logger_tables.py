@@ -294,6 +294,34 @@ LATER = {
 
 A_LINE = "Versuch Nr.;Zeit in s;Weg in cm;Höhe in cm"
 MORE = {
+    "ethovision": Sample("Raw data-Trial     1.txt", table(
+        ['"Number of header lines:";"6"', '"Trial name";"Trial     1"', '"Arena name";"Centre"',
+         '"Start time";"2023-05-09 10:10:22.480"', '"Trial time";"Recording time";"X center";'
+         '"Y center"', '"s";"s";"cm";"cm"'],
+        T + 1, T, 100 * ACROSS, 100 * FALL, sep=";",
+    ).replace("\n", "\r\n").encode("utf-16"), one(ACROSS, FALL),
+        options={"columns": {"t": "Recording time", "x": "X center", "y": "Y center"}}),
+    "trackmate, all its columns": Sample("spots.csv", table(
+        ["LABEL,TRACK_ID,QUALITY,POSITION_X,POSITION_Y,POSITION_T,FRAME,MEAN_INTENSITY_CH1",
+         "Label,Track ID,Quality,X,Y,T,Frame,Mean intensity ch1",
+         "Label,Track ID,Quality,X,Y,T,Frame,Mean ch1",
+         ",,(quality),(mm),(mm),(sec),,(counts)"],
+        [f"ID{k}" for k in range(8)], ["0"] * 8, 20 + T, 1000 * ACROSS, 1000 * FALL, T,
+        [str(k) for k in range(8)], 170 + T,
+    ).encode(), one(ACROSS, FALL, entity="0"), options={"columns": {
+        "body": "TRACK_ID", "t": "POSITION_T", "x": "POSITION_X", "y": "POSITION_Y"}}),
+    "qualisys, columns by its names": Sample("clear.tsv", table(
+        ["NO_OF_FRAMES\t8", "NO_OF_MARKERS\t1", "FREQUENCY\t100", "DESCRIPTION\t--",
+         "DATA_INCLUDED\t3D", "MARKER_NAMES\tcork", "TRAJECTORY_TYPES\tMeasured",
+         "Frame\tTime\tcork X\tcork Y\tcork Z"],
+        [str(k) for k in range(8)], T, 1000 * ACROSS, 1000 * FALL, 1000 * SPRING, sep="\t",
+    ).encode(), one(ACROSS, FALL), options={
+        "columns": {"t": "Time", "x": "cork X", "y": "cork Y", "z": "cork Z"},
+        "units": {"length": "mm", "time": "s"}}),
+    "an angle by its name": Sample("metronome.csv", table(
+        ["#Kinovea Angle tracking export", "#Video: small.mp4  30.00 fps", "Time (ms);Angle (deg)"], 1000 * T,
+        np.degrees(TURN), sep=";",
+    ).encode(), one(x=TURN), options={"columns": {"t": "Time (ms)", "theta": "Angle (deg)"}}),
     "capstone, runs after a comma": Sample("spring.csv", table(
         '"Time (s), Run #1","Position (m), Run #1","Time (s), Run #2","Position (m), Run #2"',
         T, SPRING, T, ACROSS,

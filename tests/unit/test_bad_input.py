@@ -65,7 +65,7 @@ DATA = {
         {T: edit("ball", "Bälle").encode("cp1252") + "a,9,Bälle,0,0\n".encode()},
         [T, "line 2", "UTF-8"],
     ),
-    "UTF-16": ({T: GOOD.encode("utf-16")}, [T, "UTF-16"]),
+    "UTF-16 that does not say so": ({T: GOOD.encode("utf-16-le")}, [T, "UTF-16"]),
     "a picture": ({T: b"\x89PNG\r\n\x1a\n\x00\x00\x01"}, [T, "UTF-8"]),
     "unreadable TOML": ({D: "[units\n"}, [D, "line 1", "TOML"]),
     "TOML in another encoding": ({D: 'name = "Bälle"'.encode("cp1252")}, [D, "UTF-8"]),

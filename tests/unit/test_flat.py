@@ -79,7 +79,10 @@ def test_forces_across_a_rail_move_nothing():
     dataset = held_flat(carts(np.random.default_rng(3), noise=(NOISE, 0.0)))
     assert rail_of(dataset, ("y",)) == Rail((1,)) and rail_of(dataset, ()) is None
     behind = carts(np.random.default_rng(3), lanes=(0.0, 0.0), noise=(NOISE, 0.0))
-    assert rail_of(behind, ("y",)) is None
+    assert rail_of(behind, ("y",)) == Rail((1,)), "all motion is along a line"
+    deep = [replace(s, positions=np.pad(s.positions, ((0, 0), (0, 0), (0, 1))))
+            for s in behind.scenes]  # fmt: skip
+    assert rail_of(replace(behind, scenes=tuple(deep)), ("z",)) is None
     hypothesis = Hypothesis.from_laws(dataset, (LAW,))
     free, held = (fit(h, dataset) for h in (hypothesis, hypothesis + Rail((1,))))
     assert held.status == "converged" and held.chisqr < 1.3 * held.n_rows
@@ -87,6 +90,40 @@ def test_forces_across_a_rail_move_nothing():
     assert free.is_failed or free.chisqr > 2 * held.chisqr or abs(
         free.values[0] - STRENGTH
     ) > 4 * free.errors[0]  # fmt: skip
+
+
+def clock(n_rows=200, noise=0.01):
+    """A weight that swings by a push along its velocity, from two beginnings, along x."""
+    t, rng, scenes = np.arange(n_rows) / 30, np.random.default_rng(5), []
+    for k, start in enumerate((0.1, 1.2)):
+        found = solve_ivp(
+            lambda t, s: [s[1], -30 * s[0] - 0.3 * s[1] + 0.6 * np.sign(s[1])], (0, t[-1]),
+            [start, 0.05], t_eval=t, rtol=1e-9, atol=1e-11, max_step=0.01,
+        )  # fmt: skip
+        x = found.y[0] + noise * rng.standard_normal(n_rows)
+        places = np.stack([x, np.zeros(n_rows)], axis=-1)[:, None]
+        scenes.append(Scene(f"run {k}", t, places, (Entity("bob", properties={"mass": 1.0}),)))
+    return Dataset("clock", tuple(scenes), units=SI)
+
+
+def test_a_push_along_the_velocity_is_fitted_through_turns_on_a_line():
+    """Beside the line a body that turns has no direction: derivatives across are without end."""
+    laws = ("-c1 * p_i - c2 * v_i", "c3 * m_i * normalize(v_i)")
+    dataset = clock()
+    found = fit(Hypothesis.from_laws(dataset, laws) + rail_of(dataset, ("y",)), dataset)
+    assert found.status == "converged" and found.chi2_red < 1.2
+    assert found.values == pytest.approx([30.0, 0.3, 0.6], abs=4 * max(found.errors))
+
+
+def test_heights_that_do_not_change_are_those_of_a_plane():
+    scenes = [replace(s, positions=np.pad(s.positions, ((0, 0), (0, 0), (0, 1)),
+                                          constant_values=1.6 + 0.1 * k))
+              for k, s in enumerate(clock().scenes)]  # fmt: skip
+    dataset = replace(clock(), scenes=tuple(scenes))
+    plane = held_flat(dataset)
+    assert not any(s.positions[..., 2].any() for s in plane.scenes)
+    assert "z does not change" in plane.notes[-1]
+    assert held_flat(dataset, ("z",)) is dataset
 
 
 @pytest.mark.slow

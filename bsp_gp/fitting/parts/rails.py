@@ -32,7 +32,9 @@ def rail_of(dataset, still):
     """The rail of a data set; None where no force across it would act on what is seen.
 
     That is where bodies, or what pulls them, stand side by side along an axis on which none moves:
-    forces between them point aside, and nothing is moved.
+    forces between them point aside, and nothing is moved. And where all motion is along a line: a
+    force along the velocity that does not vanish with it has no direction where a body turns round,
+    but on a line.
 
     Parameters
     ----------
@@ -41,7 +43,8 @@ def rail_of(dataset, still):
         Axes along which no body moves, see `NoiseEstimate.inactive_axes`.
     """
     axes = tuple("xyz".index(name) for name in still)
-    axes = tuple(k for k in axes if any(_are_aside(scene, k) for scene in dataset.scenes))
+    if len(axes) < dataset.n_dims - 1:
+        axes = tuple(k for k in axes if any(_are_aside(scene, k) for scene in dataset.scenes))
     return Rail(axes) if axes else None
 
 

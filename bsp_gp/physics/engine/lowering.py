@@ -60,6 +60,8 @@ class Lowering:
         Columns of properties that are fitted: these are constants.
     moving : collection of str
         Inputs that differ from instant to instant.
+    rails : collection of int
+        Axes along which nothing moves.
 
     Attributes
     ----------
@@ -68,12 +70,14 @@ class Lowering:
         Axes along which a force acts against a body's own velocity and may bring it to rest.
     """
 
-    def __init__(self, graph, n_dims, direction, vectors=(), unknown=(), moving=MOVING):
+    def __init__(
+        self, graph, n_dims, direction, vectors=(), unknown=(), moving=MOVING, rails=()
+    ):  # fmt: skip
         self.graph = graph
         self.n_dims, self.moving = n_dims, moving
         self.direction = direction
         self.vectors, self.unknown = frozenset(vectors), frozenset(unknown)
-        self.modes, self.stops = [], []
+        self.modes, self.stops, self.rails = [], [], rails
         self._known = {}
         self._mode_of = {}
 
@@ -112,6 +116,8 @@ class Lowering:
             return g.constant("_".join(known))
         if name == ORIGIN:
             return (g.zero,) * self.n_dims
+        if name in ("v_i", "v_j"):
+            return tuple(g.zero if k in self.rails else g.input(name, k) for k in axes)
         if node.type.shape in ("vector", "point") or name in self.vectors:
             return tuple(g.input(name, k) for k in axes)
         return g.input(name)
@@ -198,8 +204,10 @@ class Lowering:
         return self.graph.call("sqrt", self.graph.dot(a, a))
 
     def _normalize(self, a):
-        if a == tuple(self.graph.input("v_i", k) for k in range(self.n_dims)):
-            self._stop(tuple(range(self.n_dims)))
+        free = tuple(k for k in range(self.n_dims) if k not in self.rails)
+        own = {k: self.graph.input("v_i", k) for k in free}
+        if a == tuple(own.get(k, self.graph.zero) for k in range(self.n_dims)):
+            self._stop(free)
         return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
 
     def _dot(self, a, b):

@@ -82,8 +82,9 @@ class _Program:
         self.late = late_inputs(law)
         self.moving = (*MOVING, *self.series, *(name + RATE for name in self.late))
         lowering = Lowering(
-            frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving
-        )
+            frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving,
+            rails_of(law),
+        )  # fmt: skip
         total = [g.zero] * chains.n_dims
         for k, term in enumerate(self.terms):
             weight = g.input("weight", k)
