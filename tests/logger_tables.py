@@ -319,8 +319,8 @@ MORE = {
         "columns": {"t": "Time", "x": "cork X", "y": "cork Y", "z": "cork Z"},
         "units": {"length": "mm", "time": "s"}}),
     "an angle by its name": Sample("metronome.csv", table(
-        ["#Kinovea Angle tracking export", "#Video: small.mp4  30.00 fps", "Time (ms);Angle (deg)"], 1000 * T,
-        np.degrees(TURN), sep=";",
+        ["#Kinovea Angle tracking export", "#Video: small.mp4  30.00 fps",
+         "Time (ms);Angle (deg)"], 1000 * T, np.degrees(TURN), sep=";",
     ).encode(), one(x=TURN), options={"columns": {"t": "Time (ms)", "theta": "Angle (deg)"}}),
     "capstone, runs after a comma": Sample("spring.csv", table(
         '"Time (s), Run #1","Position (m), Run #1","Time (s), Run #2","Position (m), Run #2"',
@@ -369,8 +369,8 @@ MORE = {
          "X_Value,x (m),X_Value,y (m),Comment"], T, ACROSS, T, FALL,
     ).encode(), one(ACROSS, FALL)),
     "an unknown word with a unit of time": Sample("heave.txt", table(
-        "X_Value (s)\tHeave (mm)", T, 1000 * SPRING, sep="\t",
-    ).encode(), one(x=SPRING), told=("'X_Value (s)' as t", "'Heave (mm)' as x")),
+        "Abscissa (s)\tHeave (mm)", T, 1000 * SPRING, sep="\t",
+    ).encode(), one(x=SPRING), told=("'Abscissa (s)' as t", "'Heave (mm)' as x")),
     "a map": Sample("gps.csv", table(
         "run,time_s,easting_m,northing_m", ["1"] * 8, T, ACROSS, FALL,
     ).encode(), one(ACROSS, FALL, scene="1"), told=("'northing_m' as y",)),

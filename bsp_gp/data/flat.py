@@ -78,7 +78,7 @@ def _from_its_height(dataset, spoken):
     if any(np.nanmin(z) != np.nanmax(z) or z.flat[0] == 0 for z in heights):
         return dataset
     scenes = tuple(replace(s, positions=s.positions * (1.0, 1.0, 0.0)) for s in scenes)
-    note = "z does not change: it is taken as 0, so that distances to a place are those in the plane"
+    note = "z does not change: it is taken as 0, and distances to a place are those in the plane"
     return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
 
 

@@ -105,7 +105,7 @@ ARGUMENTS = {
     "not a force": (["--declare", "m_i"], ["a force has kg m/s^2"]),
     "no direction": (["--declare", "c1 * m_i"], ["a force must be a vector"]),
     "wrong unit of a law": (["--declare", "9.81 [m/s] * m_i * down"], ["unit"]),
-    "unit left out": (["--declare", "9.81 * m_i * down"], ["9.81 [m/s^2]"]),
+    "unit left out": (["--declare", "9.81 * 2.5 * m_i * down"], ["9.81 [m/s^2]"]),
     "unknown unit in a law": (["--declare", "9.81 [ells] * m_i * down"], ["'ells'"]),
     "unknown property": (["--declare", "q_i * v_i"], ["charge", "q_i"]),
     "second body of one": (["--declare", "c1 * (p_j - p_i)"], ["second body"]),

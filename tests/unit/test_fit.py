@@ -11,9 +11,10 @@ from scipy.optimize import least_squares
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import FAILED, STATUSES, fit
-from bsp_gp.fitting.hypothesis import Hypothesis, Part
+from bsp_gp.fitting.hypothesis import Hypothesis, Part, read_law
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
+from bsp_gp.units import UnitSystem
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -232,8 +233,27 @@ def test_what_does_not_move_cannot_be_fitted():
 
 
 def test_a_text_that_is_no_force_is_named():
-    with pytest.raises(LawError, match=r"9.81 \* m_i \* down"):
-        Hypothesis.from_laws(swing(), ["9.81 * m_i * down"])
+    with pytest.raises(LawError, match=r"9.81 \* 2 \* m_i \* down"):
+        Hypothesis.from_laws(swing(), ["9.81 * 2 * m_i * down"])
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("9.81 * m_i * e_y", "9.81 [m/s^2] * m_i * e_y"),
+        ("m_i * 9.81 * e_y - c * v_i", "m_i * 9.81 [m/s^2] * e_y - c * v_i"),
+        ("-9.81 [m/s^2] * e_y", "m_i * (-9.81 [m/s^2] * e_y)"),
+        ("-0.3 * v_i", "-0.3 [kg/s] * v_i"),
+    ],
+)
+def test_where_one_unit_makes_a_force_of_a_law_in_si_it_may_be_left_out(typed, read):
+    dataset = swing()
+    assert read_law(dataset, typed).text(digits=False) == read
+    coarse = replace(dataset, units=UnitSystem.from_declared({**dataset.units.declared,
+                                                              "length": "cm"}))  # fmt: skip
+    if typed != "-9.81 [m/s^2] * e_y":
+        with pytest.raises(LawError, match="give its number a unit, as in"):
+            read_law(coarse, typed)
 
 
 def test_hypotheses_add_up():
