@@ -14,6 +14,7 @@ allows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +28,7 @@ from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.unseen import as_driven
-from bsp_gp.fitting.weighing import bears_outliers, to_begin_with
+from bsp_gp.fitting.weighing import as_normal, bears_outliers, to_begin_with
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack, subset, under
 from bsp_gp.physics.engine.constrained import constraints_of
@@ -270,6 +271,7 @@ def respond(fit, dataset, is_quick=False):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
         first, (groups, dataset) = 0, _without_outliers(fit, dataset)
+        fit = as_normal(fit)
         for chains, nodes, batch in zip(
             groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
@@ -305,10 +307,12 @@ def respond(fit, dataset, is_quick=False):
 
 
 def _without_outliers(fit, dataset):
-    """Groups of chains of a fit, and data, in which rows far off their neighbours are not seen.
+    """Groups of chains of a fit, and data, in which rows far off their neighbours do not pull.
 
-    Tails of the noise that are told from the data weigh them in fits: here they would pull.
+    Rows that the tails of the noise weigh are where `as_normal` has them; else they are not seen.
     """
+    if math.isfinite(fit.noise.degrees):
+        return _weighed(fit), dataset
     if not bears_outliers(fit.noise, is_exact=False):
         return fit.groups, dataset
     seen = to_begin_with(dataset, fit.noise)
@@ -323,6 +327,18 @@ def _without_outliers(fit, dataset):
             observed[:n, s] = np.where(np.isfinite(places), observed[:n, s], np.nan)
         groups.append(replace(chains, observed=observed))
     return groups, seen
+
+
+def _weighed(fit):
+    """Groups of chains of a fit with rows as they pull under the tails of its noise."""
+    change, first, groups = as_normal(fit).residual - fit.residual, 0, []
+    for chains in fit.groups:
+        shape = chains.observed.shape
+        count = int(np.prod(shape[1:]))
+        own = change[: shape[0], first : first + count].reshape(shape)
+        groups.append(replace(chains, observed=chains.observed + np.nan_to_num(own)))
+        first += count
+    return groups
 
 
 def _noise(fit, chains, part):

@@ -18,6 +18,7 @@ from scipy.special import chdtrc, gammaln
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.weighing import as_normal
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
@@ -72,7 +73,7 @@ class Tangent:
     """
 
     def __init__(self, fit):
-        self.fit = fit
+        self.fit = fit = as_normal(fit)
         channels = fit.channels
         self.whitener = fit.noise.whitener(channels)
         self.chains = [np.flatnonzero(channels.chain == c) for c in np.unique(channels.chain)]

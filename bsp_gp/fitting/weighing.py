@@ -16,7 +16,7 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.student import expected_weights, log_likelihood, weights_of
 
-__all__ = ["bears_outliers", "informed", "to_begin_with", "weighed"]
+__all__ = ["as_normal", "bears_outliers", "informed", "to_begin_with", "weighed"]
 
 ROUNDS = 50
 """Times that rows are weighed; they settle in three to ten."""
@@ -34,6 +34,39 @@ def to_begin_with(dataset: Dataset, model):
     """The data without rows far off their neighbours, where tails will weigh these; or the same."""
     scenes, listed = without_outliers(dataset.scenes, model.levels)
     return replace(dataset, scenes=scenes) if listed else dataset
+
+
+def as_normal(fit):
+    """The fit with a residual and noise of the same score and information, and no tails.
+
+    Under Student's t the score of a row is its weight times its residual, of which the variance is
+    the expected information (`student.expected_weights`): their ratio is what a row of normal noise
+    of that information had left. So what asks a residual for causes needs to know of no tails, and
+    no outlier passes for one.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Fit
+    """
+    model, channels = fit.noise, fit.channels
+    if math.isinf(model.degrees):
+        return fit
+    share = (model.degrees + 1.0) / (model.degrees + 3.0)
+    wider = (1.0 - model.correlated) / share + model.correlated
+    levels = tuple(
+        level * math.sqrt(wider) if free else level
+        for level, free in zip(model.levels, model.is_free, strict=True)
+    )
+    noise = replace(
+        model, degrees=math.inf, levels=levels, correlated=model.correlated / wider,
+        speed_growth=model.speed_growth / math.sqrt(share),
+    )  # fmt: skip
+    weights = weights_of(model, channels, fit.residual) / expected_weights(model, channels)
+    return replace(fit, noise=noise, residual=fit.residual * weights)
 
 
 def weighed(run, climb, minimum, model):
