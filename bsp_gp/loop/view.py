@@ -225,13 +225,16 @@ class View:
     def noise_chance(self):
         """Chance that noise as it was assumed leaves as odd an error, see `noise_findings`.
 
-        1 where a force that knows no physics explains what noise of another level does not: what
-        laws lack may be quicker than the functions of time beside which the noise is asked.
+        Where a force that knows no physics explains what noise of another level does not, only its
+        tails count, which no force makes: what laws lack may be quicker than the functions of time
+        beside which the noise is asked.
         """
         if self.is_memory_doubted:  # unless a law is likelier, it is a memory all the same
             return 0.0
-        is_force = self.free_gain > self.criteria.noise_nats
-        return 1.0 if is_force else least_chance(self.noise_findings)
+        found = self.noise_findings
+        if self.free_gain > self.criteria.noise_nats:
+            found = [f for f in found if f.code == "tails"]
+        return least_chance(found)
 
     @cached_property
     def tangent(self):
