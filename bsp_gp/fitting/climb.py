@@ -239,7 +239,15 @@ class Climb:
                 if best.linearised is not None and self._is_allowed(best):
                     return True
             return best.linearised is not None and sum(_agree(m, best) for m in ends) >= AGREE
-        return self._is_allowed(best)
+        return self._is_allowed(best) or self._is_lone(ends)
+
+    def _is_lone(self, ends):
+        """Whether starts lead nowhere else: what the best leaves is what the law lacks.
+
+        One more than where the noise is estimated: declared noise knows that something is left.
+        """
+        found = [end for end in ends if end.linearised is not None]
+        return len(found) > AGREE and len(_distinct(found)) == 1
 
     def _is_allowed(self, minimum):
         """Whether no more is left than the noise that is assumed."""
