@@ -27,14 +27,12 @@ from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
-from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
+from bsp_gp.planning.plan import CALM, N_DRAWS, REACH, SURE, moved_by, plan
 from bsp_gp.planning.rivals import Rival, in_common, rivals_of
 from bsp_gp.randomness import generator
 
 __all__ = ["Discovery", "calm", "discover"]
 
-CALM = 0.4
-"""Part of the distance to the next body within which forces may have led a body off."""
 LEAST_ROWS = 4
 ENOUGH = 2
 """Experiments for every number that may be chosen before a law is looked for."""
@@ -46,8 +44,6 @@ PATIENCE = 3
 """Rounds after which whole recordings that no law of calm rows fits are asked what is missing."""
 PATIENT = 8
 """Times the usual effort of a fit that rivals may take on all recordings."""
-REACH = 10.0
-"""Times that what is foreseen may be off by more than the draws show."""
 FITS = 1.5
 """Reduced chi-squared up to which a law of known noise fits."""
 

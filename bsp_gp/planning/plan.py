@@ -22,7 +22,9 @@ from bsp_gp.planning.means import moved
 from bsp_gp.planning.rivals import rivals_of
 from bsp_gp.randomness import generator
 
-__all__ = ["NONE", "Option", "Plan", "foreseen", "information", "next_experiment", "plan"]
+__all__ = [
+    "CALM", "NONE", "REACH", "Option", "Plan", "foreseen", "information", "next_experiment", "plan",
+]  # fmt: skip
 
 NONE = 0.05
 """Chance, beforehand, that none of the rivals holds."""
@@ -37,6 +39,10 @@ FARTHEST = 1e5
 """Standard deviations of the noise."""
 SURE = 0.95
 """A rival so probable stands."""
+CALM = 0.4
+"""Part of the distance to the next body within which forces may have led a body off."""
+REACH = 10.0
+"""Times that what is foreseen may be off by more than the draws show."""
 NOTHING = 0.02
 """Bits: experiments that promise less part nothing."""
 
@@ -194,12 +200,42 @@ def foreseen(rivals, draws, experiments, means, rng, up=None):
     free = moved_by(ForceLaw((), {}), {}, scenes, means, rng, up)[0]
     out = []
     for k in range(len(experiments)):
-        rows = tracks[:, :, 1:, k]
+        rows, straight = tracks[:, :, 1:, k], free[1:, k]
+        count = _n_foreseeable(tracks[0, :, :, k], free[:, k], scenes[k])
+        rows[:, :, count:], straight[count:] = 0.0, 0.0  # alike under all laws
         rows = rows.reshape(*rows.shape[:2], -1)
         sigma = means.sigma(np.nan_to_num(rows[:, 0].mean(axis=0)))
         sigma = np.maximum(sigma, 1e-9 * (np.nanmax(np.abs(rows)) if rows.size else 1.0))
-        out.append((rows, free[1:, k].reshape(-1), sigma))
+        out.append((rows, straight.reshape(-1), sigma))
     return out
+
+
+def _n_foreseeable(track, free, scene):
+    """Rows behind the first up to which the likeliest law foresees places, or which are calm.
+
+    After a close pass what is unknown of a constant leads to anywhere: laws seem far apart there,
+    and no law is fitted to such rows.
+
+    Parameters
+    ----------
+    track : ndarray, shape (D, T, R, d)
+        Moving bodies under draws of the constants, the best first.
+    free : ndarray, shape (T, R, d)
+    scene : Scene
+    """
+    still = np.delete(scene.positions[:1], scene.dynamic, axis=1)
+    bodies = np.concatenate([track[0], np.repeat(still, track.shape[1], axis=0)], axis=1)
+    gaps = np.linalg.norm(track[0][:, :, None] - bodies[:, None], axis=-1)
+    gaps[:, np.arange(track.shape[2]), np.arange(track.shape[2])] = np.inf
+    near = CALM * np.minimum.accumulate(gaps.min(axis=(1, 2)))
+    spread = np.linalg.norm(track[1:] - track[0], axis=-1).max(axis=(0, 2), initial=0.0)
+    gone = np.linalg.norm(track[0] - free, axis=-1).max(axis=1)
+    counts = [_n_leading(REACH * spread < near), _n_leading(gone < near)]
+    return max(max(counts) - 1, 0)
+
+
+def _n_leading(flags):
+    return len(flags) if flags.all() else int(np.argmin(flags))
 
 
 def with_unit_masses_of(experiments):
