@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bsp_gp.data.headings import is_angle_name, is_frame_name
+from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.headings import NUMBER_COLUMNS, is_angle_name, is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
@@ -131,6 +132,15 @@ class Declaration:
             changes["train"] = reader.patterns({"train": train}, "train")
             changes["test"] = reader.patterns({"test": test}, "test")
         return dataclasses.replace(self, **changes)._with_frames()
+
+    @property
+    def kept_names(self):
+        """Names with a unit at their end by which laws and units call a column: they are kept."""
+        taken = {*self.columns, *self.columns.values(), *NUMBER_COLUMNS}
+        names = [n for n in (*self.uses, *self.units) if "_" in n and n not in taken]
+        parts = {n: n.rpartition("_") for n in names}
+        return {n: n for n, (stem, _, unit) in parts.items()
+                if stem not in taken and is_unit(unit)}  # fmt: skip
 
     def _with_frames(self):
         """With a rate, a column t that is called frame counts them."""

@@ -154,7 +154,8 @@ def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=No
     if trajectories.suffix.lower() in (".parquet", ".pq"):
         table = _read_parquet(trajectories, declaration.columns)
     else:
-        table = read_table(trajectories, rename=declaration.columns)
+        renames = {**declaration.kept_names, **declaration.columns}
+        table = read_table(trajectories, rename=renames)
     roster = None
     if entities is not None and os.path.lexists(entities):
         roster = read_table(entities, rename=declaration.columns, as_text=True)

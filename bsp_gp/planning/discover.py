@@ -28,7 +28,7 @@ from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import CALM, N_DRAWS, REACH, SURE, moved_by, plan
-from bsp_gp.planning.rivals import Rival, in_common, rivals_of
+from bsp_gp.planning.rivals import Rival, in_common, kin_of, rivals_of
 from bsp_gp.randomness import generator
 
 __all__ = ["Discovery", "calm", "discover"]
@@ -284,7 +284,10 @@ class _State:
         text = report.law.text(digits=False)
         if report.law.terms and not any(r.law.text(digits=False) == text for r in found):
             found = [_final(report), *found]
-        self.rivals = tuple(r for r in found if r.law.terms)
+        found = [r for r in found if r.law.terms]
+        known = {r.law.text(digits=False) for r in found}
+        kin = kin_of(found[0], self.dataset) if found else []
+        self.rivals = (*found, *(r for r in kin if r.law.text(digits=False) not in known))
 
     def _weigh(self, dataset):
         """Fit every rival to all recordings; those that cannot be fitted are left out."""

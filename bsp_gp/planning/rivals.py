@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.errors import SettingsError
+from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.stored import law_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Rival", "in_common", "rivals_of"]
+__all__ = ["Rival", "in_common", "kin_of", "rivals_of"]
 
 LEAST = 1e-3
 """Less likely rivals are left out."""
@@ -121,3 +124,55 @@ def rivals_of(report):
     found = sorted(found, key=lambda r: -r.probability)[:MOST]
     total = sum(r.probability for r in found)
     return tuple(replace(r, probability=r.probability / total) for r in found)
+
+
+_POWER = re.compile(r"norm\(p_i - p_j\)\^(n\d*)")
+
+
+def kin_of(rival, dataset):
+    """Laws that one with a fitted power of the distance may stand for in what was seen so far.
+
+    Two whole powers about it, and one that fades with a length besides: over a short way no power
+    tells them apart, and experiments are to be made where they differ.
+
+    Parameters
+    ----------
+    rival : Rival
+    dataset : Dataset
+        For types and units.
+
+    Returns
+    -------
+    list of Rival
+        Of no probability yet, their constants starts; none where no such power is fitted.
+    """
+    texts = [to_text(term.formula) for term in rival.law.terms]
+    found = [(k, match) for k, text in enumerate(texts) if (match := _POWER.search(text))]
+    if len(found) != 1 or "exp(" in texts[found[0][0]]:
+        return []
+    ((k, match),) = found
+    power, values = rival.law.constants[match[1]], rival.law.constants
+    whole = [texts[k].replace(match[0], f"norm(p_i - p_j)^{math.floor(power) + up}")
+             for up in (0, 1)]  # fmt: skip
+    strength = rival.law.terms[k].formula.constants[0]
+    second, length = fresh_name(rival.law, strength.rstrip("0123456789")), fresh_name(rival.law, "L")
+    whole[1] = re.sub(rf"\b{strength}\b", second, whole[1])
+    faded = texts[k].replace(match[0], f"{match[0]} * exp(-norm(p_i - p_j) / {length})")
+    starts = {length: FADING * _typical_distance(dataset), second: values[strength]}
+    out = []
+    for changed in (whole, [faded]):
+        law = read_law(dataset, [*texts[:k], *changed, *texts[k + 1 :]])
+        law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
+        known = {name: (values | starts)[name] for name in law.names}
+        out.append(Rival(law.text(digits=False), law.with_constants(known), 0.0))
+    return out
+
+
+FADING = 3.0
+"""Distances over which forces fade to begin with, in typical ones."""
+
+
+def _typical_distance(dataset):
+    gaps = [s.positions[:, :, None] - s.positions[:, None] for s in dataset.scenes]
+    gaps = np.concatenate([np.linalg.norm(gap, axis=-1).ravel() for gap in gaps])
+    return float(np.median(gaps[gaps > 0]))

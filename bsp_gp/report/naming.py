@@ -104,7 +104,8 @@ _WHOLE = (
 
 BEYOND = "beyond a threshold"
 _INNER = (
-    ("sign(t", "switched on and off in time"), ("sign(", BEYOND),
+    ("1 + sign(t", "from an instant on"), ("1 - sign(t", "up to an instant"),
+    ("sign(t", "switched in time"), ("sign(", BEYOND),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
     ("inverse(1 +", "levelling off"), ("^n", "to a fitted power of {}"), ("", "less a length"),
 )  # fmt: skip
@@ -132,6 +133,8 @@ def _inner_phrase(direction, formula, powers):
     if words.count(BEYOND) == 2:
         words[words.index(BEYOND)] = "between two places"
         words.remove(BEYOND)
+    if {"from an instant on", "up to an instant"} <= set(words):
+        words = ["switched on and off in time", *(w for w in words if "an instant" not in w)]
     bare = text.removeprefix("normalize(").removesuffix(")")
     if is_place and not powers and not inner:
         return "spring to a rest point"
