@@ -210,8 +210,8 @@ def axes_of(table, declaration):
     other = "y" if axes == ["x"] else "x"
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
     known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
-    is_told = axes[0] in declaration.columns  # who says which column is one, says which is the other
-    is_whole = is_angle(angle) or is_told
+    # Who says which column is one of them would say which is the other.
+    is_whole = is_angle(angle) or axes[0] in declaration.columns
     rest = [] if is_whole else [column for column in columns if column not in known]
     doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]
     if doubtful:

@@ -155,7 +155,8 @@ def kin_of(rival, dataset):
     whole = [texts[k].replace(match[0], f"norm(p_i - p_j)^{math.floor(power) + up}")
              for up in (0, 1)]  # fmt: skip
     strength = rival.law.terms[k].formula.constants[0]
-    second, length = fresh_name(rival.law, strength.rstrip("0123456789")), fresh_name(rival.law, "L")
+    second = fresh_name(rival.law, strength.rstrip("0123456789"))
+    length = fresh_name(rival.law, "L")
     whole[1] = re.sub(rf"\b{strength}\b", second, whole[1])
     faded = texts[k].replace(match[0], f"{match[0]} * exp(-norm(p_i - p_j) / {length})")
     starts = {length: FADING * _typical_distance(dataset), second: values[strength]}

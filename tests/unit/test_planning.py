@@ -13,8 +13,8 @@ from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
 from bsp_gp.planning.discover import _State, calm, discover
 from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from
-from bsp_gp.planning.plan import information, normals, plan, weights_of
-from bsp_gp.planning.rivals import Rival, in_common
+from bsp_gp.planning.plan import foreseen, information, normals, plan, weights_of
+from bsp_gp.planning.rivals import Rival, in_common, kin_of
 from tests.snippets import ROOT, blocks
 
 MEANS = {
@@ -148,6 +148,34 @@ def test_motion_that_could_lead_anywhere_tells_little(means):
     assert np.isfinite(roots).all() and centres.shape == (3, 3)
     bits, _ = information(np.full(3, 1 / 3), centres, roots, np.random.default_rng(0))
     assert 0 <= bits < np.log2(3) + 1e-6
+
+
+def test_rows_behind_a_close_pass_are_not_counted(means):
+    """There draws of a constant lead to anywhere, and laws seem apart that no fit tells apart."""
+    bodies = (
+        Body("probe", (1.0, 1.0), (0.0, 0.0), {"mass": 1.0}),
+        Body("source", (0.0, 0.0), (0.0, 0.0), {"charge": 2.0}, is_static=True),
+    )
+    experiment = Experiment(bodies, (0.0, 0.2, 0.5, 3.0, 4.0, 5.0))
+    vague = replace(rival(means, pull(-2), k=1.0), names=("k",), covariance=np.array([[0.01]]))
+    other = rival(means, pull(-1), k=1.0)
+    rng = np.random.default_rng(0)
+    draws = [vague.draws(rng, 6), other.draws(rng, 6)]
+    ((rows, free, sigma),) = foreseen([vague, other], draws, [experiment], means, rng)
+    assert np.isfinite(rows).all() and (sigma > 0).all()
+    early, late = rows[:, :, :4], rows[:, :, 4:]
+    assert np.abs(early[0] - early[1]).max() > 0 and not late.any() and not free[4:].any()
+
+
+def test_a_fitted_power_has_kin(means):
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    law = "-k1 * m_i * q_j * norm(p_i - p_j)^n1 * normalize(p_i - p_j)"
+    kin = kin_of(rival(means, law, k1=1.5, n1=-1.3), dataset)
+    assert [r.law.names for r in kin] == [("k1", "k2"), ("k1", "n1", "L1")]
+    two, faded = (r.text for r in kin)
+    assert "^-2 " in two and "^-1 " in two and "exp(-norm(p_i - p_j) / L1)" in faded
+    assert all(np.isfinite(list(r.law.constants.values())).all() for r in kin)
+    assert kin_of(rival(means, pull(-2), k=1.0), dataset) == []
 
 
 def test_none_of_these_has_a_probability(means):

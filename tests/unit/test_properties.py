@@ -142,3 +142,44 @@ def test_a_place_alone_is_the_way_from_the_origin(spring, law):
     data = bsp_gp.load_dataset(spring)
     meant = law.replace("p_i", "(p_i - origin)")
     assert read_law(data, law).terms == read_law(data, meant).terms
+
+
+def jumps(**settings):
+    """Two scenes of one body each, called after who it is."""
+    t = 0.1 * np.arange(6)
+    frame = pd.concat(pd.DataFrame({"t": t, "scene": n, "x": s * t, "y": t**2})
+                      for n, s in (("Huber", 1.0), ("Kraft", 2.0)))  # fmt: skip
+    return bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"}, **settings)
+
+
+def test_a_property_may_be_that_of_the_lone_body_of_a_scene():
+    data = jumps(properties={"mass": "Huber:61.5,Kraft:63.4"})
+    assert [s.entities[0].mass for s in data.scenes] == [61.5, 63.4]
+    with pytest.raises(DataError, match="no such body"):
+        jumps(properties={"mass": "Huber:61.5,Moser:58"})
+
+
+def test_columns_are_called_as_laws_call_them(tmp_path):
+    """A unit at the end of a name belongs to it where a law or a unit says so."""
+    t = 0.1 * np.arange(6)
+    pd.DataFrame({"time_s": t, "hand_x_mm": t, "hand_y_mm": t**2, "goal_mm": 80.0}).to_csv(
+        tmp_path / "reach.csv", index=False
+    )
+    columns = {"t": "time_s", "x": "hand_x_mm", "y": "hand_y_mm"}
+    units = {"length": "mm", "time": "s", "goal_mm": "mm"}
+    data = bsp_gp.load_dataset(tmp_path / "reach.csv", columns=columns, units=units)
+    assert read_law(data, "-c * (p_i - goal_mm * e_x)").names == ("c",)
+
+
+def test_who_says_which_column_is_one_coordinate_has_said_all(tmp_path):
+    t = 0.1 * np.arange(6)
+    pd.DataFrame({"ms": 1000 * t, "alt": t**2, "vbat": 8000 - t}).to_csv(
+        tmp_path / "flight.csv", index=False
+    )
+    columns, units = {"t": "ms", "y": "alt"}, {"length": "m", "time": "ms"}
+    data = bsp_gp.load_dataset(tmp_path / "flight.csv", columns=columns, units=units)
+    assert any("motion along y" in note for note in data.notes)
+    frame = pd.read_csv(tmp_path / "flight.csv").rename(columns={"ms": "t", "alt": "y"})
+    frame.to_csv(tmp_path / "flight.csv", index=False)
+    with pytest.raises(DataError, match="vbat"):
+        bsp_gp.load_dataset(tmp_path / "flight.csv", units=units)
