@@ -116,6 +116,8 @@ _PROPERTY_WORDS = {
 }
 _WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
 """Words that mean that property where a unit of it stands beside them."""
+_CLOCKS = _set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
+"""Of which clock a time is: ``Time (UTCG)``."""
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
     "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s",
@@ -362,6 +364,8 @@ def _split_unit(cell, back, is_track):
     match = _WITH_UNIT.fullmatch(cell)
     if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
         return match[1], match[2]
+    if match and match[2].lower() in _CLOCKS and match[1] not in back:
+        return match[1], ""
     for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
         stem = match[1].strip()
         name = back.get(cell, back.get(stem, _our_name(stem)[0]))
@@ -533,10 +537,13 @@ def _with_angles(found):
     if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
         return found
     out = [_as_angle(h) for h in found]
-    angles = [h.body for h, old in zip(out, found, strict=True) if h is not old]
-    if len(angles) == 1:
-        return [replace(h, body="") if h.body in angles else h for h in out]
-    return out if len(set(angles)) == len(angles) > 1 else found
+    angles = [(h.run, h.body) for h, old in zip(out, found, strict=True) if h is not old]
+    bodies = {body for _, body in angles}
+    if len(set(angles)) < len(angles):
+        return found
+    if len(bodies) == 1:
+        return [replace(h, body="") if h.body in bodies else h for h in out]
+    return out
 
 
 def _as_angle(heading):

@@ -151,8 +151,19 @@ def _finish(head, number, delimiter, found):
     title = split_line(_COMMENT.sub("", head[number - 1]), delimiter) if number else ()
     if number and _DIALECT.match(head[number - 1]):
         title = ()
+    if number > 1 and len(title) == len(found):
+        title = _of_individuals(split_line(head[number - 2], delimiter), title)
     decimal = _decimal(head[data_line:], delimiter)
     return Layout(delimiter, found, tuple(units), number, data_line, decimal, title)
+
+
+def _of_individuals(above, title):
+    """Titles of several animals: whose a part of a body is, as DeepLabCut tells above the parts."""
+    if len(above) != len(title) or above[0].lower() != "individuals":
+        return title
+    is_one = len(set(title[1:])) == 1
+    names = (who if is_one else f"{who} {part}" for who, part in zip(above, title, strict=True))
+    return tuple(names)
 
 
 def _under(names, units):

@@ -25,11 +25,14 @@ class Group:
     label : str
     columns : dict of str to int
         Our name -> position in the table.
+    run : str
+        Of a body in one of several runs.
     """
 
     kind: str
     label: str
     columns: dict
+    run: str = ""
 
 
 def groups_of(found, titles=(), *, file=None, line=None):
@@ -56,7 +59,7 @@ def groups_of(found, titles=(), *, file=None, line=None):
             f"the header names {duplicated[0]!r} twice", file=file, row=line, column=duplicated[0],
             remedy="every column needs a name of its own",
         )  # fmt: skip
-    labels = [group.label for group in groups]
+    labels = [(group.run, group.label) if group.run else group.label for group in groups]
     if len(set(labels)) != len(labels):
         raise DataError(f"two masses have one name: {labels}", file=file)
     return groups
@@ -70,13 +73,18 @@ def _owned(found, owners):
         own = {h.name: k for k, h in enumerate(found) if h.owner == owner and h.sure != UNKNOWN}
         if not own.keys() & {"x", "y"}:
             continue
-        kind = "entity" if owner[1] else "scene"
+        kind, is_both = "entity" if owner[1] else "scene", all(owner) and is_run(owner[0])
+        if is_both:  # the times of the run are those of its bodies
+            of_run = (k for k, h in enumerate(found)
+                      if h.owner == (owner[0], "") and h.sure != UNKNOWN)  # fmt: skip
+            own = {**{found[k].name: k for k in of_run}, **own}
         if kind == "scene" and "t" not in own and len(owners) > 1 and not is_run(owner[0]):
             kind = "entity"  # they share their times
         if kind == "scene":  # what was logged in that run
             logs = [k for k, h in enumerate(found) if h.sure == UNKNOWN and h.run == owner[0]]
             own = {**{found[k].name: k for k in logs}, **own}
-        groups.append(Group(kind, owner[1] or owner[0], {**shared, **own}))
+        run = owner[0] if is_both else ""
+        groups.append(Group(kind, owner[1] or owner[0], {**shared, **own}, run))
     if len(groups) == 1 and groups[0].kind == "scene" and not is_run(groups[0].label):
         return (Group("", "", groups[0].columns),)  # such as "Latest": not worth a name
     return tuple(groups)
@@ -123,7 +131,8 @@ def stack(frame, groups, file):
         piece = frame[list(group.columns.values())].set_axis(list(group.columns), axis=1)
         axes = [axis for axis in _AXES if axis in group.columns]
         piece = piece[~piece[axes].isna().all(axis=1)]
-        pieces.append(piece.assign(**({group.kind: group.label} if group.kind else {})))
+        told = {group.kind: group.label} if group.kind else {}
+        pieces.append(piece.assign(**told, **({"scene": group.run} if group.run else {})))
     stacked = pd.concat(pieces)
     if stacked.empty:
         raise DataError("no mass has any coordinates", file=file)

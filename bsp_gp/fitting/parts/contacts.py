@@ -49,8 +49,8 @@ class Kick(Forces):
         ----------
         scene, entity, mark, instant, span
             As of the class.
-        gains : sequence of str
-            Names of the components of the velocity that is gained.
+        gains : mapping of str to str
+            Axis -> name of the component of the velocity that is gained.
         values : mapping of str to float
             Where a fit begins, by name.
         duration : float, s
@@ -61,7 +61,7 @@ class Kick(Forces):
         mass = Input("m_i", Type("scalar", KILOGRAM))
         own = Call("mul", mass, Input(f"{mark}_i", Type("scalar")))
         terms = []
-        for name, axis in zip(gains, "xyz", strict=False):
+        for axis, name in gains.items():
             size = Call("mul", Constant(name), Call("mul", own, rate))
             terms.append(Term(Call("mul", size, Input(f"e_{axis}", Type("vector"))), "field"))
         law = ForceLaw(tuple(terms), values)

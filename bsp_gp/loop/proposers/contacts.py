@@ -221,13 +221,15 @@ def _proposal(view, spans, peaks, gain):
     """Kicks as a cause that may be missing."""
     law, hypothesis, starts = view.fit.law, view.hypothesis, {}
     taken = {n for s in view.dataset.scenes for e in s.entities for n in e.properties}
+    moving = np.flatnonzero(np.isfinite(view.fit.noise.levels))  # nothing is gained along others
     for peak in peaks:
-        gains = tuple(fresh_name(law, f"w_{axis}") for axis in "xyz"[: len(peak.velocity)])
+        gains = {axis: fresh_name(law, f"w_{axis}") for axis in ("xyz"[k] for k in moving)}
         instant = fresh_name(law, "t")
         scene = next(s for s in view.dataset.scenes if s.name == peak.scene)
         interval, (low, high) = float(np.diff(scene.times).min()), spans[peak.scene, peak.body]
         time = float(np.clip(peak.time - BESIDE * interval, low, high))
-        own = {**dict(zip(gains, map(float, peak.velocity), strict=True)), instant: time}
+        velocity = map(float, peak.velocity[moving])
+        own = {**dict(zip(gains.values(), velocity, strict=True)), instant: time}
         number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
         taken.add(f"kicked{number}")
         part = Kick.of(
