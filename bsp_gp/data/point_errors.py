@@ -73,18 +73,32 @@ def gross_errors(times, positions, sigma, *, is_exact=False):
     rows = np.flatnonzero(np.isfinite(positions[:, axes]).all(axis=1))
     if not axes.any() or len(rows) < LEAST:
         return off
-    most = max(int(MOST_GROSS * len(rows)), 1)
+    most, seen = max(int(MOST_GROSS * len(rows)), 1), rows
     for _ in range(most + 1):
         size, worst = _worst(times[rows], positions[np.ix_(rows, axes)], sigma[axes], is_exact)
         if not len(worst):
-            return off
+            return _without_passages(off, seen)
         off[rows[worst]] = np.maximum(size, 1.0)
         rows = np.delete(rows, worst)
         if len(rows) < LEAST:
-            return off
+            return _without_passages(off, seen)
         if np.count_nonzero(off > 1) > most:
             break
     return np.ones(len(times))  # so many are off that the motion itself is rough
+
+
+def _without_passages(off, rows):
+    """The same without what is off in more rows on end than predict one: a passage, no errors.
+
+    Of an orbit in coarse steps the rows about the nearest place are off their neighbours one by
+    one, as these are left out.
+    """
+    is_off = np.concatenate([[0], off[rows] > 1, [0]])
+    edges = np.flatnonzero(np.diff(is_off))
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - first > REACH:
+            off[rows[first:stop]] = 1.0
+    return off
 
 
 def are_smooth(times, positions, sigma):

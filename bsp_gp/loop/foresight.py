@@ -78,7 +78,7 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
             continue
         ratio = plain.ratio(0, 1).value
         # Only where predictions are worse does it matter whether that is chance.
-        is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES).ratio(0, 1))
+        is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
         if is_worse or _runs_away(plain):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
@@ -151,8 +151,14 @@ def _refused(done, reason):
     return replace(done, decision=decision)
 
 
-def _is_surely_worse(ratio):
-    """Whether a ratio of errors is above 1 at that level; its interval goes from 5 to 95 %."""
+def _is_surely_worse(accounts):
+    """Whether a ratio of errors is above 1 at that level; its interval goes from 5 to 95 %.
+
+    Not where the last error is no more than what noise makes of the predictions of any law.
+    """
+    ratio, floor = accounts.ratio(0, 1), accounts.floor.rollout_rmse
+    if accounts.errors(1).rollout_rmse <= floor:
+        return False
     if not (math.isfinite(ratio.low) and ratio.low > 0):
         return False
     return math.log(ratio.value) + WIDER * math.log(ratio.low / ratio.value) > 0
