@@ -14,7 +14,6 @@ allows.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -311,7 +310,7 @@ def _without_outliers(fit, dataset):
 
     Rows that the tails of the noise weigh are where `as_normal` has them; else they are not seen.
     """
-    if math.isfinite(fit.noise.degrees):
+    if as_normal(fit) is not fit:
         return _weighed(fit), dataset
     if not bears_outliers(fit.noise, is_exact=False):
         return fit.groups, dataset

@@ -11,6 +11,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
+from scipy import stats
 
 from bsp_gp.data.scene import Dataset
 from bsp_gp.fitting.outliers import without_outliers
@@ -22,6 +24,9 @@ ROUNDS = 50
 """Times that rows are weighed; they settle in three to ten."""
 SMALL_GAIN = 1e-4
 """Gain of log-likelihood by a round, from which on the weights stay."""
+ON_END, AWAY = 7, 0.005
+"""Rows on end, of which most are off by more than noise is in this part of all rows: of a hundred
+million such only two are so by chance."""
 
 
 def bears_outliers(model, is_exact):
@@ -51,9 +56,11 @@ def as_normal(fit):
     Returns
     -------
     Fit
+        The same one where it has no tails, and where rows in turn are off as noise never is: of
+        what a law lacks so much of, tails would leave nothing.
     """
     model, channels = fit.noise, fit.channels
-    if math.isinf(model.degrees):
+    if math.isinf(model.degrees) or _is_led_away(model, channels, fit.residual):
         return fit
     share = (model.degrees + 1.0) / (model.degrees + 3.0)
     wider = (1.0 - model.correlated) / share + model.correlated
@@ -67,6 +74,13 @@ def as_normal(fit):
     )  # fmt: skip
     weights = weights_of(model, channels, fit.residual) / expected_weights(model, channels)
     return replace(fit, noise=noise, residual=fit.residual * weights)
+
+
+def _is_led_away(model, channels, residual):
+    """Whether most of some rows on end are off on one side by what is much for the noise."""
+    scaled = pd.DataFrame(residual / np.array(model.levels)[channels.axis])
+    middle = scaled.rolling(ON_END, min_periods=ON_END).median()
+    return bool((middle.abs() > stats.t.isf(AWAY, model.degrees)).to_numpy().any())
 
 
 def weighed(run, climb, minimum, model):

@@ -136,6 +136,9 @@ class _PureError:
             first = stop
         self.used = seen & (self.left > LEAST_LEFT)
         self.z = np.where(self.used, self.rows, 0.0) / np.sqrt(np.where(self.used, self.left, 1.0))
+        if np.isfinite(tangent.fit.noise.degrees):  # as if normal
+            tail = stats.t.logsf(np.abs(self.z[0]), fit.noise.degrees)
+            self.z[0] = np.sign(self.z[0]) * stats.norm.isf(np.exp(tail))
 
     def findings(self):
         """One Finding for each question that can be asked."""
