@@ -318,6 +318,30 @@ MORE = {
     ).encode(), one(ACROSS, FALL), options={
         "columns": {"t": "Time", "x": "cork X", "y": "cork Y", "z": "cork Z"},
         "units": {"length": "mm", "time": "s"}}),
+    "stk": Sample("probe.csv", table(
+        '"Time (UTCG)","x (km)","y (km)","z (km)"',
+        [f"18 Mar 2024 02:14:{30 + k}.000" for k in range(8)], ACROSS, FALL, SPRING,
+    ).encode(), {(None, "object"): (np.arange(8.0), 1000 * ACROSS, 1000 * FALL)}),
+    "deeplabcut, several animals": Sample("dish.csv", table(
+        ["scorer,net,net,net,net,net,net", "individuals,red,red,red,black,black,black",
+         "bodyparts,centre,centre,centre,centre,centre,centre",
+         "coords,x,y,likelihood,x,y,likelihood"],
+        [str(k) for k in range(8)], ACROSS, FALL, 0.9 + 0 * T, SPRING, ACROSS, 0.9 + 0 * T,
+    ).encode(), one(ACROSS, FALL, entity="red") | one(SPRING, ACROSS, entity="black"),
+        options={"fps": 20}),
+    "two angles in several runs": Sample("gekoppelt.csv", table(
+        '"Zeit (s) Lauf #1";"Winkel A (rad) Lauf #1";"Winkel B (rad) Lauf #1";'
+        '"Zeit (s) Lauf #2";"Winkel A (rad) Lauf #2";"Winkel B (rad) Lauf #2"',
+        T, TURN, SPRING, T, SPRING, TURN, sep=";", decimal=",",
+    ).encode(), one(x=TURN, scene="Lauf #1", entity="Winkel A")
+        | one(x=SPRING, scene="Lauf #1", entity="Winkel B")
+        | one(x=SPRING, scene="Lauf #2", entity="Winkel A")
+        | one(x=TURN, scene="Lauf #2", entity="Winkel B")),
+    "a pose of ros": Sample("quad.csv", table(
+        "Time,header.seq,pose.position.x,pose.position.y,pose.position.z,pose.orientation.x,"
+        "pose.orientation.y,pose.orientation.z,pose.orientation.w",
+        T, [str(k) for k in range(8)], ACROSS, FALL, SPRING, 0 * T, 0 * T, 0 * T, 0 * T + 1,
+    ).encode(), one(ACROSS, FALL, entity="pose.position")),
     "an angle by its name": Sample("metronome.csv", table(
         ["#Kinovea Angle tracking export", "#Video: small.mp4  30.00 fps",
          "Time (ms);Angle (deg)"], 1000 * T, np.degrees(TURN), sep=";",

@@ -82,6 +82,8 @@ _ERROR_WORDS = _set(
     " genauigkeit likelihood confidence incertitude"
 )
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
+_TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
+"""``pose.orientation.x`` is no place."""
 _ANGLE = re.compile(
     r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
 )
@@ -573,7 +575,8 @@ def _of_body(heading):
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
     # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
     names_unit = not unit and is_unit(body) and not body.isdecimal()
-    if not body or not is_length or is_error(body) or names_unit:
+    is_turn = bool({*re.split(r"[\W_]+", body.lower())} & _TURN_WORDS)
+    if not body or not is_length or is_error(body) or names_unit or is_turn:
         return heading
     return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)
 

@@ -164,3 +164,20 @@ def test_a_fit_tells_a_gross_error_of_sixteen_rows_and_stands_it(row, sigma):
     assert fit.constants[0].value == pytest.approx(9.81, rel=0.01)
 
 
+
+
+def test_a_close_passage_in_coarse_steps_is_no_error():
+    """A hyperbola whose nearest minutes are seen in steps of a minute, of a noise far smaller."""
+    from scipy.integrate import solve_ivp
+
+    t = 60.0 * np.arange(180)
+
+    def rate(t, s):
+        return [*s[2:], *(-3.986e14 * s[:2] / np.linalg.norm(s[:2]) ** 3)]
+
+    way = solve_ivp(rate, (0, t[-1]), [-4.0e7, 2.6e7, 6e3, -3.5e3], t_eval=t, rtol=1e-10).y[:2].T
+    assert np.linalg.norm(way, axis=1).min() < 1.2e7
+    noise = 150.0 * np.random.default_rng(0).standard_normal(way.shape)
+    assert (gross_errors(t, way + noise, np.full(2, 150.0)) == 1).all()
+    noise[40] += 5e3
+    assert np.flatnonzero(gross_errors(t, way + noise, np.full(2, 150.0)) > 1).tolist() == [40]
