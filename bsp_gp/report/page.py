@@ -219,7 +219,9 @@ def _name(effect, parts, other):
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
-        values = [c.value for c in effect.constants if is_number(c.value)]
+        inside = split_linear(effect.formula)[1].constants  # of these none tells the way
+        strengths = (c for c in effect.constants if c.name not in inside)
+        values = [c.value for c in strengths if is_number(c.value)]
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
         phrase = describe(effect.formula, value, other, effect.exponents)

@@ -18,6 +18,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import bad_rows, describe, kick
 from bsp_gp.report.sentences import group_range, powers_sentence
 from bsp_gp.units import Unit
+from tests.fitted_tracks import law_of
 from tests.worlds import WEIGHT, flights, linear_drag
 
 TYPES = input_types(PROPERTY_UNITS, up="y") | {"wind": input_types(PROPERTY_UNITS)["v_i"]}
@@ -263,3 +264,11 @@ def test_a_sense_alone_is_told_as_such():
     assert "with the sign of spin" in describe(term)
     push = parse_formula("c1 * (sign(spin) * e_y)", types)
     assert describe(push) == "uniform push along y, with the sign of spin"
+
+
+@pytest.mark.parametrize(("strength", "way"), [(-2.9, "away from"), (2.9, "to")])
+def test_the_way_of_a_force_with_constants_inside_is_told(strength, way):
+    place = "(centre_x1, centre_y1)"
+    (term,) = law_of(f"c * (exp(-norm({place} - p_i) / D) * normalize({place} - p_i))").terms
+    expected = f"force {way} a point, fading with distance (exponential)"
+    assert describe(term.formula, strength) == expected
