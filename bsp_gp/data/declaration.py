@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.headings import NUMBER_COLUMNS, is_angle_name, is_frame_name
+from bsp_gp.data.headings import ALIASES, NUMBER_COLUMNS, is_angle_name, is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
@@ -153,7 +153,8 @@ class Declaration:
 
 
 _KEYS = {
-    "body": "entity", "particle": "entity", "object": "entity", "individual": "entity",
+    **{alias: ours for alias, ours in ALIASES.items() if ours == "entity"},
+    "body": "entity", "individual": "entity",
     "time": "t", "run": "scene", "trial": "scene", "recording": "scene",
 }  # fmt: skip
 """What users call what a column is."""

@@ -43,11 +43,11 @@ def held_flat(dataset, spoken=()):
     Dataset
         With a note; the same one where there is no such axis.
     """
-    dataset = _from_its_height(dataset, spoken)
     is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
     if not is_plain or is_of_the_sky(dataset):
         return dataset
+    dataset = _from_its_height(dataset, spoken)
     tracks = [_tracks(dataset, axis) for axis in range(dataset.n_dims)]
     spans = [max((float(np.ptp(x)) for x in own if len(x)), default=0.0) for own in tracks]
     moving = [k for k, span in enumerate(spans) if span > 0]

@@ -150,6 +150,8 @@ def _utf_16(path, names):
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         _fail_encoding(path, line, "UTF-16")
+    if "\x00" in text:
+        _fail_encoding(path, None, "UTF-32")
     if not text.strip():
         raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
     _require_rows(path, text.count("\n"))

@@ -269,8 +269,11 @@ def respond(fit, dataset, is_quick=False):
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
-        first, (groups, dataset) = 0, _without_outliers(fit, dataset)
-        fit = as_normal(fit)
+        first, plain = 0, as_normal(fit)
+        if plain is fit:
+            groups, dataset = _without_outliers(fit, dataset)
+        else:
+            fit, groups = plain, _weighed(fit, plain)
         for chains, nodes, batch in zip(
             groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
         ):
@@ -306,12 +309,10 @@ def respond(fit, dataset, is_quick=False):
 
 
 def _without_outliers(fit, dataset):
-    """Groups of chains of a fit, and data, in which rows far off their neighbours do not pull.
+    """Groups of chains of a fit, and data, in which rows far off their neighbours are not seen.
 
-    Rows that the tails of the noise weigh are where `as_normal` has them; else they are not seen.
+    Tails of the noise that are told from the data weigh them in fits: here they would pull.
     """
-    if as_normal(fit) is not fit:
-        return _weighed(fit), dataset
     if not bears_outliers(fit.noise, is_exact=False):
         return fit.groups, dataset
     seen = to_begin_with(dataset, fit.noise)
@@ -328,9 +329,9 @@ def _without_outliers(fit, dataset):
     return groups, seen
 
 
-def _weighed(fit):
-    """Groups of chains of a fit with rows as they pull under the tails of its noise."""
-    change, first, groups = as_normal(fit).residual - fit.residual, 0, []
+def _weighed(fit, plain):
+    """Groups of chains of a fit with rows where its like without tails has them."""
+    change, first, groups = plain.residual - fit.residual, 0, []
     for chains in fit.groups:
         shape = chains.observed.shape
         count = int(np.prod(shape[1:]))

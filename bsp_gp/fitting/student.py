@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 __all__ = [
-    "expected_weights", "fit_degrees", "fit_student", "log_likelihood", "scaled_without_tails",
-    "weights_of",
+    "expected_weights", "fit_degrees", "fit_student", "information", "log_likelihood",
+    "scaled_without_tails", "weights_of",
 ]  # fmt: skip
 
 _DEGREES = (1.0, 200.0)
@@ -60,10 +60,13 @@ def expected_weights(model, channels):
     weights themselves.
     """
     weights = np.ones(channels.seen.shape)
-    if not math.isinf(model.degrees):
-        share = (model.degrees + 1.0) / (model.degrees + 3.0)
-        weights[:, model.is_free[channels.axis]] = share
+    weights[:, model.is_free[channels.axis]] = information(model.degrees)
     return weights
+
+
+def information(degrees):
+    """Expected information of Student's t about a place, in that of the normal of its scale."""
+    return 1.0 if math.isinf(degrees) else (degrees + 1.0) / (degrees + 3.0)
 
 
 def _weighed(model, channels, residual):

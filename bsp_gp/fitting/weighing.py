@@ -16,7 +16,7 @@ from scipy import stats
 
 from bsp_gp.data.scene import Dataset
 from bsp_gp.fitting.outliers import without_outliers
-from bsp_gp.fitting.student import expected_weights, log_likelihood, weights_of
+from bsp_gp.fitting.student import expected_weights, information, log_likelihood, weights_of
 
 __all__ = ["as_normal", "bears_outliers", "informed", "to_begin_with", "weighed"]
 
@@ -62,7 +62,7 @@ def as_normal(fit):
     model, channels = fit.noise, fit.channels
     if math.isinf(model.degrees) or _is_led_away(model, channels, fit.residual):
         return fit
-    share = (model.degrees + 1.0) / (model.degrees + 3.0)
+    share = information(model.degrees)
     wider = (1.0 - model.correlated) / share + model.correlated
     levels = tuple(
         level * math.sqrt(wider) if free else level

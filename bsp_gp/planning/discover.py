@@ -27,7 +27,8 @@ from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
-from bsp_gp.planning.plan import CALM, N_DRAWS, REACH, SURE, moved_by, plan
+from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
+from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import Rival, in_common, kin_of, rivals_of
 from bsp_gp.randomness import generator
 
@@ -249,10 +250,8 @@ class _State:
         cut = []
         for scene in scenes:
             track = moved_by(best.law, draws, [with_unit_masses(scene)], self.means, rng)[:, :, 0]
-            spread = np.linalg.norm(track[1:] - track[0], axis=-1).max(axis=(0, 2))
-            is_seen = REACH * np.nan_to_num(spread, nan=np.inf) < CALM * nearest(scene)
-            count = len(is_seen) if is_seen.all() else int(np.argmin(is_seen))
-            count = max(count, len(calm(scene).times))
+            near = nearest(scene.positions, scene.dynamic)
+            count = max(n_foreseen(track, near), len(calm(scene).times))
             if count >= LEAST_ROWS:
                 cut.append(scene if count == len(scene.times) else scene.rows(None, count))
         return self.means.dataset(cut or scenes)
@@ -444,18 +443,8 @@ def calm(scene):
     """
     if scene.first is None or len(scene.entities) < 2:
         return scene
-    is_calm = _departure(scene) < CALM * nearest(scene)
-    count = len(is_calm) if is_calm.all() else int(np.argmin(is_calm))
+    count = n_calm(_departure(scene), nearest(scene.positions, scene.dynamic))
     return scene if count == len(scene.times) else scene.rows(None, max(count, 3))
-
-
-def nearest(scene):
-    """How near any moving body has been to another one, m, shape (T,); inf where there is none."""
-    moving = list(scene.dynamic)
-    gaps = scene.positions[:, moving, None] - scene.positions[:, None]
-    gaps = np.linalg.norm(gaps, axis=-1)
-    gaps[:, np.arange(len(moving)), moving] = np.inf
-    return np.minimum.accumulate(np.fmin.reduce(gaps.reshape(len(gaps), -1), axis=1))
 
 
 def _declared(law):

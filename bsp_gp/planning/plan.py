@@ -19,12 +19,11 @@ from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses
 from bsp_gp.planning.means import moved
+from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import rivals_of
 from bsp_gp.randomness import generator
 
-__all__ = [
-    "CALM", "NONE", "REACH", "Option", "Plan", "foreseen", "information", "next_experiment", "plan",
-]  # fmt: skip
+__all__ = ["NONE", "Option", "Plan", "foreseen", "information", "next_experiment", "plan"]
 
 NONE = 0.05
 """Chance, beforehand, that none of the rivals holds."""
@@ -39,10 +38,6 @@ FARTHEST = 1e5
 """Standard deviations of the noise."""
 SURE = 0.95
 """A rival so probable stands."""
-CALM = 0.4
-"""Part of the distance to the next body within which forces may have led a body off."""
-REACH = 10.0
-"""Times that what is foreseen may be off by more than the draws show."""
 NOTHING = 0.02
 """Bits: experiments that promise less part nothing."""
 
@@ -211,10 +206,7 @@ def foreseen(rivals, draws, experiments, means, rng, up=None):
 
 
 def _n_foreseeable(track, free, scene):
-    """Rows behind the first up to which the likeliest law foresees places, or which are calm.
-
-    After a close pass what is unknown of a constant leads to anywhere: laws seem far apart there,
-    and no law is fitted to such rows.
+    """Rows behind the first that fits can use: which the likeliest law foresees, or are calm.
 
     Parameters
     ----------
@@ -225,17 +217,9 @@ def _n_foreseeable(track, free, scene):
     """
     still = np.delete(scene.positions[:1], scene.dynamic, axis=1)
     bodies = np.concatenate([track[0], np.repeat(still, track.shape[1], axis=0)], axis=1)
-    gaps = np.linalg.norm(track[0][:, :, None] - bodies[:, None], axis=-1)
-    gaps[:, np.arange(track.shape[2]), np.arange(track.shape[2])] = np.inf
-    near = CALM * np.minimum.accumulate(gaps.min(axis=(1, 2)))
-    spread = np.linalg.norm(track[1:] - track[0], axis=-1).max(axis=(0, 2), initial=0.0)
-    gone = np.linalg.norm(track[0] - free, axis=-1).max(axis=1)
-    counts = [_n_leading(REACH * spread < near), _n_leading(gone < near)]
-    return max(max(counts) - 1, 0)
-
-
-def _n_leading(flags):
-    return len(flags) if flags.all() else int(np.argmin(flags))
+    near = nearest(bodies, range(track.shape[2]))
+    departure = np.linalg.norm(track[0] - free, axis=-1).max(axis=1)
+    return max(n_foreseen(track, near), n_calm(departure, near), 1) - 1
 
 
 def with_unit_masses_of(experiments):

@@ -55,6 +55,7 @@ DEFECTS = {
     ),
     "cut in a letter": ({T: GOOD.encode() + b"a,3,b\xc3"}, [T, "line 5", "UTF-8"]),
     "utf-16": ({T: GOOD.encode("utf-16-le")}, [T, "UTF-16", "UTF-8"]),
+    "utf-32": ({T: GOOD.encode("utf-32")}, [T, "UTF-32", "UTF-8"]),
     "binary": ({T: b"\x89PNG\r\n\x1a\n\x00\x00"}, [T, "UTF-8"]),
     "negative sigma": (
         {T: "t,x,y,sx\n0,0,0,1\n1,1,1,-1\n2,2,2,1\n"}, [T, "line 3", "column sx", "negative"],
