@@ -74,7 +74,7 @@ def noise_findings(view, most=MOST_FUNCTIONS):
     """
     noise = view.fit.noise
     found = [
-        Finding(PARTS[f.part], float(stats.chi2.sf(2 * f.gain, 1)), *_where(noise, f.part))
+        Finding(PARTS[f.part], float(stats.chi2.sf(2 * f.gain, 1)), *_where(view.fit, f.part))
         for f in noise.findings if f.is_adopted
     ]  # fmt: skip
     steps, levels = np.array(noise.steps), np.array(noise.levels)
@@ -92,14 +92,25 @@ def least_chance(findings):
     return min(min(chances) * len(chances), 1.0) if chances else 1.0
 
 
-def _where(noise, part):
-    """The scene and body whose factor is furthest from one."""
+def _where(fit, part):
+    """The scene and body whose factor is furthest from one; of tails, the row furthest off."""
+    noise, channels = fit.noise, fit.channels
+    if part == "tails":
+        off = np.abs(fit.residual / np.array(noise.levels)[channels.axis])
+        row, k = np.unravel_index(int(np.nan_to_num(off).argmax()), off.shape)
+        return _place(channels, row, k)
     scenes = noise.scenes if part == "scenes" else ()
     bodies = noise.bodies if part == "bodies" else ()
     return tuple(
         max(factors, key=lambda pair: abs(np.log(pair[1])), default=("", 1.0))[0]
         for factors in (scenes, bodies)
     )
+
+
+def _place(channels, row, k):
+    """Scene, body and row of a channel's entry."""
+    scene = channels.scene_names[channels.scene[k]]
+    return scene, channels.body_names[channels.body[k]], int(row)
 
 
 class _PureError:
@@ -161,10 +172,7 @@ class _PureError:
         yield from self._levels("level_of_body", channels.body, channels.body_names, "entity")
         row, k = np.unravel_index(int(square[0].argmax()), square[0].shape)
         chance = float(p_of_gain(square[0, row, k], 1, self.view.noise_dof)) * int(self.used.sum())
-        yield Finding(
-            "row", min(chance, 1.0), channels.scene_names[channels.scene[k]],
-            channels.body_names[channels.body[k]], int(row),
-        )  # fmt: skip
+        yield Finding("row", min(chance, 1.0), *_place(channels, row, k))
         if not self.view.fit.noise.is_free.any():
             dof = max(int(self.view.tangent.whitener.seen.sum()) - self.rank, 1)
             total = float(np.square(self.rows[0]).sum())

@@ -179,7 +179,8 @@ def _noise(finding):
     """One finding about the noise, with where it shows."""
     where = [finding[key] for key in ("entity", "scene") if finding[key]]
     where += [f"row {finding['row'] + 1}"] if finding["row"] >= 0 else []
-    return NOISE[finding["code"]] + (f" ({', '.join(where)})" if where else "")
+    most = "furthest off: " if finding["code"] == "tails" else ""
+    return NOISE[finding["code"]] + (f" ({most}{', '.join(where)})" if where else "")
 
 
 def _parts(effect, law, other):

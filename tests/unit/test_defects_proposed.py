@@ -14,6 +14,7 @@ from bsp_gp.loop.criteria import CAUSES
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.view import selected
+from bsp_gp.report.page import page_of
 from tests.loop_views import GRAVITY, edited, throws, view_of
 
 
@@ -172,12 +173,28 @@ def test_evidence_of_a_defect_does_not_change_with_the_unit_of_length():
     assert gains[0] == pytest.approx(gains[1], abs=1e-4)
 
 
+def with_outliers(noise):
+    data = replace(throws(np.random.default_rng(1), n_scenes=5, n_rows=50), noise=noise)
+    for scene, row, by in ((3, 20, 0.2), (2, 0, -0.15)):
+        data = edited(data, lambda p, row=row, by=by: p.__setitem__(row, p[row] + by), scene)
+    return data
+
+
 @pytest.mark.slow
 def test_rows_that_are_left_out_are_foreseen_by_nobody():
     """Of another scene's outlier no scene foretells anything: it was refused for that."""
-    data = replace(throws(np.random.default_rng(1), n_scenes=5, n_rows=50), noise=None)
-    for scene, row, by in ((3, 20, 0.2), (2, 0, -0.15)):
-        data = edited(data, lambda p, row=row, by=by: p.__setitem__(row, p[row] + by), scene)
-    report = close_loop(data, [GRAVITY], rng=0, n_bootstrap=20)
+    report = close_loop(with_outliers((0.005, 0.005)), [GRAVITY], rng=0, n_bootstrap=20)
     assert [r.reason for r in report.rounds] == ["adopted", "not_significant"]
     assert report.rounds[0].effect.code == "bad_row"
+
+
+@pytest.mark.slow
+def test_tails_tell_which_row_is_furthest_off():
+    """Where noise is estimated, tails take gross errors: a user wants to know which rows."""
+    report = close_loop(with_outliers(None), [GRAVITY], rng=0, n_bootstrap=0)
+    assert report.verdict == "nothing missing"
+    (found,) = report.rounds[0].noise_findings
+    assert (found["code"], found["scene"], found["entity"], found["row"]) == ("tails", "4", "1", 20)
+    assert page_of(report).rounds[0].noise == (
+        "it has heavier tails than a normal distribution (furthest off: 1, 4, row 21)",
+    )
