@@ -308,4 +308,4 @@ def test_what_belongs_to_bodies_alone_is_computed_once():
     found = tape.run(prepared, inputs)
     assert calls.names == ["v_i", "v_i"]
     np.testing.assert_allclose(found, np.exp(0.5))
-    assert len(tape.steps) == 2  # one product for each component
+    assert len(tape.line) == 2  # one product for each component

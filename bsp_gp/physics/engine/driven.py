@@ -39,7 +39,15 @@ class Driven:
         )
 
     def at(self, times, chain):
-        """Places and velocities, shape (2, D, d, M); None without driven bodies."""
+        """Places and velocities, shape (2, D, d, M), to be read alone; None without driven bodies.
+
+        Parameters
+        ----------
+        times : ndarray, shape (M,)
+            Or (s, M), those of several stages: what has shape (2, D, d, s M) then, unless all are
+            at rest.
+        chain : ndarray of int, shape (M,), or slice
+        """
         if not self.count:
             return None
         if not self.curves:  # stages of a step share their chains
@@ -49,8 +57,9 @@ class Driven:
         # A descent asks for the same instants again and again: those of the stages of its steps.
         key = times.tobytes(), repr(chain) if isinstance(chain, slice) else chain.tobytes()
         if key not in self._known:
-            out = self._moved(times, chain)
-            out.flags.writeable = False
+            if times.ndim == 2:
+                chain = np.tile(np.arange(self.first.shape[-1])[chain], len(times))
+            out = self._moved(times.ravel(), chain)
             if self._size + out.nbytes > MOST_KEPT:
                 self._known, self._size = {}, 0
             self._known[key] = out

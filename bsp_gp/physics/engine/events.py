@@ -37,8 +37,7 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     ----------
     flow : Flow
     scheme : Scheme
-    stages : list of Points
-        Of the steps, their starts first.
+    stages : _Stages
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.
     h : ndarray, shape (M,)
@@ -54,7 +53,7 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     moved : dict of int to ndarray, shape (n, n + k)
         Derivatives of the mended steps by their starts and the constants.
     """
-    points = stages[0]
+    points = stages.first
     changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=(0, 1))
     changed |= passed_over(flow, points, end, h)
     changed &= np.isfinite(points.state).all(axis=(0, 1, 2))  # a track that is lost stays so
@@ -104,7 +103,7 @@ def up_to_events(flow, scheme, stages, end, h, modes, index, good):
     h : ndarray, shape (M,)
     good : ndarray of bool, shape (M,)
     """
-    points, turned = stages[0], _turned(flow, stages, end).any(axis=(0, 1))
+    points, turned = stages.first, _turned(flow, stages, end).any(axis=(0, 1))
     changed = (_changed(flow, points, end, h) & good) | turned
     if not changed.any():
         return end, h, good
@@ -137,9 +136,8 @@ def _turned(flow, stages, end):
 
 def _headings(flow, stages, end):
     """Least product of the velocity at the start of a step with those within it, (G, R, M)."""
-    first = stages[0].state[1]
-    later = [*(stage.state[1] for stage in stages[1:]), end[1]]
-    products = [first * v for v in later]
+    first = stages.first.state[1]
+    products = [first * v for v in (*stages.states[1:, 1], end[1])]
     out = np.zeros((len(flow.motion.stops), len(first), first.shape[-1]))
     for group, axes in enumerate(flow.motion.stops):
         sums = [product[:, list(axes)].sum(axis=1) for product in products]

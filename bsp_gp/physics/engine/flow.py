@@ -36,8 +36,9 @@ FEW_STEPS = 2
 """Steps up to which an interval is cheapest by the pair of lower order."""
 CALL = 50
 """Intervals whose step costs as much as what a step costs however few they are."""
-MANY_SLOPES = 18
-"""Derivatives of accelerations up to which they are multiplied one by one."""
+MANY_SLOPES, MOST_CARRIED = 18, 48
+"""Derivatives of accelerations up to which they are multiplied one by one, and numbers of a state
+up to which compiled loops are faster at it than products of matrices."""
 SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 6.0
 
 
@@ -67,8 +68,10 @@ class Scheme:
 
 
 SCHEMES = {
-    "rk45": Scheme(RK45.A, RK45.B, RK45.C, (RK45.E,), 1 / 5),
-    "dop853": Scheme(DOP853.A, DOP853.B, DOP853.C, (DOP853.E5, DOP853.E3), 1 / 8),
+    "rk45": Scheme(np.ascontiguousarray(RK45.A), RK45.B, RK45.C, (RK45.E,), 1 / 5),
+    "dop853": Scheme(
+        np.ascontiguousarray(DOP853.A), DOP853.B, DOP853.C, (DOP853.E5, DOP853.E3), 1 / 8
+    ),
 }
 """Dormand and Prince's pairs of order 5(4) and 8(5, 3), as scipy has them."""
 
@@ -162,8 +165,11 @@ class Flow:
         self.driven = Driven(chains)
         self.n_state = 2 * chains.n_moving * chains.n_dims
         self.n_constants = len(motion.parameters)
-        self.pattern = motion.slope_pattern()
-        self.is_sparse = len(self.pattern) <= MANY_SLOPES
+        self.pattern = np.array(motion.slope_pattern(), dtype=np.int64).reshape(-1, 2)
+        is_plain = not (motion.constraints or motion.linkages)
+        self.is_compiled = is_plain and motion.compiled is not None
+        self.is_carried = self.is_compiled and self.n_state <= MOST_CARRIED
+        self.is_sparse = self.is_carried or len(self.pattern) <= MANY_SLOPES
 
     @property
     def has_events(self):
@@ -224,18 +230,13 @@ class Flow:
         Returns
         -------
         end : ndarray, shape (2, R, d, M)
-        stages : list of Points
+        stages : _Stages
         rates : ndarray, shape (s, 2, R, d, M)
         """
-        y, t = points.state, points.times
-        stages, rates = [points], np.empty((scheme.n_stages, *y.shape))
-        rates[0, 0], rates[0, 1] = y[1], self.motion.acceleration(points)
-        for k in range(1, scheme.n_stages):
-            state = y + h * _weighted(scheme.a[k, :k], rates)
-            here = self.points(state, t + scheme.c[k] * h, points.chain, points.modes)
-            stages.append(here)
-            rates[k, 0], rates[k, 1] = state[1], self.motion.acceleration(here)
-        return y + h * _weighted(scheme.b, rates), stages, rates
+        stages = _Stages(self, scheme, points, h)
+        if not self.is_compiled or stages.has_rest(self.motion.stops):
+            stages.take()
+        return stages.end, stages, stages.rates
 
     def _rate(self, points):
         return np.stack([points.state[1], self.motion.acceleration(points)])
@@ -255,9 +256,11 @@ class Flow:
             Of the shape of `first`.
         """
         n, m = self.n_state, len(h)
-        carried = self._sparse_slopes if self.is_sparse else self._dense_slopes
         if first is None:
             first = self.first_slopes(m)
+        if self.is_carried and stages.inputs is not None:
+            return stages.carry(first)
+        carried = self._sparse_slopes if self.is_sparse else self._dense_slopes
         return carried(scheme, stages, h, first, n // 2, m)
 
     def first_slopes(self, m):
@@ -272,7 +275,7 @@ class Flow:
         return first
 
     def _sparse_slopes(self, scheme, stages, h, first, half, m):
-        by_state, by_constant = self.motion.slope_rows(_joined(stages))
+        by_state, by_constant = self.motion.slope_rows(stages.joined())
         rates = np.empty((scheme.n_stages, *first.shape))
         for s in range(scheme.n_stages):
             change = first + h * _weighted(scheme.a[s, :s], rates) if s else first
@@ -281,12 +284,12 @@ class Flow:
             forces = rates[s, half:]
             forces[:, : 2 * half] = 0.0
             forces[:, 2 * half :] = by_constant[..., part]
-            for row, column in self.pattern:
+            for row, column in self.pattern.tolist():
                 forces[row] += by_state[row, column, part] * change[column]
         return first + h * _weighted(scheme.b, rates)
 
     def _dense_slopes(self, scheme, stages, h, first, half, m):
-        by_state, by_constant = self.motion.slopes(_joined(stages))
+        by_state, by_constant = self.motion.slopes(stages.joined())
         rates = np.empty((scheme.n_stages, *first.shape))
         h = h[:, None, None]
         for s in range(scheme.n_stages):
@@ -593,23 +596,75 @@ class Flow:
         return end, moved
 
 
+class _Stages:
+    """One step of a scheme with the modes frozen, and the stages that it came by.
+
+    Attributes
+    ----------
+    first : Points
+        Where it begins.
+    end : ndarray, shape (2, R, d, M)
+    states, rates : ndarray, shape (s, 2, R, d, M)
+    inputs : Inputs or None
+        What compiled loops read beside states, if it was taken by these.
+    """
+
+    def __init__(self, flow, scheme, points, h):
+        self.flow, self.scheme, self.first, self.h = flow, scheme, points, h
+        self.times, self.inputs = points.times + scheme.c[:, None] * h, None
+        self.driven = flow.driven.at(self.times, points.chain)
+        if flow.is_compiled:
+            compiled = flow.motion.compiled
+            self.inputs = compiled.inputs(self.times, points.chain, self.driven, points.modes)
+            self.end, self.states, self.rates = compiled.step(
+                scheme, points.state, h, self.inputs
+            )
+
+    def take(self):
+        """Take it stage by stage: forces act through constraints, or hold who is at rest."""
+        scheme, points, h = self.scheme, self.first, self.h
+        y, motion = points.state, self.flow.motion
+        self.inputs = None
+        self.states, self.rates = (np.empty((scheme.n_stages, *y.shape)) for _ in range(2))
+        self.states[0], self.rates[0, 0] = y, y[1]
+        self.rates[0, 1] = motion.acceleration(points)
+        for k in range(1, scheme.n_stages):
+            state = y + h * _weighted(scheme.a[k, :k], self.rates)
+            here = self.flow.points(state, self.times[k], points.chain, points.modes)
+            self.states[k], self.rates[k, 0] = state, state[1]
+            self.rates[k, 1] = motion.acceleration(here)
+        self.end = y + h * _weighted(scheme.b, self.rates)
+
+    def has_rest(self, stops):
+        """Whether a body that friction may stop is at rest in a stage: it may be held there."""
+        return any(
+            not self.states[:, 1][:, :, list(axes)].any(axis=2).all() for axes in stops
+        )
+
+    def joined(self):
+        """The points of all stages, one stage after the other."""
+        n_stages, *shape, n = self.states.shape
+        chain = np.tile(np.arange(self.flow.chains.n_chains)[self.first.chain], n_stages)
+        driven = self.driven
+        if driven is not None and driven.shape[-1] == n:
+            driven = np.tile(driven, n_stages)
+        return Points(
+            np.moveaxis(self.states, 0, -2).reshape(*shape, n_stages * n), self.times.ravel(),
+            chain, driven, [np.tile(mode, n_stages) for mode in self.first.modes],
+        )  # fmt: skip
+
+    def carry(self, first):
+        """Derivatives at the end by what they are of at the start, (n, n + k, M)."""
+        return self.flow.motion.compiled.carry(
+            self.scheme, self.states, self.h, self.inputs, self.flow.pattern, first
+        )
+
+
 def _weighted(weights, rates):
     """Sum of the first rates, each times its weight: one matrix product."""
     count = len(weights)
     flat = rates[:count].reshape(count, -1)
     return (weights @ flat).reshape(rates.shape[1:])
-
-
-def _joined(stages):
-    """The points of several stages, one after the other."""
-    first = stages[0]
-    return Points(
-        np.concatenate([s.state for s in stages], axis=-1),
-        np.concatenate([s.times for s in stages]),
-        np.concatenate([s.chain for s in stages]),
-        None if first.driven is None else np.concatenate([s.driven for s in stages], axis=-1),
-        [np.concatenate([s.modes[k] for s in stages], axis=-1) for k in range(len(first.modes))],
-    )
 
 
 def _packed(name, n, taken, is_complete):

@@ -1,9 +1,9 @@
 """Scalar expressions with exact derivatives, and tapes that compute many of them at once.
 
 A law is lowered (`bsp_gp.physics.engine.lowering`) to scalar nodes; equal nodes are one node, so
-that values and derivatives share what they have in common. A `Tape` runs the nodes that some
-outputs need as a straight line of NumPy calls; what depends on properties and constants alone is
-computed once by `Tape.prepare`.
+that values and derivatives share what they have in common. A `Tape` is the straight line of the operations that
+some outputs need; what depends on properties and constants alone is computed once by
+`Tape.prepare`. `kernel` runs it compiled, `Tape.run` with NumPy.
 """
 
 from __future__ import annotations
@@ -293,6 +293,16 @@ class Tape:
     moving : collection of str
         Names of inputs that differ from instant to instant; what depends on none of them is
         computed once by `prepare`.
+
+    Attributes
+    ----------
+    kept, loads : list of tuple
+        What is put in places at first: a prepared node, an input (name, axis) at an instant.
+    line : list of (str, int, int or None, int)
+        Operations, in order: the places of their arguments and of the result.
+    places : list of int
+        Where the outputs are then.
+    n_places : int
     """
 
     def __init__(self, graph, outputs, moving):
@@ -304,30 +314,33 @@ class Tape:
                 needed.add(node)
                 op, *args = graph.nodes[node]
                 stack.extend(() if op in LEAVES else args)
-        self.inputs, self.settled, self.steps, self._leaves = [], [], [], []
+        inputs, self.settled, steps, self._leaves = [], [], [], []
         changing = set()
         for node in sorted(needed):  # arguments have lower numbers
             op, *args = graph.nodes[node]
             if op == "input" and args[0][0] in moving:
                 changing.add(node)
-                self.inputs.append((node, args[0]))
+                inputs.append((node, args[0]))
             elif op in LEAVES:
                 self._leaves.append((node, op, args[0]))
             elif changing.isdisjoint(args):
                 self.settled.append((_function(op), node, args))
             else:
                 changing.add(node)
-                self.steps.append((_function(op), node, args))
-        read = {arg for _, _, args in self.steps for arg in args} | set(outputs)
-        self._kept = sorted(read - changing)
-        # The same with places in the order of computing, in which `run` puts the values.
-        order = [*self._kept, *(n for n, _ in self.inputs), *(n for _, n, _ in self.steps)]
+                steps.append((op, node, args))
+        read = {arg for _, _, args in steps for arg in args} | set(outputs)
+        kept = sorted(read - changing)
+        order = [*kept, *(n for n, _ in inputs), *(n for _, n, _ in steps)]
         place = {node: k for k, node in enumerate(order)}
-        self._line = [
-            (function, place[args[0]], place[args[1]] if len(args) == 2 else None)
-            for function, _, args in self.steps
+        self.kept = [(place[node], node) for node in kept]
+        self.loads = [(place[node], key) for node, key in inputs]
+        self.line = [
+            (op, place[args[0]], place[args[1]] if len(args) == 2 else None, place[node])
+            for op, node, args in steps
         ]
-        self._places = [place[node] for node in self.outputs]
+        self.places = [place[node] for node in self.outputs]
+        self.n_places = len(order)
+        self._functions = [_function(op) for op, _, _ in steps]
 
     def prepare(self, inputs, constants):
         """Compute what does not change along a track.
@@ -352,7 +365,7 @@ class Tape:
         with np.errstate(all="ignore"):
             for function, node, args in self.settled:
                 values[node] = function(*[values[k] for k in args])
-        return {node: values[node] for node in self._kept}
+        return {node: values[node] for _, node in self.kept}
 
     def run(self, prepared, inputs):
         """Values of the outputs at some instants.
@@ -368,11 +381,11 @@ class Tape:
         -------
         list of ndarray or float
         """
-        values = [prepared[node] for node in self._kept]
-        values += [inputs(name, axis) for _, (name, axis) in self.inputs]
-        for function, first, second in self._line:
+        values = [prepared[node] for _, node in self.kept]
+        values += [inputs(name, axis) for _, (name, axis) in self.loads]
+        for function, (_, first, second, _) in zip(self._functions, self.line, strict=True):
             if second is None:
                 values.append(function(values[first]))
             else:
                 values.append(function(values[first], values[second]))
-        return [values[place] for place in self._places]
+        return [values[place] for place in self.places]

@@ -13,6 +13,7 @@ import numpy as np
 
 from bsp_gp.language.formula import summands
 from bsp_gp.language.inputs import property_of
+from bsp_gp.physics.engine.compiled import Compiled
 from bsp_gp.physics.engine.constrained import Constraints, constraints_of
 from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.linked import Linkages, linkages_of
@@ -79,8 +80,8 @@ class _Program:
         parts, unknown = _instruments(law), fitted_properties(law)
         frame = Frame(g, parts, chains.n_dims, kind) if parts else None
         self.series = chains.series.names
-        self.late = late_inputs(law)
-        self.moving = (*MOVING, *self.series, *(name + RATE for name in self.late))
+        late = late_inputs(law)
+        self.moving = (*MOVING, *self.series, *(name + RATE for name in late))
         lowering = Lowering(
             frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving,
             rails_of(law),
@@ -104,10 +105,10 @@ class _Program:
         may_stop = any("v_i" in f.inputs and not fades_at_rest(f) for f in forces)
         self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, self.moving)
-        self._add_slopes(total, chains.n_dims)
+        self._add_slopes(total, chains.n_dims, late)
         self._add_margins(chains.n_dims)
 
-    def _add_slopes(self, total, n_dims):
+    def _add_slopes(self, total, n_dims, late):
         """Derivatives of the acceleration by places, velocities and constants."""
         g = self.graph
         self.slope_of, nodes = [], []
@@ -125,13 +126,13 @@ class _Program:
                 if slope != g.zero:
                     self.constant_of.append((row, name))
                     nodes.append(slope)
-            for name, delay in self.late.items():
+            for name, delay in late.items():
                 slope = self._by_delay(node, name, n_dims)
                 if slope != g.zero:
                     self.constant_of.append((row, delay))
                     nodes.append(slope)
-        late = {delay for _, delay in self.constant_of} - set(self.constants)
-        self.constants += tuple(sorted(late))
+        delays = {delay for _, delay in self.constant_of} - set(self.constants)
+        self.constants += tuple(sorted(delays))
         self.slopes = Tape(g, nodes, self.moving)
 
     def _by_delay(self, node, name, n_dims):
@@ -188,6 +189,7 @@ class Motion:
         stops = [axes for program in self.programs for axes in program.stops]
         self.stops = tuple(dict.fromkeys(stops))
         self.has_modes = any(program.modes for program in self.programs)
+        self.compiled = Compiled(self) if Compiled.can_take(self) else None
         # Pairs of moving bodies: (receivers, their sources' places among `others`, the sources).
         self._pairs = np.nonzero(self.others < n_own)
         self._pairs += (self.others[self._pairs],)
@@ -204,6 +206,7 @@ class Motion:
         """
         other = copy(self)
         other.chains, other.law = chains, law
+        other.compiled = self.compiled and self.compiled.on(other)
         other._settle()
         return other
 
@@ -211,6 +214,7 @@ class Motion:
         """Put in what the chains are."""
         self._static = [self._static_inputs(program) for program in self.programs]
         self._ready, self._picked = None, (None, {})
+        self._late = late_inputs(self.law)
         owners = self._owners = Owners(self.law, self.chains, self.parameters, self.others)
         self._parameter_of = [
             {name: owners.parameter(name, program.kind) for name in program.constants}
@@ -294,8 +298,18 @@ class Motion:
                 ]
             )  # fmt: skip
         self.values = known
+        if self.compiled:
+            self.compiled.forget()
         for part in filter(None, (self.constraints, self.linkages, self.walls)):
             part.set_constants(known)
+
+    def prepared(self, number, which):
+        """What does not change along tracks for a tape of a program, as `Tape.prepare` gives it."""
+        return self._ready[number][which]
+
+    def parameter_of(self, number, name):
+        """Which parameter a constant of a program is, as of `Owners.parameter`."""
+        return self._parameter_of[number][name]
 
     # --- at points -------------------------------------------------------------------------------
 
@@ -316,26 +330,27 @@ class Motion:
                     held = held[:, 0]
                 return np.where(held, mode.on, mode.off)
             if name.removesuffix(RATE) in program.series:
-                return self._series(name, axis, points, program)
+                values = self.measured(name, axis, points.times, points.chain)
+                return values if program.kind == "field" else values[:, None]
             part = 0 if name[0] == "p" else 1
             return (own if name[-1] == "i" else other)[part][..., axis, :]
 
         return value
 
-    def _series(self, name, axis, points, program):
-        """A measured input of every receiver, (R, M), or (R, 1, M) where there are sources."""
+    def measured(self, name, axis, times, chain):
+        """A measured input of every receiver at instants (M,), or its rate, shape (R, M)."""
         chains, own = self.chains, name.removesuffix(RATE)
         look = chains.series.along if own == name else chains.series.rate
-        delay = self.values[program.late[own]] if own in program.late else 0.0
-        times = points.times - np.broadcast_to(delay, chains.n_chains)[points.chain]
-        chain = np.arange(chains.n_chains)[points.chain]
-        out = np.full((chains.n_moving, len(points.times)), np.nan)
+        delay = self.values[self._late[own]] if own in self._late else 0.0
+        times = times - np.broadcast_to(delay, chains.n_chains)[chain]
+        chain = np.arange(chains.n_chains)[chain]
+        out = np.full((chains.n_moving, len(times)), np.nan)
         for c in np.unique(chain):
             at = chain == c
             for r, body in enumerate(chains.bodies[c]):
                 values = look(own, chains.scenes[c], body, times[at])
                 out[r, at] = values if axis is None else values[axis]
-        return out if program.kind == "field" else out[:, None]
+        return out
 
     def _sources(self, state, driven):
         """Places and velocities of the sources of every receiver, (R, J, d, M) each."""
@@ -437,6 +452,8 @@ class Motion:
 
     def _pushed(self, points):
         """Forces over masses."""
+        if self.compiled:
+            return self.compiled.accelerations(points)
         _, n_own, n_dims, n_points = points.state.shape
         total = np.zeros((n_own, n_dims, n_points))
         for number, program, outputs in self._run(0, points):
@@ -486,13 +503,14 @@ class Motion:
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
         held = self.is_held(points) if self.has_stops and holds else None
-        for k, program, outputs in self._run(1, points):
-            for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
-                self._add_slope(program, by_state, row, name, axis, value)
-            rest = outputs[len(program.slope_of) :]
-            for (row, name), value in zip(program.constant_of, rest, strict=True):
-                parameter = self._parameter_of[k][name]
-                self._add_constant(by_constant[:, row], program, parameter, value, points.chain)
+        if self.compiled:
+            k = len(self.parameters)
+            shapes = (n, 2 * n, n_points), (n, k, n_points)
+            self.compiled.add_slopes(
+                points, by_state.reshape(shapes[0]), by_constant.reshape(shapes[1])
+            )
+        else:
+            self._add_slopes(points, by_state, by_constant)
         if self.linkages:
             free = self._pushed(points)
             by_state, by_constant = self.linkages.slopes(free, by_state, by_constant, points)
@@ -510,6 +528,16 @@ class Motion:
             by_state[np.broadcast_to(held[:, :, None, None, None], by_state.shape)] = 0.0
             by_constant[np.broadcast_to(held[:, :, None], by_constant.shape)] = 0.0
         return by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
+
+    def _add_slopes(self, points, by_state, by_constant):
+        """Add derivatives of forces to arrays (R, d, 2, R, d, M) and (R, d, k, M)."""
+        for k, program, outputs in self._run(1, points):
+            for (row, name, axis), value in zip(program.slope_of, outputs, strict=False):
+                self._add_slope(program, by_state, row, name, axis, value)
+            rest = outputs[len(program.slope_of) :]
+            for (row, name), value in zip(program.constant_of, rest, strict=True):
+                parameter = self.parameter_of(k, name)
+                self._add_constant(by_constant[:, row], program, parameter, value, points.chain)
 
     def slope_pattern(self):
         """Which derivatives by the state may differ from zero: a list of (row, column)."""
@@ -559,7 +587,7 @@ class Motion:
 
     def _parameters_at(self, number, name, receiver, other, chain, n_points):
         """The parameter of a constant for a receiver and a source at every point; -1 = none."""
-        parameter = np.asarray(self._parameter_of[number][name])
+        parameter = np.asarray(self.parameter_of(number, name))
         if parameter.ndim == 3:
             parameter = parameter[:, min(other, parameter.shape[1] - 1)]
         return parameter[receiver][chain] if parameter.ndim else np.full(n_points, parameter)
