@@ -1,9 +1,9 @@
 """Scalar expressions with exact derivatives, and tapes that compute many of them at once.
 
 A law is lowered (`bsp_gp.physics.engine.lowering`) to scalar nodes; equal nodes are one node, so
-that values and derivatives share what they have in common. A `Tape` is the straight line of the operations that
-some outputs need; what depends on properties and constants alone is computed once by
-`Tape.prepare`. `kernel` runs it compiled, `Tape.run` with NumPy.
+that values and derivatives share what they have in common. A `Tape` is the straight line of the
+operations that some outputs need; what depends on properties and constants alone is computed once
+by `Tape.prepare`. `kernel` runs it compiled, `Tape.run` with NumPy.
 """
 
 from __future__ import annotations
