@@ -16,6 +16,7 @@ STATES = {
     "p_i": kernel.PLACE, "v_i": kernel.VELOCITY,
     "p_j": kernel.PLACE_OF_SOURCE, "v_j": kernel.VELOCITY_OF_SOURCE,
 }  # fmt: skip
+ONE_STAGE = np.zeros((1, 1)), np.zeros(1)
 NONE = np.zeros((1, 0, 0, 0))
 
 
@@ -160,9 +161,10 @@ class Compiled:
 
     def accelerations(self, points):
         """Forces over masses at points, (R, d, M)."""
-        out = np.empty(points.state.shape[1:])
-        kernel.values(self._code(0), *self._of(points), out)
-        return out
+        state, inputs = self._of(points)
+        h, rates = np.zeros(len(points.times)), np.empty((1, *state.shape))
+        kernel.step(self._code(0), *ONE_STAGE, h, inputs, state[None], rates, state.copy())
+        return rates[0, 1]
 
     def add_slopes(self, points, by_state, by_constant):
         """Add their derivatives to arrays (R d, 2 R d, M) and (R d, k, M)."""

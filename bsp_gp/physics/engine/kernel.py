@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.language.operators import GUARD
 
-__all__ = ["OPS", "Code", "carry", "slopes", "step", "values"]
+__all__ = ["OPS", "Code", "carry", "slopes", "step"]
 
 Code = namedtuple("Code", "programs kept numbers loads steps outs parameters others n_registers")
 """A law packed: rows of integers for each program, and the numbers that do not change.
@@ -43,7 +43,7 @@ OPS = {
 }  # fmt: skip
 TIME, PLACE, VELOCITY, PLACE_OF_SOURCE, VELOCITY_OF_SOURCE, SERIES, MODE = range(7)
 OWN, SOURCE, CONSTANT = range(3)
-LANES, MOST_CARRIED = 16, 1 << 16
+LANES, MOST_CARRIED = 128, 1 << 16
 """Points that are computed together, and derivatives of them in all stages."""
 
 
@@ -125,31 +125,28 @@ def _play(code, program, state, inputs, r, j, s, m0, n, registers):
     for k in range(p[1], p[2]):
         at = code.kept[k, 1] + r * code.kept[k, 2] + j * code.kept[k, 3]
         row, by_chain = registers[first + code.kept[k, 0]], code.kept[k, 4]
-        if by_chain == 0:
-            row[:n] = code.numbers[at]
-        else:
-            for m in range(n):
-                row[m] = code.numbers[at + by_chain * inputs.chain[m0 + m]]
+        for m in range(n):
+            row[m] = code.numbers[at + by_chain * inputs.chain[m0 + m]]
     n_own = state.shape[1]
     source = code.others[r, j] if p[0] else 0
+    begin, begin_driven = s * inputs.chain.size + m0, s * inputs.n_each + m0
     for k in range(p[3], p[4]):
         kind, which = code.loads[k, 1], code.loads[k, 2]
         row = registers[first + code.loads[k, 0]]
-        if kind == TIME:
-            row[:n] = inputs.times[s, m0 : m0 + n]
-        elif kind == SERIES:
-            begin = s * inputs.chain.size + m0
-            row[:n] = inputs.series[which, r, begin : begin + n]
-        elif kind == MODE:
-            row[:n] = inputs.modes[which, r, j, m0 : m0 + n]
-        elif kind <= VELOCITY:
-            row[:n] = state[kind - PLACE, r, which, m0 : m0 + n]
-        elif source < n_own:
-            row[:n] = state[kind - PLACE_OF_SOURCE, source, which, m0 : m0 + n]
-        else:
-            begin = s * inputs.n_each + m0
-            part = kind - PLACE_OF_SOURCE
-            row[:n] = inputs.driven[part, source - n_own, which, begin : begin + n]
+        for m in range(n):
+            if kind == TIME:
+                row[m] = inputs.times[s, m0 + m]
+            elif kind == SERIES:
+                row[m] = inputs.series[which, r, begin + m]
+            elif kind == MODE:
+                row[m] = inputs.modes[which, r, j, m0 + m]
+            elif kind <= VELOCITY:
+                row[m] = state[kind - PLACE, r, which, m0 + m]
+            elif source < n_own:
+                row[m] = state[kind - PLACE_OF_SOURCE, source, which, m0 + m]
+            else:
+                part = kind - PLACE_OF_SOURCE
+                row[m] = inputs.driven[part, source - n_own, which, begin_driven + m]
     for k in range(p[5], p[6]):
         x, y = registers[first + code.steps[k, 1]], registers[first + code.steps[k, 2]]
         _operate(code.steps[k, 0], x, y, registers[first + code.steps[k, 3]], n)
@@ -161,7 +158,8 @@ def _accelerate(code, state, inputs, s, m0, n, registers, out):
     n_own, n_dims = out.shape[0], out.shape[1]
     for r in range(n_own):
         for x in range(n_dims):
-            out[r, x, m0 : m0 + n] = 0.0
+            for m in range(m0, m0 + n):
+                out[r, x, m] = 0.0
     for program in range(len(code.programs)):
         p = code.programs[program]
         for r in range(n_own):
@@ -204,17 +202,8 @@ def _derive(code, state, inputs, s, m0, n, registers, by_state, by_constant, beg
 
 
 @_compiled
-def values(code, state, inputs, out):
-    """Accelerations (R, d, M) of states (2, R, d, M)."""
-    registers = np.empty((code.n_registers, LANES))
-    for m0 in range(0, state.shape[3], LANES):
-        n = min(LANES, state.shape[3] - m0)
-        _accelerate(code, state, inputs, 0, m0, n, registers, out)
-
-
-@_compiled
 def slopes(code, state, inputs, by_state, by_constant):
-    """Their derivatives, added to arrays (R d, 2 R d, M) and (R d, k, M)."""
+    """Derivatives of accelerations at states, added to (R d, 2 R d, M) and (R d, k, M)."""
     registers = np.empty((code.n_registers, LANES))
     for m0 in range(0, state.shape[3], LANES):
         n = min(LANES, state.shape[3] - m0)
@@ -244,7 +233,8 @@ def step(code, a, b, h, inputs, states, rates, end):
                 for r in range(n_own):
                     for x in range(n_dims):
                         row = to[part, r, x]
-                        row[m0 : m0 + n] = 0.0
+                        for m in range(m0, m0 + n):
+                            row[m] = 0.0
                         for k in range(s):
                             weight = b[k] if s == n_stages else a[s, k]
                             if weight != 0.0:
@@ -257,7 +247,8 @@ def step(code, a, b, h, inputs, states, rates, end):
             if s < n_stages:
                 for r in range(n_own):
                     for x in range(n_dims):
-                        rates[s, 0, r, x, m0 : m0 + n] = to[1, r, x, m0 : m0 + n]
+                        for m in range(m0, m0 + n):
+                            rates[s, 0, r, x, m] = to[1, r, x, m]
                 _accelerate(code, to, inputs, s, m0, n, registers, rates[s, 1])
 
 
@@ -289,7 +280,8 @@ def carry(code, a, b, h, inputs, states, pattern, first, out):
             for i in range(n_state):
                 for c in range(width):
                     row = change[i, c]
-                    row[:n] = 0.0
+                    for m in range(n):
+                        row[m] = 0.0
                     for k in range(s):
                         weight = b[k] if s == n_stages else a[s, k]
                         if weight != 0.0:
@@ -300,15 +292,25 @@ def carry(code, a, b, h, inputs, states, pattern, first, out):
                     for m in range(n):
                         row[m] = start[m0 + m] + h[m0 + m] * row[m]
             if s == n_stages:
-                out[:, :, m0 : m0 + n] = change[:, :, :n]
+                for i in range(n_state):
+                    for c in range(width):
+                        for m in range(n):
+                            out[i, c, m0 + m] = change[i, c, m]
                 continue
-            by_constant[:] = 0.0
+            for i in range(half):
+                for c in range(width - n_state):
+                    for m in range(n):
+                        by_constant[i, c, m] = 0.0
             for q in range(len(pattern)):
-                by_state[pattern[q, 0], pattern[q, 1]] = 0.0
+                for m in range(n):
+                    by_state[pattern[q, 0], pattern[q, 1], m] = 0.0
             _derive(code, states[s], inputs, s, m0, n, registers, by_state, by_constant, 0)
-            rates[s, :half] = change[half:]
-            rates[s, half:, :n_state] = 0.0
-            rates[s, half:, n_state:] = by_constant
+            for i in range(half):
+                for c in range(width):
+                    for m in range(n):
+                        rates[s, i, c, m] = change[half + i, c, m]
+                        own = by_constant[i, c - n_state, m] if c >= n_state else 0.0
+                        rates[s, half + i, c, m] = own
             for q in range(len(pattern)):
                 factor, i = by_state[pattern[q, 0], pattern[q, 1]], pattern[q, 1]
                 for c in range(width):
