@@ -294,6 +294,11 @@ LATER = {
 
 A_LINE = "Versuch Nr.;Zeit in s;Weg in cm;Höhe in cm"
 MORE = {
+    "tracker, masses as subscripts": Sample("pucks.txt", table(
+        "t\tx_{Puck A}\ty_{Puck A}\tx_{Puck B}\ty_{Puck B}", T, ACROSS, FALL, SPRING, ACROSS,
+        sep="\t",
+    ).encode(), one(ACROSS, FALL, entity="Puck A") | one(SPRING, ACROSS, entity="Puck B"),
+        options={"units": {"length": "m", "time": "s"}}),
     "ethovision": Sample("Raw data-Trial     1.txt", table(
         ['"Number of header lines:";"6"', '"Trial name";"Trial     1"', '"Arena name";"Centre"',
          '"Start time";"2023-05-09 10:10:22.480"', '"Trial time";"Recording time";"X center";'

@@ -196,6 +196,11 @@ class Conversion:
         if len(texts) > 1:
             self._fail(f"components of {name!r} have different units {sorted(texts)}", name)
         expected = PROPERTY_UNITS.get(name)
+        if texts and name == "mass" and self.system.is_angle:
+            scale, unit = self._read(name, texts.pop(), None)
+            if unit not in (expected, Unit.of(kg=1, m=2)):
+                self._fail(f"the unit must be one of {expected} or kg m^2, got {unit}", name)
+            return scale, expected, None
         if texts:
             return *self._read(name, texts.pop(), expected), None
         if expected is None:

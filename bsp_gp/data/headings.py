@@ -51,6 +51,8 @@ _AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+(?:in|-|–)\s+|_)[(\[]?([^()\[
 """``t / s``, ``t in s``, ``t - s``, ``t, s``, ``t_s``, ``v / (m/s)``: then comes a unit."""
 _AFTER_LAST_MARK = re.compile(_AFTER_MARK.pattern.replace(".+?", ".+", 1))
 """``s_A1 / m``."""
+_SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
+"""``x_{mass A}``, as Tracker and TeX write it."""
 _RUN = (r"(?:run|data ?set|lauf|versuch|messung|durchgang|messreihe|trial|essai|série|prova|serie"
         r"|ensayo|corrida|latest|latest run)")  # fmt: skip
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+", re.IGNORECASE)
@@ -335,6 +337,7 @@ def is_ignored(text, cells):
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
     run, rest = _run_of(cell) if is_track and cell not in back else ("", cell)
+    rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
     stem, unit = _split_unit(rest, back, is_track)
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
     for text in (cell, rest, stem, bare):

@@ -11,7 +11,7 @@ from bsp_gp.data.conversion import Conversion
 from bsp_gp.data.roster import OWN_COLUMNS, STATE_NAMES
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
-from bsp_gp.units import UnitSystem, parse_unit
+from bsp_gp.units import Unit, UnitSystem, parse_unit
 
 __all__ = ["LEFT_OUT", "read_properties", "with_properties"]
 
@@ -20,6 +20,7 @@ _VALUE = re.compile(
 )
 LEFT_OUT = f"{CHECK}columns that are not used look like places of another body: "
 """How a note of such columns begins."""
+_INERTIA = Unit.of(kg=1, m=2)
 _KINDS = {"mass": "kg", "charge": "C"}
 """Kinds of unit that are called like a property, and the one of SI."""
 
@@ -113,7 +114,7 @@ def with_properties(dataset, said):
             declared[name] = _KINDS[name]  # so forces are told in newtons and not in g m/s^2
         values[name] = {}
         for body, (number, unit) in of_bodies.items():
-            scale, units[name] = _scale(name, unit, declared)
+            scale, units[name] = _scale(name, unit, declared, dataset.units.is_angle)
             values[name][body] = number * scale
     made = {}
 
@@ -140,7 +141,7 @@ def with_properties(dataset, said):
     )  # fmt: skip
 
 
-def _scale(name, unit, declared):
+def _scale(name, unit, declared, is_angle):
     if not unit:
         return Conversion(declared, {*declared, name}).property(name)[:2]
     try:
@@ -148,6 +149,8 @@ def _scale(name, unit, declared):
     except UnitError as error:
         raise DataError(f"{name}: {error}", column=name) from None
     expected = PROPERTY_UNITS.get(name)
+    if is_angle and name == "mass" and read == _INERTIA:  # which m_i stands for
+        return scale, expected
     if expected is not None and read != expected:
         raise DataError(f"the unit of {name} must be one of {expected}, got {unit!r}", column=name)
     return scale, read

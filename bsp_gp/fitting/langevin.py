@@ -80,7 +80,7 @@ class Langevin:
         return self.log_likelihood - COST * len(self.terms) + INERTIA * self.is_overdamped
 
 
-def models_of(tracks, noise=None):
+def models_of(tracks, noise=None, near=0.0):
     """All models of kicks and linear forces, the likeliest first.
 
     Parameters
@@ -89,16 +89,18 @@ def models_of(tracks, noise=None):
         Of bodies of one kind: rates are shared.
     noise : float, optional
         Known error of a place, m.
+    near : float, nats
+        Of models that are so near to the likeliest it is asked how oddly their forecasts err.
 
     Returns
     -------
     list of Langevin
     """
     with np.errstate(all="ignore"):  # numbers that no rate carries are refused
-        return _models_of(_Problem(tracks, noise))
+        return _models_of(_Problem(tracks, noise), near)
 
 
-def _models_of(problem):
+def _models_of(problem, near):
     found = []
     for kicks, drag, trap in product((True, False), repeat=3):
         terms = {n for n, has in (("kicks", kicks), ("drag", drag), ("trap", trap)) if has}
@@ -106,13 +108,15 @@ def _models_of(problem):
     for trap in (True, False):
         terms = frozenset({"kicks", "drag"} | ({"trap"} if trap else set()))
         found.append(problem.fit(terms, True))
-    best = max(found, key=lambda m: m.score)
-    if "trap" not in best.terms:
-        found.append(problem.fit(best.terms | {"push"}, best.is_overdamped))
+    # A steady push looks like a trap far away: it is asked whatever is likelier until then.
+    free = [m for m in found if "trap" not in m.terms]
+    best = max(free, key=lambda m: m.score)
+    for model in (m for m in free if m.terms == best.terms):  # with inertia, and without
+        found.append(problem.fit(model.terms | {"push"}, model.is_overdamped))
     found = sorted(found, key=lambda m: -m.score)
-    if "kicks" in found[0].terms:
-        found[0] = replace(found[0], oddity=problem.oddity(found[0]))
-    return found
+    asked = [m for m in found if "kicks" in m.terms and found[0].score - m.score <= near]
+    odd = {id(m): problem.oddity(m) for m in asked}
+    return [replace(m, oddity=odd.get(id(m), m.oddity)) for m in found]
 
 
 def best_of(tracks, noise=None):

@@ -563,9 +563,11 @@ class _Turn:
             self.judged[len(self.rows)] = best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
+        # Kicks have every row told by those before it, and no rows of a fit to be compared.
+        held_out = HeldOut() if proposal.is_last else held_out_gain(self.base, best)
         return self._add(
-            source, proposal, status, evidence, best.log_likelihood, best.n_free,
-            held_out_gain(self.base, best), self._twin(source, proposal, best),
+            source, proposal, status, evidence, best.log_likelihood, best.n_free, held_out,
+            self._twin(source, proposal, best),
         )  # fmt: skip
 
     def _is_idle(self, proposal, new):

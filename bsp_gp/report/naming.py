@@ -362,8 +362,10 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if has_own and not radial:
             return f"{across}{_scaling(powers)}{where}"
         rest = {name: p for name, p in powers.items() if name not in _SPEEDS}
-        size = "" if is_loose else f", {_in_speed(speed + (text == 'perp(v_i)'))}"
-        return f"{across}{size}{_scaling(rest)} (magnetic or Magnus){where}"
+        total = speed + (text == "perp(v_i)")
+        size = "" if is_loose else f", {_in_speed(total)}"
+        kinds = "magnetic, Magnus or Coriolis" if is_loose or total == 1 else "magnetic or Magnus"
+        return f"{across}{size}{_scaling(rest)} ({kinds}){where}"
     if text in ("e_x", "e_y", "e_z"):
         own, size = f"v{text[-1]}_i", f"abs(v{text[-1]}_i)"
         if powers.get(own, 0) % 2 == 1:  # of the sign of the velocity

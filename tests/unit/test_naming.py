@@ -48,20 +48,20 @@ def formula(text):
         ("c1 * m_i * mu_j * normalize(v_i) * is_on(s_i, p_i, s_j, p_j)", -9.8,
          "friction of constant size while on the mat"),
         ("c1 * q_i * norm(v_i) * perp(normalize(v_i))", 1.0,
-         "force across the velocity, linear in speed (magnetic or Magnus)"),
+         "force across the velocity, linear in speed (magnetic, Magnus or Coriolis)"),
         ("c1 * m_i * norm(v_i) * perp(normalize(v_i))", 1.0,
-         "force across the velocity, to its left, linear in speed (magnetic or Magnus)"),
+         "force across the velocity, to its left, linear in speed (magnetic, Magnus or Coriolis)"),
         ("c1 * perp(v_i)", -1.0,
-         "force across the velocity, to its right, linear in speed (magnetic or Magnus)"),
+         "force across the velocity, to its right, linear in speed (magnetic, Magnus or Coriolis)"),
         ("c1 * norm(v_i)^2 * perp(normalize(v_i))", None,
          "force across the velocity, quadratic in speed (magnetic or Magnus)"),
         ("c1 * perp(normalize(v_i))", 1.0,
          "force across the velocity, to its left, of constant size (magnetic or Magnus)"),
         (f"c1 * inverse({R}) * norm(v_i) * perp(normalize(v_i))", 1.0,
-         "force across the velocity, to its left, linear in speed, as distance⁻¹ (magnetic or "
-         "Magnus)"),
+         "force across the velocity, to its left, linear in speed, as distance⁻¹ (magnetic, "
+         "Magnus or Coriolis)"),
         ("c1 * norm(v_i) * cross(e_x, normalize(v_i))", 1.0,
-         "force across the velocity, linear in speed (magnetic or Magnus)"),
+         "force across the velocity, linear in speed (magnetic, Magnus or Coriolis)"),
         ("c1 * tanh(norm(v_i) / 2 [m/s]) * perp(normalize(v_i))", 1.0,
          "force across the velocity, to its left, as tanh(norm(v_i) / 2 [m/s])"),
         ("c1 * e_x", 1.0, "uniform push along x"),
@@ -147,7 +147,8 @@ def test_a_power_whose_neighbours_are_not_excluded_is_told_with_its_interval():
     across = formula("c1 * norm(v_i) * perp(normalize(v_i))")
     loose = describe(across, 2.0, exponents=[{**speed, "is_told": False}])
     assert loose == (
-        "force across the velocity, to its left (magnetic or Magnus), speed to the 1.5 (1.2 to 1.8)"
+        "force across the velocity, to its left (magnetic, Magnus or Coriolis), speed to the 1.5 "
+        "(1.2 to 1.8)"
     )
     distance = {"of": R, "stated": -2.0, "value": -1.4, "low": -1.6, "high": -1.2}
     pull = formula(f"c1 * inverse({R}^2) * normalize(p_i - p_j)")

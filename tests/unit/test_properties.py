@@ -183,3 +183,16 @@ def test_who_says_which_column_is_one_coordinate_has_said_all(tmp_path):
     frame.to_csv(tmp_path / "flight.csv", index=False)
     with pytest.raises(DataError, match="vbat"):
         bsp_gp.load_dataset(tmp_path / "flight.csv", units=units)
+
+
+def test_the_inertia_of_what_turns_is_a_mass_in_kg_m2(tmp_path):
+    t = 0.05 * np.arange(40)
+    frame = pd.DataFrame({"t": t, "theta": np.cos(t)})
+    units = {"theta": "rad", "time": "s"}
+    data = bsp_gp.Dataset.from_frames(frame, units=units, properties={"mass": "210[kg cm^2]"})
+    assert masses(data) == {"object": pytest.approx(0.021)}
+    listed = frame.assign(mass=210.0)
+    data = bsp_gp.Dataset.from_frames(listed, units={**units, "mass": "kg cm^2"})
+    assert masses(data) == {"object": pytest.approx(0.021)}
+    with pytest.raises(DataError, match="must be one of kg"):
+        two({"mass": "2[kg m^2]"})

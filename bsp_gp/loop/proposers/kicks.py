@@ -77,8 +77,11 @@ class Kicks:
             view.tick()
         free = fit.noise.is_free.any()
         noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
-        models = models_of(tracks, noise)
-        best, n_tried = models[0], len(models)
+        criteria = view.criteria
+        models = models_of(tracks, noise, criteria.class_nats)
+        near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
+        best = next((m for m in near if m.oddity >= criteria.alpha), models[0])
+        n_tried = len(models)
         alone = next(m for m in models if not m.terms)
         gain = 2 * (best.log_likelihood - alone.log_likelihood)
         known = Family(self.name, (), gain, len(best.values), np.zeros(view.moment_draws.shape[1]),
@@ -87,7 +90,7 @@ class Kicks:
         gain = max(gain, float(view.left @ view.left) - view.n_left)
         if best.terms == {"drag"}:
             return replace(known, proposals=(_slowed(view, best, gain),))
-        if "kicks" not in best.terms or best.oddity < view.criteria.alpha:
+        if "kicks" not in best.terms or best.oddity < criteria.alpha:
             return known
         proposal = Kicked(
             "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
