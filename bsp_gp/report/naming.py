@@ -376,6 +376,7 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
         is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
         verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"
+        verb = "torque" if any(_ANGLE.search(name) for name in powers) else verb
         return verb + _scaling(powers) + where
     if re.fullmatch(r"perp\((?:normalize\()?p_i - p_\w+\)*", text):
         return f"force across the line to the other body{_scaling(powers)}{where}"
@@ -421,6 +422,8 @@ _SPEEDS = {"norm(v_i)": "speed", "norm(v_i - v_j)": "relative speed"}
 _COMPONENTS = {f"v{a}_i": f"speed along {a}" for a in "xyz"} | {
     f"abs(v{a}_i)": f"|speed along {a}|" for a in "xyz"
 }
+_ANGLE = re.compile(r"[xyz]_i / 1 \[rad\]")
+"""An angle in a law's text."""
 _WORDS = {"norm(p_i - p_j)": "distance", **_SPEEDS, **_COMPONENTS}
 
 
@@ -431,6 +434,9 @@ def _scaling(powers):
             senses.append(f", with the sign of {sense[1]}")
             continue
         is_property = any(property_of(word) for word in _input_names(name))
+        if _ANGLE.search(name):
+            words.append(_ANGLE.sub("angle", name) + (f"^{power:g}" if power != 1 else ""))
+            continue
         if is_property and "norm" not in name and name not in _WORDS:
             continue
         axis = _own_axis(name) if name.startswith("along(v_i, ") else ""

@@ -64,6 +64,31 @@ def test_friction_has_kin_in_every_direction(n_dims, count):
     assert len(found) == len(set(found)) == count
 
 
+def test_a_sine_has_the_cosine_and_the_product_of_both():
+    found = texts_of_kin("-k * sin(x_i / 2 [m]) * e_x")
+    assert "c1 * (cos(x_i / 2 [m]) * e_x)" in found
+    assert "c1 * (sin(x_i / 2 [m]) * cos(x_i / 2 [m]) * e_x)" in found
+
+
+@pytest.mark.slow
+def test_a_hoop_that_is_spun_is_a_torque_of_its_own():
+    """Told as a force along x, as the third power of the sine."""
+    t, frames = np.arange(0.0, 6.0, 1 / 30), {}
+    for k, start in enumerate((2.1, -0.9, 1.6, 1.1)):
+        pull = lambda p, v: -32.7 * np.sin(p) - 0.17 * v + 3.6 * np.sin(p) * np.cos(p)  # noqa: E731
+        turned = moved(pull, [start, 0.0], t, 0.01, k)
+        frames[f"r{k}"] = turned.rename(columns={"x": "theta"})
+    table = pd.concat(frame.assign(scene=name) for name, frame in frames.items())
+    data = bsp_gp.Dataset.from_frames(table, units={"theta": "rad", "time": "s"})
+    laws = ["-k * m_i * sin(theta_i)", "-c * m_i * omega_i"]
+    report = bsp_gp.close_loop(data, laws, rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    effect = page_of(report).rounds[0].effect
+    assert effect.name == "torque, as sin(angle) * cos(angle)"
+    (c1,) = (c for c in report.constants if c.name == "c1")
+    assert c1.low < 3.6 < c1.high
+
+
 def test_forces_of_the_grammar_alone_have_none():
     assert not texts_of_kin("9.81 [m/s^2] * m_i * e_y", "c * e_x", "-mu * perp(v_i)")
 

@@ -1,4 +1,4 @@
-"""Kin of declared terms: a spring that stiffens, a pull to a centre that falls faster.
+"""Kin of declared terms: a spring that stiffens, a pull to a centre that falls faster, a hoop.
 
 A grammar knows distances of bodies, speeds and axes. Which rest length or which centre a user has
 in mind only the declared law says; and that a friction is another one in another direction (the
@@ -18,6 +18,7 @@ __all__ = ["kin_of"]
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _MOTION = Call("normalize", _VELOCITY)
 _AXES = ("e_x", "e_y", "e_z")
+_OTHERS = {"sin": "cos", "cos": "sin"}
 FURTHER = (2, 3)
 """Powers of what a declared term is linear in, beside its own."""
 ABOUT_CENTRES = (-4, -3, -2, -1, 0, 1, 2, 3)
@@ -41,7 +42,9 @@ def kin_of(law, n_dims):
     for term in law.terms:
         if term.is_declared:
             rest = _without_numbers(split_linear(term.formula)[1])
-            found |= dict.fromkeys([*_steeper(rest), *_about(rest), *_aside(rest, n_dims)])
+            found |= dict.fromkeys(
+                [*_steeper(rest), *_about(rest), *_aside(rest, n_dims), *_turned(rest)]
+            )
     for formula in found:
         yield Call("mul", Constant(name), formula)
 
@@ -62,6 +65,20 @@ def _steeper(rest):
             steep = Call("pow", part, Number(float(power)))
             steep = steep if power % 2 else Call("mul", Call("abs", part), part)
             yield quotient([steep, *above[:k], *above[k + 1 :]], below)
+
+
+def _turned(rest):
+    """A term in the sine of something to the cosine, the other way round, and to their product.
+
+    A weight that hangs aslant, a hoop that is spun about its vertical axis.
+    """
+    above, below = factors(rest)
+    for k, part in enumerate(above):
+        if isinstance(part, Call) and part.operator in _OTHERS and _moves(part):
+            other = Call(_OTHERS[part.operator], *part.args)
+            kept = [*above[:k], *above[k + 1 :]]
+            yield quotient([other, *kept], below)
+            yield quotient([part, other, *kept], below)
 
 
 def _about(rest):
