@@ -84,7 +84,7 @@ def test_a_hoop_that_is_spun_is_a_torque_of_its_own():
     report = bsp_gp.close_loop(data, laws, rng=0, n_bootstrap=0)
     assert report.verdict == "effect adopted"
     effect = page_of(report).rounds[0].effect
-    assert effect.name == "torque, as sin(angle) * cos(angle)"
+    assert effect.name == "torque, as sin(angle) times cos(angle)"
     (c1,) = (c for c in report.constants if c.name == "c1")
     assert c1.low < 3.6 < c1.high
 
