@@ -268,34 +268,38 @@ def carry(code, a, b, h, inputs, states, pattern, first, out):
     """
     n_state, width, n_points = first.shape
     n_stages, half = len(b), n_state // 2
-    lanes = max(min(LANES, MOST_CARRIED // (n_stages * n_state * width)), 4)
+    lanes = max(min(LANES, n_points, MOST_CARRIED // (n_stages * n_state * width)), 1)
     registers = np.empty((code.n_registers, LANES))
-    rates = np.empty((n_stages, n_state, width, lanes))
-    change = np.empty((n_state, width, lanes))
+    # Of every row of derivatives those of a point lie side by side.
+    rates = np.empty((n_stages, n_state, lanes * width))
+    begin, change = np.empty((n_state, lanes * width)), np.empty((n_state, lanes * width))
     by_state = np.zeros((half, n_state, lanes))
     by_constant = np.zeros((half, width - n_state, lanes))
     for m0 in range(0, n_points, lanes):
         n = min(lanes, n_points - m0)
+        for i in range(n_state):
+            for m in range(n):
+                for c in range(width):
+                    begin[i, m * width + c] = first[i, c, m0 + m]
         for s in range(n_stages + 1):
             for i in range(n_state):
-                for c in range(width):
-                    row = change[i, c]
-                    for m in range(n):
-                        row[m] = 0.0
-                    for k in range(s):
-                        weight = b[k] if s == n_stages else a[s, k]
-                        if weight != 0.0:
-                            rate = rates[k, i, c]
-                            for m in range(n):
-                                row[m] += weight * rate[m]
-                    start = first[i, c]
-                    for m in range(n):
-                        row[m] = start[m0 + m] + h[m0 + m] * row[m]
+                row, start = change[i], begin[i]
+                for at in range(n * width):
+                    row[at] = 0.0
+                for k in range(s):
+                    weight = b[k] if s == n_stages else a[s, k]
+                    if weight != 0.0:
+                        rate = rates[k, i]
+                        for at in range(n * width):
+                            row[at] += weight * rate[at]
+                for m in range(n):
+                    for at in range(m * width, m * width + width):
+                        row[at] = start[at] + h[m0 + m] * row[at]
             if s == n_stages:
                 for i in range(n_state):
-                    for c in range(width):
-                        for m in range(n):
-                            out[i, c, m0 + m] = change[i, c, m]
+                    for m in range(n):
+                        for c in range(width):
+                            out[i, c, m0 + m] = change[i, m * width + c]
                 continue
             for i in range(half):
                 for c in range(width - n_state):
@@ -306,14 +310,15 @@ def carry(code, a, b, h, inputs, states, pattern, first, out):
                     by_state[pattern[q, 0], pattern[q, 1], m] = 0.0
             _derive(code, states[s], inputs, s, m0, n, registers, by_state, by_constant, 0)
             for i in range(half):
-                for c in range(width):
-                    for m in range(n):
-                        rates[s, i, c, m] = change[half + i, c, m]
+                fall, row, moved = rates[s, i], rates[s, half + i], change[half + i]
+                for m in range(n):
+                    for c in range(width):
+                        fall[m * width + c] = moved[m * width + c]
                         own = by_constant[i, c - n_state, m] if c >= n_state else 0.0
-                        rates[s, half + i, c, m] = own
+                        row[m * width + c] = own
             for q in range(len(pattern)):
-                factor, i = by_state[pattern[q, 0], pattern[q, 1]], pattern[q, 1]
-                for c in range(width):
-                    row, other = rates[s, half + pattern[q, 0], c], change[i, c]
-                    for m in range(n):
-                        row[m] += factor[m] * other[m]
+                factor = by_state[pattern[q, 0], pattern[q, 1]]
+                row, other = rates[s, half + pattern[q, 0]], change[pattern[q, 1]]
+                for m in range(n):
+                    for at in range(m * width, m * width + width):
+                        row[at] += factor[m] * other[at]
