@@ -318,7 +318,8 @@ def information(weights, centres, roots, rng, count=N_ROWS):
 def _option(experiment, rivals, rows, free, sigma, rng, asked):
     """An experiment judged; one that leads out of the range of numbers tells nothing."""
     count = len(rivals)
-    rows, free, sigma = rows / sigma, free / sigma, np.ones_like(sigma)  # squares of far rows
+    with np.errstate(invalid="ignore", over="ignore"):  # what is out of range is looked at next
+        rows, free, sigma = rows / sigma, free / sigma, np.ones_like(sigma)  # squares of far rows
     if not np.isfinite(rows[:, 0]).all() or not np.isfinite(free).all():
         return Option(experiment, 0.0, 0.0, np.zeros((count, count)))
     centres, roots = normals(rows, free, sigma)
