@@ -325,10 +325,11 @@ class _State:
         self.left = tuple(left)
 
     def _ask_whole(self, dataset, rng):
-        """Close the loop on whole recordings with the likeliest law declared."""
+        """Close the loop on whole recordings with the likeliest law declared, if there is one."""
         self.says("asking whole recordings what is missing")
+        declared = _declared(self.rivals[0].law) if self.rivals else self.declared
         self.report = report = close_loop(
-            dataset, _declared(self.rivals[0].law), rng=rng, progress=self.says, **self.settings
+            dataset, declared, rng=rng, progress=self.says, **self.settings
         )
         is_new = any(done.adopted for done in report.rounds)
         if is_new:
