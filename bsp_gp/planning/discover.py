@@ -216,7 +216,7 @@ class _State:
         calm_scenes = [calm(s) for s in scenes]
         self._choose_part(scenes, calm_scenes)
         calm_scenes = [s for s in calm_scenes if len(s.times) >= LEAST_ROWS] or scenes
-        self.is_foretold = False
+        self.is_foretold, whole = False, self.means.dataset(scenes)
         if self.rivals:
             best = self.rivals[0].text
             whole = self._foreseeable(scenes, cut_rng)
