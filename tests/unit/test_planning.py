@@ -381,6 +381,25 @@ def test_an_interrupted_discovery_goes_on_with_the_same_experiments(tmp_path, me
         discover(still, few, 2, rng=5, out=tmp_path / "b")
 
 
+def test_misfits_without_a_law_end_in_what_is_declared(means):
+    """Round after round no law was found; there was none to be declared, and an IndexError."""
+    from bsp_gp.loop.criteria import Criteria
+    from bsp_gp.planning import discover as module
+
+    settings = {"criteria": Criteria(), "n_bootstrap": 0, "max_rounds": 1}
+    state = module._State(means, ("nothing",), settings, lambda text: None, None)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        experiment = means.draw(rng)
+        body = experiment.bodies[0]
+        rows = [["probe", t, *(np.array(body.position) + t * np.array(body.velocity))]
+                for t in experiment.times]  # fmt: skip
+        state.add(experiment, module.recording_of({"rows": rows}, experiment))
+    state.is_misfit, state.n_misfits = True, module.PATIENCE
+    state.learn(rng, is_last=True)
+    assert state.rivals == () and state.left[0] == "no_law" and not state.stands
+
+
 def test_the_share_of_a_constant_that_stays_at_zero_is_a_number(means):
     from types import SimpleNamespace
 
