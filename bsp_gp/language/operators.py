@@ -20,7 +20,7 @@ import numpy as np
 from bsp_gp.errors import UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["OPERATORS", "SHAPES", "Operator", "Type", "is_across_in"]
+__all__ = ["OPERATORS", "SHAPES", "Operator", "Type", "bessel_k0", "bessel_k1", "is_across_in"]
 
 SHAPES = ("scalar", "vector", "point", "bool", "shape")
 GUARD = 1e-9
@@ -68,6 +68,20 @@ class Operator:
     latex: str = ""
     function: Callable | None = None
     partials: tuple = ()
+
+
+def bessel_k0(x):
+    """Modified Bessel function of the second kind: the potential of a screened line."""
+    from scipy.special import k0
+
+    return k0(x)
+
+
+def bessel_k1(x):
+    """That of order one: the force of a screened line, as between what floats."""
+    from scipy.special import k1
+
+    return k1(x)
 
 
 class _Operators(dict):
@@ -459,6 +473,8 @@ def _table():
         "sin": (np.sin, np.cos),
         "cos": (np.cos, lambda a: -np.sin(a)),
         "tanh": (np.tanh, lambda a: 1.0 / np.square(np.cosh(a))),
+        "bessel_k0": (bessel_k0, lambda a: -bessel_k1(a)),
+        "bessel_k1": (bessel_k1, lambda a: -bessel_k0(a) - bessel_k1(a) / a),
     }
     operators = [
         Operator("add", 2, _infer_add, lambda t, a, b: np.asarray(a) + b, _d_add),

@@ -330,6 +330,8 @@ class _Sympy:
             "sin": lambda: sp.sin(a),
             "cos": lambda: sp.cos(a),
             "tanh": lambda: sp.tanh(a),
+            "bessel_k0": lambda: sp.besselk(0, a),
+            "bessel_k1": lambda: sp.besselk(1, a),
             "sign": lambda: sp.sign(a),
             "norm": lambda: self.norm(a),
             "normalize": lambda: a / self.norm(a),

@@ -41,7 +41,7 @@ HOLDING = ("constraint", "linkage", "wall")
 FRAMING = (*HOLDING, "rail")
 """The same, with what a law is told without."""
 _MASS = ("m_i", "mass_i")
-PURE = ("exp", "log", "sin", "cos", "tanh")
+PURE = ("exp", "log", "sin", "cos", "tanh", "bessel_k0", "bessel_k1")
 """Functions of pure numbers."""
 COPY = " copy "
 """Between the name of a scene and the number of a simulated copy."""

@@ -12,6 +12,7 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.operators import bessel_k1
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.stored import law_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
@@ -126,14 +127,16 @@ def rivals_of(report):
     return tuple(replace(r, probability=r.probability / total) for r in found)
 
 
-_POWER = re.compile(r"norm\(p_i - p_j\)\^(n\d*)")
+_R = r"norm\(p_i - p_j\)"
+_POWER = re.compile(rf"{_R}\^(n\d*)( \* exp\(-{_R} / \w+\))?")
+_WHOLE = re.compile(rf"inverse\({_R}(?:\^(\d+))?\)|{_R}\^-(\d+)")
 
 
 def kin_of(rival, dataset):
-    """Laws that one with a fitted power of the distance may stand for in what was seen so far.
+    """Laws that one with a power of the distance may stand for in what was seen so far.
 
-    Two whole powers about it, and one that fades with a length besides: over a short way no power
-    tells them apart, and experiments are to be made where they differ.
+    Over a short way no power tells two whole powers, one that fades with a length besides, and a
+    force that is screened in two dimensions apart: experiments are to be made where they differ.
 
     Parameters
     ----------
@@ -144,24 +147,37 @@ def kin_of(rival, dataset):
     Returns
     -------
     list of Rival
-        Of no probability yet, their constants starts; none where no such power is fitted.
+        Of no probability yet, their constants starts; none where no power falls with the distance.
     """
     texts = [to_text(term.formula) for term in rival.law.terms]
-    found = [(k, match) for k, text in enumerate(texts) if (match := _POWER.search(text))]
-    if len(found) != 1 or "exp(" in texts[found[0][0]]:
+    found = [(k, match) for k, text in enumerate(texts)
+             if (match := _POWER.search(text) or _WHOLE.search(text))]  # fmt: skip
+    if len(found) != 1 or "bessel" in texts[found[0][0]]:
         return []
     ((k, match),) = found
-    power, values = rival.law.constants[match[1]], rival.law.constants
-    whole = [texts[k].replace(match[0], f"norm(p_i - p_j)^{math.floor(power) + up}")
-             for up in (0, 1)]  # fmt: skip
-    strength = rival.law.terms[k].formula.constants[0]
-    second = fresh_name(rival.law, strength.rstrip("0123456789"))
-    length = fresh_name(rival.law, "L")
-    whole[1] = re.sub(rf"\b{strength}\b", second, whole[1])
-    faded = texts[k].replace(match[0], f"{match[0]} * exp(-norm(p_i - p_j) / {length})")
-    starts = {length: FADING * _typical_distance(dataset), second: values[strength]}
+    values, length = rival.law.constants, fresh_name(rival.law, "L")
+    strength, far = rival.law.terms[k].formula.constants[0], _typical_distance(dataset)
+    is_whole = match.re is _WHOLE
+    power = -float(match[1] or match[2] or 1) if is_whole else values[match[1]]
+    # As strong at that distance: from further off its length runs away.
+    alike = values[strength] * far**power / float(bessel_k1(1.0))
+    screened = texts[k].replace(match[0], f"bessel_k1(norm(p_i - p_j) / {length})")
+    kin = [([screened], {length: far, strength: alike})]
+    if is_whole:
+        exponent = fresh_name(rival.law, "n")
+        kin.append(
+            ([texts[k].replace(match[0], f"norm(p_i - p_j)^{exponent}")], {exponent: power})
+        )
+    elif not match[2]:
+        faded = texts[k].replace(match[0], f"{match[0]} * exp(-norm(p_i - p_j) / {length})")
+        kin.append(([faded], {length: FADING * far}))
+        second = fresh_name(rival.law, strength.rstrip("0123456789"))
+        whole = [texts[k].replace(match[0], f"norm(p_i - p_j)^{math.floor(power) + up}")
+                 for up in (0, 1)]  # fmt: skip
+        whole[1] = re.sub(rf"\b{strength}\b", second, whole[1])
+        kin.append((whole, {second: values[strength]}))
     out = []
-    for changed in (whole, [faded]):
+    for changed, starts in kin:
         law = read_law(dataset, [*texts[:k], *changed, *texts[k + 1 :]])
         law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
         known = {name: (values | starts)[name] for name in law.names}

@@ -32,7 +32,8 @@ def test_operations_are_those_of_numpy(op):
     kernel._operate(kernel.OPS[op], x, y, found, len(x))
     with np.errstate(all="ignore"):
         wanted = function(x, y) if getattr(function, "nin", 1) == 2 else function(x)
-    np.testing.assert_allclose(found, wanted.astype(float), rtol=1e-14)
+    error = 1e-13 if op.startswith("bessel") else 1e-14
+    np.testing.assert_allclose(found, wanted.astype(float), rtol=error)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -55,6 +55,9 @@ def value(name, *args, types=None):
         ("sin", (-np.pi / 2,), -1),
         ("cos", (0,), 1),
         ("tanh", (-1,), np.tanh(-1)),
+        ("bessel_k0", (2,), 0.11389387274953344),
+        ("bessel_k1", (2,), 0.13986588181652243),
+        ("bessel_k1", (0,), INF),
         ("sign", (-3,), -1),
         ("sign", (0,), 0),
         ("norm", ([3, -4],), 5),
@@ -133,7 +136,7 @@ SIGNATURES = {
     "norm": ["v"], "normalize": ["v"], "dot": ["vv"], "along": ["vv"], "project_abs": ["vv"],
     "perp": ["v"], "cross": ["vv"], "sqrt": ["s"], "abs": ["s"], "square": ["s"],
     "inverse": ["s"], "exp": ["s"], "log": ["s"], "sin": ["s"], "cos": ["s"], "tanh": ["s"],
-    "sign": ["s"],
+    "sign": ["s"], "bessel_k0": ["s"], "bessel_k1": ["s"],
 }  # fmt: skip
 CASES = [(name, signature) for name, all_ in SIGNATURES.items() for signature in all_]
 
@@ -142,7 +145,8 @@ def draw(rng, name, kind, lead):
     """Random values away from kinks; positive where a logarithm or root is taken."""
     n_dims = 3 if name == "cross" else 2
     size = rng.uniform(0.5, 2.0, (*lead, n_dims) if kind == "v" else lead)
-    positive = name in ("sqrt", "log", "pow", "div_guarded") and kind == "s"
+    above_zero = ("sqrt", "log", "pow", "div_guarded", "bessel_k0", "bessel_k1")
+    positive = name in above_zero and kind == "s"
     return size if positive else size * rng.choice([-1, 1], size.shape)
 
 

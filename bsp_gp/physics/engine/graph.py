@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsp_gp.language.operators import GUARD, OPERATORS
+from bsp_gp.language.operators import GUARD, OPERATORS, bessel_k0, bessel_k1
 
 __all__ = ["LEAVES", "Graph", "Tape"]
 
@@ -41,6 +41,7 @@ UFUNCS = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "pow": np.power,
     "neg": np.negative, "sqrt": np.sqrt, "abs": np.abs, "square": np.square, "exp": np.exp,
     "log": np.log, "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "sign": np.sign,
+    "bessel_k0": bessel_k0, "bessel_k1": bessel_k1,
     "minimum": np.minimum, "less": np.less, "inverse_positive": _array(_inverse_positive),
     "inverse_guarded": _array(_inverse_guarded), "log_positive": _array(_log_positive),
 }  # fmt: skip
@@ -275,6 +276,8 @@ _UNARY = {
     "sin": lambda g, n, a: g.call("cos", a),
     "cos": lambda g, n, a: g.neg(g.call("sin", a)),
     "tanh": lambda g, n, a: g.sub(g.one, g.call("square", n)),
+    "bessel_k0": lambda g, n, a: g.neg(g.call("bessel_k1", a)),
+    "bessel_k1": lambda g, n, a: g.neg(g.add(g.call("bessel_k0", a), g.div(n, a))),
     "sign": lambda g, n, a: g.zero,
     "inverse_positive": lambda g, n, a: g.neg(g.call("square", n)),
     "inverse_guarded": lambda g, n, a: g.neg(g.call("square", n)),

@@ -290,6 +290,12 @@ class Lowering:
     def _tanh(self, a):
         return self.graph.call("tanh", a)
 
+    def _bessel_k0(self, a):
+        return self.graph.call("bessel_k0", a)
+
+    def _bessel_k1(self, a):
+        return self.graph.call("bessel_k1", a)
+
 
 def fades_at_rest(formula):
     """Whether a force goes to zero with the speed of its receiver, and cannot hold it at rest.
