@@ -192,7 +192,7 @@ def excluded_inputs(args, grammar, dataset):
     from bsp_gp.language.inputs import ALIASES, SHORT, property_of
     from bsp_gp.physics.bodies import dataset_types
 
-    known = {*grammar.inputs, *dataset_types(dataset)}
+    known = {*grammar.inputs, *dataset_types(dataset), *dataset.logged}
     names = [] if args.allow_time else ["t"]
     for name in args.exclude:
         if name not in known:

@@ -19,6 +19,7 @@ from bsp_gp.data.headings import (
     is_no_place,
     is_rate,
 )
+from bsp_gp.data.logged import logged_columns
 from bsp_gp.data.roster import ABSURD, WITHIN, require_columns, vector_stems
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
@@ -54,6 +55,8 @@ class Rows:
         Whether the places of first rows are exact.
     is_angle : bool
         Whether positions are angles.
+    logged : dict of str to (str, ndarray, Unit)
+        Further columns, see `bsp_gp.data.logged.logged_columns`.
     """
 
     scene: np.ndarray
@@ -71,6 +74,7 @@ class Rows:
     first: tuple | None = None
     is_placed: bool = False
     is_angle: bool = False
+    logged: dict = field(default_factory=dict)
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -126,6 +130,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         _first(table, declaration, conversion, axes),
         declaration.first_position == "exact",
         conversion.system.is_angle,
+        logged_columns(table, {*inputs_of(table, declaration), *declaration.uses}),
     )
 
 
@@ -496,6 +501,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
             first_state(),
             rows.is_angle,
+            {n: spread(v) for n, (_, v, _) in rows.logged.items() if np.isfinite(v[part]).any()},
         )
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error

@@ -29,8 +29,8 @@ from bsp_gp.units import ANGLES, Unit
 
 __all__ = [
     "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
-    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_error",
-    "is_frame_name", "is_height", "is_ignored", "is_no_place", "is_rate", "is_run",
+    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_doubt", "is_error",
+    "is_frame_name", "is_height", "is_ignored", "is_no_place", "is_own_speed", "is_rate", "is_run",
     "number_columns", "property_of_words", "run_of", "told",
 ]  # fmt: skip
 
@@ -82,6 +82,16 @@ _ACCELERATION_WORDS = _set(
 _ERROR_WORDS = _set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
     " genauigkeit likelihood confidence incertitude"
+)
+_DOUBT_WORDS = _ERROR_WORDS | _set(
+    "quality qualität qualité calidad qualità score prob probability visible visibility occluded"
+    " flag status valid snr hdop vdop pdop sat sats satellites rssi checksum ecc eccentricity ep"
+    " signal raw_mass comment id label lost interpolated cost"
+)
+"""What says how sure or how good a measured place is, or what state a tracker is in."""
+_WHOSE_SPEED_WORDS = _set(
+    "gps ground gnss abs absolute magnitude total norm modulus horizontal vertical x y z 2d 3d m s"
+    " mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered raw"
 )
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
 _TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
@@ -270,6 +280,19 @@ def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
     return bool(_words(text) & no_place)
+
+
+def is_doubt(text):
+    """Whether a heading says how sure a place is, or in what state what measures it."""
+    return bool(_words(text) & _DOUBT_WORDS)
+
+
+def is_own_speed(text):
+    """Whether a heading speaks of how fast the body itself is, and of nothing else's speed."""
+    words = _words(text) - {""}
+    rest = words - _SPEED_WORDS - _WHOSE_SPEED_WORDS - _OF_WORDS
+    is_symbol = re.fullmatch(r"v[\s_]?[xyzrt]?", text.strip().lower()) is not None
+    return is_symbol or (bool(words & _SPEED_WORDS) and not rest)
 
 
 def is_count(text):

@@ -146,6 +146,8 @@ class Scene:
         Quoted standard errors per point; nan where none is quoted.
     inputs : mapping of str to ndarray, shape (T, N) or (T, N, d)
         What was logged beside the tracks, SI, for laws to name; nan = not logged there.
+    logs : mapping of str to ndarray, shape (T, N)
+        Further columns that no law names, see `Dataset.logged`.
     first : FirstState or None
     may_meet : bool
         Whether two entities may have the same coordinates, as angles of two arms do.
@@ -160,10 +162,12 @@ class Scene:
     inputs: Mapping = field(default_factory=dict)
     first: FirstState | None = None
     may_meet: bool = False
+    logs: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
-        inputs = {name: _readonly(values) for name, values in self.inputs.items()}
-        object.__setattr__(self, "inputs", inputs)
+        for attribute in ("inputs", "logs"):
+            known = {name: _readonly(values) for name, values in getattr(self, attribute).items()}
+            object.__setattr__(self, attribute, known)
         for attribute in ("times", "positions", "velocities", "sigma"):
             value = getattr(self, attribute)
             if value is not None:
@@ -269,6 +273,7 @@ class Scene:
             {name: values[cut] for name, values in self.inputs.items()},
             self.first if start in (0, None) else None,
             self.may_meet,
+            {name: values[cut] for name, values in self.logs.items()},
         )
 
 
@@ -334,6 +339,9 @@ class Dataset:
         Where the data come from: source, description, file and its SHA-256.
     notes : tuple of str
         What was noticed while reading (dropped axes, ignored columns); shown in the report.
+    logged : mapping of str to (str, Unit)
+        Further columns beside the tracks that nobody declared, by their names in laws: heading and
+        unit. Those in `Scene.logs` are not asked yet, see `bsp_gp.data.logged`.
     """
 
     name: str
@@ -350,8 +358,10 @@ class Dataset:
     provenance: Mapping = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     noise_memory: float | None = None
+    logged: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
+        object.__setattr__(self, "logged", MappingProxyType(dict(self.logged)))
         object.__setattr__(self, "scenes", tuple(self.scenes))
         object.__setattr__(
             self, "property_units", MappingProxyType({**PROPERTY_UNITS, **self.property_units})
@@ -393,6 +403,7 @@ class Dataset:
                 dict(self.provenance),
                 self.notes,
                 self.noise_memory,
+                dict(self.logged),
             ),
         )
 

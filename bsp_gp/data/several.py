@@ -101,7 +101,7 @@ def joined(datasets, paths):
         name_of_several(paths), tuple(scenes), tuple(sides["train"]), tuple(sides["test"]),
         first.units, {k: v for d in datasets for k, v in d.property_units.items()}, first.up,
         first.noise, first.velocity, first.latents, first.evaluation, provenance, tuple(told),
-        first.noise_memory,
+        first.noise_memory, {k: v for d in reversed(datasets) for k, v in d.logged.items()},
     )  # fmt: skip
 
 

@@ -225,4 +225,5 @@ def _with_primary(scene, roster):
         positions=beside(scene.positions, 0.0), velocities=beside(scene.velocities, 0.0),
         sigma=beside(scene.sigma, np.nan),
         inputs={name: beside(values, np.nan) for name, values in scene.inputs.items()},
+        logs={name: beside(values, np.nan) for name, values in scene.logs.items()},
     )  # fmt: skip

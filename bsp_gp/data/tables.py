@@ -374,6 +374,7 @@ def _assemble(table, roster, declaration, default_name):
         up=_up(declaration, scenes[0].n_dims) or table.up,
         noise=_noise(declaration, conversion, scenes[0].n_dims),
         noise_memory=_noise_memory(declaration, conversion),
+        logged={name: (heading, unit) for name, (heading, _, unit) in rows.logged.items()},
         velocity=declaration.velocity,
         latents=latents,
         evaluation=declaration.evaluation,

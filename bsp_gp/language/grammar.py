@@ -231,7 +231,7 @@ class Grammar:
             tuple(enabled),
         )
 
-    def for_properties(self, columns, inputs=None, angles=(), signed=()):
+    def for_properties(self, columns, inputs=None, angles=(), signed=(), alone=()):
         """Repeat rules for further property columns of a data set.
 
         Those of ``[each_property]`` for every scalar, of ``[each_vector]`` for every vector, of
@@ -246,6 +246,8 @@ class Grammar:
             Measured inputs: the same rules for the receiver, under their own names.
         angles, signed : collection of str, optional
             Inputs that are angles, and scalars that are both above and below zero.
+        alone : collection of str, optional
+            Inputs of which laws on one body alone may be.
         """
         known = {property_of(name)[0] for name in self.inputs if property_of(name)}
         source, is_changed = json.loads(json.dumps(dict(self.source))), False
@@ -257,7 +259,8 @@ class Grammar:
             tables += ["each_velocity"] if is_velocity else []
             tables += ["each_signed"] if column in signed else []
             tables = ["each_angle"] if column in angles else tables
-            rules = [pair for t in tables for pair in self.source.get(t, {}).items()]
+            rules = [pair for t in tables for pair in self.source.get(t, {}).items()
+                     if column not in alone or "{name}_j" not in pair[1]]  # fmt: skip
             if not rules:
                 continue
             is_changed = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -13,6 +14,7 @@ import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.flat import held_flat
+from bsp_gp.data.logged import asked_of
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
@@ -145,10 +147,12 @@ def close_loop(
         generator(rng).spawn(6)
     )
     says("reading the data set")
+    known = {"t", *dataset.logged}
+    dataset = asked_of(dataset, _words(declared), exclude)
     dataset = dataset if all_rows else in_blocks(dataset)
     ready = _Ready(dataset, declared, split_rng)
     grammar = grammar if isinstance(grammar, Grammar) else load_grammar(grammar)
-    unknown = sorted(set(exclude) - set(grammar.inputs) - {"t"})
+    unknown = sorted(set(exclude) - set(grammar.inputs) - known)
     if unknown:
         raise SettingsError(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
@@ -222,6 +226,14 @@ def close_loop(
         n_fits=sum(len(done.fits) - 1 for done in rounds) + 1 + pruned.n_fits,
         versions=writing_up.versions(), wall_s=time.monotonic() - began, **written,
     )  # fmt: skip
+
+
+def _words(declared):
+    """What declared laws name."""
+    laws = (declared,) if isinstance(declared, str) else declared
+    if isinstance(laws, ForceLaw):
+        laws = [to_text(term.formula) for term in laws.terms]
+    return set(re.findall(r"\w+", " ".join(laws)))
 
 
 class _Ready:

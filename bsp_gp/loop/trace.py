@@ -32,7 +32,8 @@ class Channel:
     direction : str
         "along" or "across" the velocity, "e_x", "line" to all other bodies, or "line:NAME".
     variable : str
-        "", "time", "x", "y", "z", "speed", "distance", "body" or "scene".
+        "", "time", "x", "y", "z", "speed", "distance", "body", "scene", or a column that was
+        logged.
     n_functions, rank : int
     statistic, p_value : float
         Of its score test alone.
@@ -75,7 +76,7 @@ class Trace:
 def trace(view):
     """The trace of a View."""
     batches = view.response.regression.batches
-    fields = [_Field(batch) for batch in batches]
+    fields = [_Field(batch, view.dataset.logged) for batch in batches]
     ways = [[None] * len(fields)]  # a push is an acceleration, or where masses differ a force
     masses = view.masses and np.concatenate([m.ravel() for m in view.masses])
     if masses is not None and np.ptp(masses) > 0:
@@ -126,7 +127,7 @@ def free_forces(view, count):
     str, str, ndarray, shape (n, F)
         Direction, variable, moments: of the constant and the cosines, or of every body or scene.
     """
-    fields = [_Field(batch) for batch in view.response.regression.batches]
+    fields = [_Field(batch, view.dataset.logged) for batch in view.response.regression.batches]
     for direction in dict.fromkeys(name for field in fields for name in field.directions):
         for basis in _bases(fields, direction):
             columns = moments_of(view, [f.pushes(direction, basis) for f in fields])
@@ -149,7 +150,7 @@ def smooth_variables(view, count=2, with_names=False):
     str, list of ndarray, shape (n, S, R, F)
         By batch of the response.
     """
-    fields = [_Field(batch) for batch in view.response.regression.batches]
+    fields = [_Field(batch, view.dataset.logged) for batch in view.response.regression.batches]
     for basis in _bases(fields, "along"):
         if basis.variable and (with_names or not basis.is_named):
             made = [list(basis.functions(f.variables[basis.variable])) for f in fields]
@@ -171,8 +172,8 @@ def moments_of(view, pushes):
 class _Field:
     """Directions and variables at the instants of a batch; arrays (n, S, R, J[, d])."""
 
-    def __init__(self, batch):
-        self.batch, self.bodies = batch, batch.bodies
+    def __init__(self, batch, columns):
+        self.batch, self.bodies, self.columns = batch, batch.bodies, tuple(columns)
         self.own = batch.positions[:, :, self.bodies.receivers]
         self.velocity = batch.velocities[:, :, self.bodies.receivers]
         self.valid = batch.valid.any(axis=-1)
@@ -221,7 +222,13 @@ class _Field:
             "distance": np.linalg.norm(self.between, axis=-1),
             "body": np.broadcast_to(np.array(self.bodies.receiver_names), shape)[..., None],
             "scene": np.broadcast_to(scenes, shape)[..., None],
+            **{name: self._logged(name)[..., None] for name in self.columns},
         }  # fmt: skip
+
+    def _logged(self, name):
+        """Values of a measured input, (n, S, R)."""
+        bodies = self.bodies
+        return bodies.series.at(name, bodies.scenes, bodies.receiver_names, self.batch.times)
 
     def pushes(self, direction, basis):
         """Accelerations of every function of a basis, (n, S, R, F, d)."""

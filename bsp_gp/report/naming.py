@@ -6,7 +6,7 @@ import math
 import re
 
 from bsp_gp.language.formula import Call, Number, factors
-from bsp_gp.language.inputs import property_of
+from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES
@@ -355,6 +355,7 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         kind = "drag" if brakes else "forward push"
         if has_own:
             return kind + _scaling(powers | ({"norm(v_i)": total} if total else {})) + where
+        where = _in_columns(powers) + where
         if total == 0:
             return f"{'friction' if brakes else kind} of constant size{where}"
         return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
@@ -446,6 +447,18 @@ def _scaling(powers):
         label = label or ("|radial speed|" if name.startswith("abs(along(") else size_name(name))
         words.append(label if power == 1 else f"{label}^{power:g}")
     return (f", as {' * '.join(words)}" if words else "") + "".join(senses)
+
+
+def _in_columns(powers):
+    """In proportion to what was logged: ", proportional to the square of the logged column 'I'"."""
+    out = ""
+    for name, power in powers.items():
+        is_name = re.fullmatch(r"[A-Za-z]\w*", name) is not None
+        if not is_name or name in {*STATE_INPUTS, *_COMPONENTS} or property_of(name):
+            continue
+        of = {1: "", 2: "the square of ", -1: "the inverse of "}.get(power, f"power {power:g} of ")
+        out += f", proportional to {of}the logged column {name!r}"
+    return out
 
 
 def _own_axis(text):

@@ -25,13 +25,15 @@ ABOUT_CENTRES = (-4, -3, -2, -1, 0, 1, 2, 3)
 """Powers of the distance to a declared centre."""
 
 
-def kin_of(law, n_dims):
+def kin_of(law, n_dims, logged=()):
     """Laws like the declared terms, to other powers, or of another strength in some direction.
 
     Parameters
     ----------
     law : ForceLaw
     n_dims : int
+    logged : sequence of Input
+        Columns with which the strength of every term, declared or found, may vary.
 
     Yields
     ------
@@ -40,11 +42,12 @@ def kin_of(law, n_dims):
     """
     name, found = fresh_name(law), {}
     for term in law.terms:
+        rest = _without_numbers(split_linear(term.formula)[1])
         if term.is_declared:
-            rest = _without_numbers(split_linear(term.formula)[1])
             found |= dict.fromkeys(
                 [*_steeper(rest), *_about(rest), *_aside(rest, n_dims), *_turned(rest)]
             )
+        found |= dict.fromkeys(_with_columns(rest, logged))
     for formula in found:
         yield Call("mul", Constant(name), formula)
 
@@ -79,6 +82,13 @@ def _turned(rest):
             kept = [*above[:k], *above[k + 1 :]]
             yield quotient([other, *kept], below)
             yield quotient([part, other, *kept], below)
+
+
+def _with_columns(rest, logged):
+    """A term in proportion to a column that was logged, to its square, and against it."""
+    for column in (each for each in logged if each.name not in rest.inputs):
+        for scale in (column, Call("square", column), Call("inverse", column)):
+            yield Call("mul", scale, rest)
 
 
 def _about(rest):

@@ -8,7 +8,7 @@ import numpy as np
 
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
 from bsp_gp.fitting.response import RESOLVED
-from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.formula import Input, rename_constants
 from bsp_gp.language.grammar import PLACED
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.operators import is_across_in
@@ -72,8 +72,9 @@ class Laws:
         scalars = [c for c, t in columns.items() if t.shape == "scalar"]
         self.available = set(types) - set(exclude) - _unknown_of_sources(dataset)
         inputs = input_types_of(dataset)
+        self.logged = [Input(n, inputs[n]) for n in dataset.logged if n in self.available]
         grammar = grammar.for_properties(
-            columns, inputs, angles_of(dataset), signed_of(dataset)
+            columns, inputs, angles_of(dataset), signed_of(dataset), dataset.logged
         )
         self.grammar, self.missing = grammar.masked(self.available, dataset.n_dims)
         beyond, _ = grammar.beyond.masked(self.available | {"t", *PLACED}, dataset.n_dims)
@@ -119,7 +120,7 @@ class Laws:
         declared = _declared(view)
         kin = [
             c
-            for formula in kin_of(view.fit.law, view.dataset.n_dims)
+            for formula in kin_of(view.fit.law, view.dataset.n_dims, self.logged)
             if (c := _scored(view, formula)) is not None
         ]
         null = np.maximum(null, _null_of(view, kin, draws))

@@ -1,0 +1,273 @@
+"""Columns beside the tracks that nobody named: which of them may drive the motion.
+
+A logger writes more than the motion: a current, a temperature, the speed of a fan; and numbers that
+follow from what is there already: counts of rows, speeds, places in pixels, how sure a tracker is.
+Whatever follows from the times and the places of a track says nothing of what moves it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
+
+from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.headings import (
+    bodies_beside,
+    is_acceleration,
+    is_angle,
+    is_angle_name,
+    is_count,
+    is_doubt,
+    is_own_speed,
+    property_of_words,
+)
+from bsp_gp.errors import UnitError
+from bsp_gp.units import ACCELERATION, DIMENSIONLESS, parse_unit
+
+__all__ = ["asked_of", "logged_columns"]
+
+MOST = 6
+"""Columns that are asked."""
+AS_TIME, AS_PLACE, AS_MOTION, AS_OTHER = 1e-4, 1e-3, 5e-3, 1e-4
+"""Part of its variance that a column must have beside the time, the places, the places and
+velocities, and the columns before it."""
+AS_DIFFERENCES = 0.1
+"""Part of the variance of its second differences that must not follow from those of the track:
+what was computed of measured places shares their noise."""
+TAPS = 3
+LEAST_ROWS, LEAST_SCENES = 12, 4
+"""Rows of a track in which differences are looked at; scenes of which each has one value."""
+_TAKEN = frozenset("origin centre middle edge own both free plain mine up down".split())
+_SUFFIX = "_logged"
+
+
+def logged_columns(table, taken):
+    """Numbers beside the tracks that may be measured inputs, by their names in laws.
+
+    Parameters
+    ----------
+    table : Table
+    taken : collection of str
+        Columns that mean something.
+
+    Returns
+    -------
+    dict of str to (str, ndarray, Unit)
+        Heading, values (n,) in SI, and unit; a pure number where the unit is not known.
+    """
+    beside = bodies_beside(table.unused, table.units) if "entity" not in table.frame else {}
+    of_bodies = {column for axes in beside.values() for column in axes.values()}
+    out = {}
+    for column, theirs in table.unused.items():
+        if column not in table.frame or column in taken or theirs in of_bodies:
+            continue
+        cells, unit = table.frame[column], table.units.get(column, "")
+        if not pd.api.types.is_numeric_dtype(cells) or _is_named_else(theirs, column, unit):
+            continue
+        try:
+            scale, dimension = parse_unit(unit) if unit else (1.0, DIMENSIONLESS)
+        except UnitError:
+            scale, dimension = 1.0, DIMENSIONLESS
+        values = cells.to_numpy(dtype=float, na_value=np.nan)
+        name = _name(column, {*out, *taken})
+        if name and np.isfinite(values).sum() > 1:
+            out[name] = column, scale * np.where(np.isfinite(values), values, np.nan), dimension
+    return out
+
+
+def _is_named_else(theirs, column, unit):
+    """Whether a heading says that a column is no cause: a count, a doubt, a motion, an angle."""
+    is_kind = any(
+        f(text) for f in (is_count, is_doubt, is_own_speed, is_acceleration, is_angle_name)
+        for text in (theirs, column)
+    )  # fmt: skip
+    return (
+        is_kind or bool(property_of_words(column, unit)) or is_angle(unit)
+        or bool(unit and unit_of(unit) == ACCELERATION)
+    )  # fmt: skip
+
+
+def _name(column, taken):
+    """A name that laws can use, and none that they use for anything else; "" for none."""
+    name = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
+    if not re.match(r"[A-Za-z]", name):
+        return ""
+    is_short = re.fullmatch(r"[A-Za-z]{1,2}\d*|[A-Za-z]+_?\d+", name) is not None
+    if is_short or name in _TAKEN or name[-2:] in ("_i", "_j", "_x", "_y"):
+        name += _SUFFIX
+    while name in taken:
+        name += _SUFFIX
+    return name
+
+
+def asked_of(dataset, taken=(), exclude=()):
+    """The data set with those columns as measured inputs that do not follow from what is there.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    taken : collection of str
+        Names in laws, which mean something else.
+    exclude : collection of str
+        Columns that are not asked.
+
+    Returns
+    -------
+    Dataset
+        `Dataset.logged` has what is asked, and a note tells it.
+    """
+    names = [
+        n for n in dataset.logged
+        if n not in exclude and all(_is_logged(scene, n) for scene in dataset.scenes)
+    ]  # fmt: skip
+    tracks = [_Track(scene, k) for scene in dataset.scenes for k in scene.dynamic]
+    kept, columns = {}, []
+    for name in names:
+        values = _within([track.values(name) for track in tracks])
+        if len(kept) < MOST and values is not None:
+            if not _follows(tracks, name, values, columns):
+                kept[name if name not in taken else name + _SUFFIX] = name
+                columns.append(values)
+    scenes = tuple(
+        dataclasses.replace(
+            s, inputs={**s.inputs, **{new: s.logs[old] for new, old in kept.items()}}, logs={}
+        )
+        for s in dataset.scenes
+    )  # fmt: skip
+    logged = {new: dataset.logged[old] for new, old in kept.items()}
+    units = {name: unit for name, (_, unit) in logged.items()}
+    return dataclasses.replace(
+        dataset, scenes=scenes, logged=logged, property_units={**dataset.property_units, **units},
+        notes=_told(dataset.notes, logged),
+    )  # fmt: skip
+
+
+def _told(notes, logged):
+    """The notes with what is asked, which is not called unused any more."""
+    if not logged:
+        return notes
+    theirs = {heading for heading, _ in logged.values()}
+    out = []
+    for note in notes:
+        before, mark, names = note.partition("not used: ")
+        left = [n for n in names.split(", ") if re.sub(r"\s*[(\[].*", "", n).strip() not in theirs]
+        if not mark or left:
+            out.append(before + mark + ", ".join(left) if mark else note)
+    each = [f"{heading!r}" + f" as {name}" * (heading != name)
+            for name, (heading, _) in logged.items()]  # fmt: skip
+    return (*out, f"asked whether forces vary with further columns: {', '.join(each)}")
+
+
+def _is_logged(scene, name):
+    """Whether every body that moves has values of a column."""
+    values = scene.logs.get(name)
+    if values is None or name in scene.inputs:
+        return False
+    return bool(np.isfinite(values[:, scene.dynamic]).any(axis=0).all())
+
+
+class _Track:
+    """One body of one scene where it is seen: times (T,), places (T, d)."""
+
+    def __init__(self, scene, k):
+        self.scene, self.k = scene, k
+        seen = np.isfinite(scene.positions[:, k]).all(axis=1)
+        self.seen, self.times = seen, scene.times[seen]
+        self.places = scene.positions[seen, k]
+
+    def values(self, name):
+        """Of a column, at the rows where the body is seen; between rows along straight lines."""
+        values = self.scene.logs[name][:, self.k]
+        known = np.isfinite(values)
+        return np.interp(self.times, self.scene.times[known], values[known])
+
+    def velocities(self):
+        """Slopes of lines through `TAPS` rows on either side of each, (T, d)."""
+        width = 2 * TAPS + 1
+        if len(self.times) < width:
+            return np.gradient(self.places, self.times, axis=0)
+        t = sliding_window_view(self.times, width)
+        t = t - t.mean(axis=1, keepdims=True)
+        p = sliding_window_view(self.places, width, axis=0)
+        slopes = np.einsum("tw,tdw->td", t, p) / np.square(t).sum(axis=1)[:, None]
+        return np.pad(slopes, ((TAPS, TAPS), (0, 0)), mode="edge")
+
+    def motion(self):
+        """Places, velocities, and squares and sizes of both, (T, f)."""
+        p, v = self.places, self.velocities()
+        far, speed = (np.linalg.norm(each, axis=1, keepdims=True) for each in (p, v))
+        return np.concatenate([p, v, p * p, far, speed, speed**2], axis=1)
+
+    def differences(self):
+        """Second differences of places shifted by rows, and of speeds made of them, (T - 8, f)."""
+        n = len(self.times) - 2 * TAPS
+        shifted = [self.places[k : k + n] for k in range(2 * TAPS + 1)]
+        steps = np.diff(self.places, axis=0) / np.diff(self.times)[:, None]
+        middle = 0.5 * (steps[1:] + steps[:-1])
+        sizes = [steps[TAPS - 1 :][:n], steps[TAPS:][:n], middle[TAPS - 1 :][:n]]
+        sizes = [np.linalg.norm(s, axis=1, keepdims=True) for s in sizes]
+        far = np.linalg.norm(shifted[TAPS], axis=1, keepdims=True)
+        made = [*shifted, *sizes, *(s * s for s in sizes), far]
+        return np.diff(np.concatenate(made, axis=1), 2, axis=0)
+
+
+def _within(values):
+    """Values less their mean in each track; None where that says nothing.
+
+    Of what is constant in each scene the means are compared.
+    """
+    whole = np.concatenate(values)
+    size = np.abs(whole).max()
+    out = np.concatenate([v - v.mean() for v in values])
+    if np.abs(out).max() > 1e-9 * size:
+        return out
+    known = np.unique([v[0] for v in values])
+    is_varied = len(known) >= LEAST_SCENES and not np.allclose(np.diff(known), known[1] - known[0])
+    return whole - whole.mean() if is_varied else None
+
+
+def _follows(tracks, name, values, columns):
+    """Whether a column follows from the times and places, or from columns before it."""
+    own = [track.values(name) for track in tracks]
+    if all(_is_count(v) for v in own):
+        return True
+
+    def beside(parts):
+        return _left(values, np.concatenate([p - p.mean(axis=0) for p in parts]))
+
+    if beside([track.times[:, None] for track in tracks]) < AS_TIME:
+        return True
+    if beside([track.places for track in tracks]) < AS_PLACE:
+        return True
+    if beside([track.motion() for track in tracks]) < AS_MOTION:
+        return True
+    long = [k for k, track in enumerate(tracks) if len(track.times) >= LEAST_ROWS]
+    if long:
+        quick = np.concatenate([np.diff(own[k][TAPS:-TAPS], 2) for k in long])
+        made = np.concatenate([tracks[k].differences() for k in long])
+        if _left(quick, made) < AS_DIFFERENCES:
+            return True
+    return bool(columns) and _left(values, np.stack(columns, axis=1)) < AS_OTHER
+
+
+def _left(values, columns):
+    """Part of the variance of values (n,) beside columns (n, f), these being counted."""
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    total, n = float(values @ values), len(values)
+    if total == 0 or n <= columns.shape[1] + 2:
+        return 1.0
+    rest = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(rest @ rest) / total * n / (n - columns.shape[1])
+
+
+def _is_count(values):
+    """Whether whole numbers go up by the same at nearly all rows."""
+    steps = np.diff(values)
+    if not len(steps) or (values != np.round(values)).any() or (steps <= 0).any():
+        return False
+    return bool((steps == np.median(steps)).mean() > 0.9)
