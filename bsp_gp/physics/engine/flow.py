@@ -612,10 +612,10 @@ class _Stages:
     def __init__(self, flow, scheme, points, h):
         self.flow, self.scheme, self.first, self.h = flow, scheme, points, h
         self.times, self.inputs = points.times + scheme.c[:, None] * h, None
-        self.driven = flow.driven.at(self.times, points.chain)
         if flow.is_compiled:
             compiled = flow.motion.compiled
-            self.inputs = compiled.inputs(self.times, points.chain, self.driven, points.modes)
+            driven = flow.driven.at(self.times, points.chain)
+            self.inputs = compiled.inputs(self.times, points.chain, driven, points.modes)
             self.end, self.states, self.rates = compiled.step(
                 scheme, points.state, h, self.inputs
             )
@@ -645,7 +645,7 @@ class _Stages:
         """The points of all stages, one stage after the other."""
         n_stages, *shape, n = self.states.shape
         chain = np.tile(np.arange(self.flow.chains.n_chains)[self.first.chain], n_stages)
-        driven = self.driven
+        driven = self.flow.driven.at(self.times, self.first.chain)
         if driven is not None and driven.shape[-1] == n:
             driven = np.tile(driven, n_stages)
         return Points(
