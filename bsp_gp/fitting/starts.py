@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product as every
+from itertools import islice
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -305,9 +305,21 @@ def candidates(law, parameters, scales, rates, most):
         "phase": (0.0, np.pi / 2),
         "inner": tuple(scales.extent * np.array(DECADES)),
     }
-    choices = list(every(*(range(len(grids[roles[name]])) for name in names)))
-    choices.sort(key=sum)
+    sizes = [len(grids[roles[name]]) for name in names]
+    sums = range(sum(sizes) - len(sizes) + 1)
+    choices = (choice for total in sums for choice in _adding_up(total, sizes))
     return [
         {name: float(grids[roles[name]][k]) for name, k in zip(names, choice, strict=True)}
-        for choice in choices[:most]
+        for choice in islice(choices, most)
     ]
+
+
+def _adding_up(total, sizes):
+    """Places (k, ...), each below its size, that add up to a total, in their order."""
+    if not sizes:
+        yield from [()] if total == 0 else []
+        return
+    rest = sum(sizes[1:]) - len(sizes[1:])
+    for k in range(max(total - rest, 0), min(total, sizes[0] - 1) + 1):
+        for others in _adding_up(total - k, sizes[1:]):
+            yield (k, *others)

@@ -31,10 +31,11 @@ LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
     "law", "law_by_body", "law_by_scene", "exponent", "number", "constant_per_body",
-    "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind", "scale", "clock",
-    "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective", "inclined",
-    "late_log", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact", "bounce",
-    "rod", "wire", "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
+    "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind", "belt", "scale",
+    "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens", "perspective",
+    "inclined", "late_log", "swapped_tracks", "lost_track", "bad_row", "hidden_body", "contact",
+    "bounce", "rod", "wire", "frame", "reference", "kicks", "noise", "varying_strength",
+    "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")

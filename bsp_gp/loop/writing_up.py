@@ -28,7 +28,8 @@ __all__ = [
 ]  # fmt: skip
 
 CHANGES = (
-    "exponent", "number", "pulsing", "growing", "wind", "constant_per_body", "constant_per_scene"
+    "exponent", "number", "pulsing", "growing", "wind", "belt", "constant_per_body",
+    "constant_per_scene",
 )  # fmt: skip
 """Codes of causes that change a term of the law."""
 HEAVIEST = 10

@@ -12,6 +12,7 @@ CAUSES = {
     "ripple": "a force that repeats along an axis", "pulsing": "a strength with a period",
     "growing": "a strength that grows or fades",
     "wind": "a medium that moves (a wind, a current)",
+    "belt": "a ground that moves under the bodies (a belt)",
     "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
     "law_by_body": "a force of another strength for each body",

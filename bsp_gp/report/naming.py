@@ -190,7 +190,7 @@ def change(code, name, constants=()):
     constants : sequence
         With `value`, `low` and `high`, as far as they are known.
     """
-    if code == "wind":
+    if code in ("wind", "belt"):
         size = f", {pretty_unit(_vector(constants))}" if constants else ""
         return f"{CAUSES[code]}{size}"
     c = constants[0] if len(constants) == 1 else None

@@ -214,6 +214,47 @@ def test_a_body_stops_and_stays(friction):
     assert transitions[0][0, 4] == pytest.approx(-(0.13**2) / 8, rel=0.1)
 
 
+BELT = law_of("-c1 * m_i * normalize(v_i - (u1 * e_x + u2 * e_y))", c1=2.0, u1=0.4, u2=-0.1)
+
+
+def _on_a_belt(law, start=(0.53, -0.1), rows=(0.0, 0.1, 0.2)):
+    """Where a body ends that came onto a belt, row by row, and derivatives."""
+    flow = flow_of(law, [scene_of(rows, (body("a"),), [[0.0, 0.0]])], 1e-3)
+    nodes = nodes_of(flow, [[0.0, 0.0]], [start])
+    nodes[1, 0, :, 1:, 0] = np.array([[law.constants["u1"]], [law.constants["u2"]]])
+    return flow.run(nodes, flow.mesh(nodes))
+
+
+def test_a_body_stops_on_a_belt_and_is_carried_along():
+    """As on a floor at rest, seen from the belt; then it goes on as fast as the belt."""
+    ends, transitions = _on_a_belt(BELT)
+    after = 0.13**2 / 4 + 0.4 * 0.1
+    np.testing.assert_allclose(ends[0, 0, 0], [after, 0.04], atol=1e-9)
+    np.testing.assert_allclose(ends[0, 0, 1], [-0.01, -0.01], atol=1e-9)
+    np.testing.assert_allclose(ends[1, 0, 0], 0.4, atol=1e-9)
+    held, carried = transitions  # rows x, y, v_x, v_y; then c1, u1, u2
+    assert held[0, 2] == pytest.approx(0.13 / 2, rel=1e-3)
+    np.testing.assert_allclose(held[[2, 3], 5:], 0.0 * np.eye(2) + [[1, 0], [0, 1]], atol=1e-9)
+    assert held[0, 4] == pytest.approx(-(0.13**2) / 8, rel=1e-3)
+    assert held[0, 5] == pytest.approx(0.1 - 0.13 / 2, rel=1e-3)
+    np.testing.assert_allclose(carried[:2, 4:], 0.0, atol=1e-9)
+
+
+def test_a_body_at_rest_on_a_belt_is_taken_along():
+    ends, _ = _on_a_belt(BELT, start=(0.0, 0.0), rows=(0.0, 0.3, 0.6))
+    np.testing.assert_allclose(ends[1, 0, :, :], [[0.4, 0.4], [-0.1, -0.1]], atol=1e-9)
+
+
+def test_drag_against_a_stream_stops_nothing_and_friction_on_a_belt_does():
+    assert not flow_of(
+        law_of("-c1 * norm(v_i - u * e_x) * normalize(v_i - u * e_x)", c1=1.0, u=0.2),
+        [scene_of([0.0, 0.1, 0.2], (body("a"),), [[0.0, 0.0]])], 1e-3,
+    ).motion.has_stops  # fmt: skip
+    assert flow_of(
+        BELT, [scene_of([0.0, 0.1, 0.2], (body("a"),), [[0.0, 0.0]])], 1e-3
+    ).motion.has_stops
+
+
 def test_a_step_that_no_number_of_parts_makes_short_enough_ends_nowhere():
     """Steps chosen under a weak drag, taken under one that stops the body within 1e-3 of them."""
     scene = scene_of([0.0, 0.1, 0.2], (body("a"),), [[0.0, 0.0]])

@@ -38,14 +38,57 @@ LAWS = ("-c * norm(v_i) * v_i", "-f * m_i * normalize(v_i)")
 
 
 def test_a_wind_is_proposed_with_its_way_and_in_still_air_it_promises_little():
-    (found,) = Winds().propose(view_of(runs((0.4, -0.2)), *LAWS)).proposals
-    assert found.code == "wind" and found.promise > 20.0
+    (found,) = _winds(view_of(runs((0.4, -0.2)), *LAWS))
+    assert found.promise > 20.0
     assert found.starts["wind_x1"] > 0 > found.starts["wind_y1"]  # far off: drag gives way too
     assert all(p.promise < 5.0 for p in Winds().propose(view_of(runs(), *LAWS)).proposals)
 
 
+def _winds(view):
+    return [p for p in Winds().propose(view).proposals if p.code == "wind"]
+
+
 def test_friction_of_constant_size_knows_no_wind():
-    assert not Winds().propose(view_of(runs(), LAWS[1])).proposals
+    assert not _winds(view_of(runs(), LAWS[1]))
+
+
+def thrown(belt, friction=2.0, sigma=1.7e-3):
+    """Discs that are thrown onto a belt and come to rest on it."""
+    frames, t = {}, np.linspace(0.0, 1.2, 73)
+    for k in range(5):
+        angle, rng = 1.3 * k + 0.2, np.random.default_rng(k)
+
+        def rate(_, state):
+            past = state[2:] - np.asarray(belt)
+            return [*state[2:], *(-friction * past / np.hypot(np.linalg.norm(past), 1e-3))]
+
+        start = [0.0, 0.0, 1.1 * np.cos(angle), 1.1 * np.sin(angle)]
+        places = solve_ivp(
+            rate, (0, 1.2), start, t_eval=t, method="LSODA", rtol=1e-8, atol=1e-9
+        ).y[:2]  # fmt: skip
+        places = places + sigma * rng.standard_normal(places.shape)
+        frames[f"r{k}"] = pd.DataFrame({"t": t, "x": places[0], "y": places[1]})
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})
+    return bsp_gp.Dataset.from_frames(frames, bodies, units=UNITS, train=list(frames)[:-1])
+
+
+def test_a_belt_is_proposed_with_its_velocity_and_a_floor_at_rest_is_none():
+    (found,) = Winds().propose(view_of(thrown((0.45, 0.0)), "-c * normalize(v_i)")).proposals
+    assert found.code == "belt" and found.promise > 50.0
+    assert found.starts["ground_x1"] == pytest.approx(0.45, abs=0.1)
+    assert found.starts["ground_y1"] == pytest.approx(0.0, abs=0.1)
+    rest = Winds().propose(view_of(thrown((0.0, 0.0)), "-c * normalize(v_i)")).proposals
+    assert all(p.promise < 5.0 for p in rest)
+
+
+@pytest.mark.slow
+def test_a_belt_is_adopted_with_its_velocity():
+    report = bsp_gp.close_loop(thrown((0.45, 0.0)), "-c * normalize(v_i)", rng=0, n_bootstrap=0)
+    found = {c.name: c for c in report.constants}
+    assert found["ground_x1"].value == pytest.approx(0.45, abs=0.02)
+    assert found["ground_y1"].value == pytest.approx(0.0, abs=0.02)
+    assert found["c"].value == pytest.approx(2.0, rel=0.03)
+    assert page_of(report).rounds[0].effect.name.startswith("a ground that moves under the bodies")
 
 
 def test_a_brake_that_pulses_never_drives():

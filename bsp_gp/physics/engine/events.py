@@ -22,7 +22,11 @@ STOP, CUT = -1, -2
 """In the place of a program: a body stops; a step is taken in parts."""
 NEARER = 0.75
 """Part of the way to where a body has turned round after which its step is begun anew."""
-JUST_BEFORE = 1 - 1e-9
+JUST_BEFORE, CARRIED_BEFORE = 1 - 1e-9, 1 - 1e-5
+"""Parts of the way to a stop that are gone: of bodies that come to rest on what moves itself the
+last differences of velocities are lost in their digits."""
+ALONG = 1e-6
+"""Part of the speed of what they rest on by which bodies differ from it that come to rest."""
 SLOW = 1e-3
 """Part of its speed at the start of a step below which a body that turned round had stopped."""
 NEAR = 1e-10
@@ -135,12 +139,16 @@ def _turned(flow, stages, end):
 
 
 def _headings(flow, stages, end):
-    """Least product of the velocity at the start of a step with those within it, (G, R, M)."""
-    first = stages.first.state[1]
-    products = [first * v for v in (*stages.states[1:, 1], end[1])]
-    out = np.zeros((len(flow.motion.stops), len(first), first.shape[-1]))
-    for group, axes in enumerate(flow.motion.stops):
-        sums = [product[:, list(axes)].sum(axis=1) for product in products]
+    """Least product of the velocity at the start of a step with those within it, (G, R, M).
+
+    Velocities are those past that on which bodies come to rest.
+    """
+    points, motion = stages.first, flow.motion
+    later = [*stages.states[1:, 1], end[1]]
+    out = np.zeros((len(motion.stops), len(end[1]), end.shape[-1]))
+    for group in range(len(motion.stops)):
+        first = motion.past(group, points, points.state[1])
+        sums = [(first * motion.past(group, points, v)).sum(axis=1) for v in later]
         out[group] = np.min(sums, axis=0)
     return out
 
@@ -157,8 +165,9 @@ def _stopped(flow, start, state, part, changes):
     state, times = state.copy(), start.times + part
     is_held = np.zeros(len(part), dtype=bool)
     stops = [(m, change) for m, change in enumerate(changes) if change and change[0] == STOP]
+    media = {group: flow.motion.medium(group, start) for group in {c[1] for _, c in stops}}
     for m, (_, group, body, _) in stops:
-        state[1, body, list(flow.motion.stops[group]), m] = 0.0
+        state[1, body, list(flow.motion.stops[group]), m] = _of_body(media[group], body, m)
     there = flow.points(state, times, start.chain, start.modes)
     if not stops:
         return there, is_held
@@ -168,8 +177,14 @@ def _stopped(flow, start, state, part, changes):
         is_held[m] = held[body, axes[0], m]
         if not is_held[m]:
             size = np.sqrt(np.square(pull[body, axes, m]).sum())
-            state[1, body, axes, m] = CREEP * pull[body, axes, m] / (size if size > 0 else 1.0)
+            creep = CREEP * pull[body, axes, m] / (size if size > 0 else 1.0)
+            state[1, body, axes, m] = _of_body(media[group], body, m) + creep
     return flow.points(state, times, start.chain, start.modes), is_held
+
+
+def _of_body(medium, body, m):
+    """The velocity of a medium for one body at one point."""
+    return medium[body, :, m] if np.ndim(medium) else medium
 
 
 def _changed(flow, points, end, h):
@@ -254,12 +269,15 @@ def _jumped(flow, total, index, changes, is_held, points):
             continue
         own, one = index[m], np.array([m])
         if change[0] == STOP:
-            rows = _rows_of(flow, change)
-            if is_held[m]:
+            rows, constants = _rows_of(flow, change), slice(flow.n_state, None)
+            slope = flow.motion.medium_slope(change[1], start.pick(one))[change[2], :, :, 0]
+            if is_held[m]:  # it moves on as what it rests on
                 total[own, rows] = 0.0
-                continue
-            jump = _stop_jump(flow, start.pick(one), before.pick(one), behind.pick(one), change)
-            total[own] = jump @ total[own]
+            else:
+                total[own][rows, constants] -= slope
+                jump = _stop_jump(flow, *(p.pick(one) for p in (start, before, behind)), change)
+                total[own] = jump @ total[own]
+            total[own][rows, constants] += slope
             continue
         by_state, by_constant = _jump(flow, before.pick(one), behind.pick(one), change)
         total[own] = by_state @ total[own]
@@ -398,20 +416,31 @@ def _instants(flow, scheme, points, keys, at, low, high):
     if stops.any():
         which = np.flatnonzero(stops)
         # Before it: behind it the last stages of a step would be pushed on by friction.
-        instants[which] = JUST_BEFORE * before[which]
+        carried = np.array([flow.motion.is_carried(keys[k][1]) for k in which])
+        instants[which] = np.where(carried, CARRIED_BEFORE, JUST_BEFORE) * before[which]
         is_nothing[which] = _speeds(flow, scheme, picked, keys, which, instants) > SLOW
     return instants, is_nothing
 
 
 def _speeds(flow, scheme, points, keys, which, instants):
-    """Speeds of bodies that turn round, where they do, in those at the start of their steps."""
+    """Speeds of bodies that turn round, where they do, in those at the start of their steps.
+
+    0 of those that are nearly as fast as what they rest on, and come to rest on it.
+    """
     here = points.pick(which)
     end = flow.step(scheme, here, instants[which])[0]
+    groups = {keys[k][1] for k in which}
+    sizes = {
+        g: [np.abs(flow.motion.past(g, here, v)).max(axis=1) for v in (here.state[1], end[1])]
+        for g in groups
+    }  # fmt: skip
+    media = {g: flow.motion.medium(g, here) for g in groups}
     out = np.empty(len(which))
     for n, k in enumerate(which):
-        axes, body = list(flow.motion.stops[keys[k][1]]), keys[k][2]
-        at_first = np.abs(here.state[1, body, axes, n]).max()
-        out[n] = np.abs(end[1, body, axes, n]).max() / at_first
+        _, group, body, _ = keys[k]
+        at_first, left = (size[body, n] for size in sizes[group])
+        is_near = at_first <= ALONG * np.abs(_of_body(media[group], body, n)).max()
+        out[n] = 0.0 if is_near else left / at_first
     return out
 
 
@@ -428,13 +457,14 @@ def _stop_jump(flow, start, before, behind, change):
     axes, rows = list(flow.motion.stops[group]), _rows_of(flow, change)
     # Just before the stop the body creeps as it came.
     creep = before.state.copy()
-    came = start.state[1, body, axes, 0]
+    medium = _of_body(flow.motion.medium(group, start), body, 0)
+    came = start.state[1, body, axes, 0] - medium
     if flow.motion.constraints:
         creep[1] = start.state[1]
         creep = flow.motion.constraints.along(before.at(creep))
-        came = creep[1, body, axes, 0]
+        came = creep[1, body, axes, 0] - medium
     way = came / np.sqrt(np.square(came).sum())
-    creep[1, body, axes, 0] = CREEP * way
+    creep[1, body, axes, 0] = medium + CREEP * way
     here = flow.points(creep, before.times, before.chain, before.modes)
     slowed = flow.motion.acceleration(here)[body, axes, 0]
     after = flow.motion.acceleration(behind)[body, axes, 0]

@@ -234,7 +234,7 @@ class Flow:
         rates : ndarray, shape (s, 2, R, d, M)
         """
         stages = _Stages(self, scheme, points, h)
-        if not self.is_compiled or stages.has_rest(self.motion.stops):
+        if not self.is_compiled or stages.has_rest():
             stages.take()
         return stages.end, stages, stages.rates
 
@@ -635,10 +635,12 @@ class _Stages:
             self.rates[k, 1] = motion.acceleration(here)
         self.end = y + h * _weighted(scheme.b, self.rates)
 
-    def has_rest(self, stops):
+    def has_rest(self):
         """Whether a body that friction may stop is at rest in a stage: it may be held there."""
+        motion, velocities = self.flow.motion, self.states[:, 1]
         return any(
-            not self.states[:, 1][:, :, list(axes)].any(axis=2).all() for axes in stops
+            motion.are_at_rest(group, self.first, velocities).any()
+            for group in range(len(motion.stops))
         )
 
     def joined(self):

@@ -66,8 +66,9 @@ class Lowering:
     Attributes
     ----------
     modes : list of Mode
-    stops : list of tuple of int
-        Axes along which a force acts against a body's own velocity and may bring it to rest.
+    stops : list of (tuple of int, tuple of int)
+        Axes along which a force acts against a body's own velocity and may bring it to rest, and
+        the nodes of the velocity of that on which it then rests.
     """
 
     def __init__(
@@ -205,9 +206,10 @@ class Lowering:
 
     def _normalize(self, a):
         free = tuple(k for k in range(self.n_dims) if k not in self.rails)
-        own = {k: self.graph.input("v_i", k) for k in free}
-        if a == tuple(own.get(k, self.graph.zero) for k in range(self.n_dims)):
-            self._stop(free)
+        medium = tuple(self._medium(a[k], self.graph.input("v_i", k)) for k in free)
+        is_flat = all(a[k] == self.graph.zero for k in self.rails)
+        if free and is_flat and None not in medium:
+            self._stop(free, medium)
         return self._both(self.graph.mul, a, self.graph.call("inverse_positive", self._norm(a)))
 
     def _dot(self, a, b):
@@ -236,7 +238,7 @@ class Lowering:
         axis = self._own_axis(a)
         if axis is None:
             return self._mode(Mode(a, 1.0, -1.0))
-        self._stop((axis,))
+        self._stop((axis,), (self.graph.zero,))
         return self.graph.call("sign", a)
 
     def _own_axis(self, node):
@@ -259,9 +261,24 @@ class Lowering:
             return op == "input" and args[0][0] in self.moving
         return any(map(self._moves, args))
 
-    def _stop(self, axes):
-        if axes not in self.stops:
-            self.stops.append(axes)
+    def _stop(self, axes, medium):
+        if (axes, medium) not in self.stops:
+            self.stops.append((axes, medium))
+
+    def _medium(self, node, own):
+        """The node of what stays the same by which a node is less than a velocity, or None."""
+        g, is_turned = self.graph, False
+        if node == own:
+            return g.zero
+        op, *args = g.nodes[node]
+        if op == "neg":
+            (op, *args), is_turned = g.nodes[args[0]], True
+        if op == "add" and own in args and not is_turned:
+            rest = args[1 - args.index(own)]
+            return None if self._moves(rest) else g.neg(rest)
+        if op != "sub" or args[is_turned] != own or self._moves(args[not is_turned]):
+            return None
+        return args[not is_turned]
 
     def _inverse(self, a):
         return self.graph.div(self.graph.one, a)
@@ -301,25 +318,34 @@ def fades_at_rest(formula):
     """Whether a force goes to zero with the speed of its receiver, and cannot hold it at rest.
 
     Told from its factors: drag ``norm(v_i)^2 * normalize(v_i)`` does, friction and what has a
-    power that is fitted do not.
+    power that is fitted do not. Where it acts against a medium, the speed in that is meant.
 
     Parameters
     ----------
     formula : Formula
     """
     above, below = factors(formula)
-    powers = [_power_of_speed(part) for part in above] + [-_power_of_speed(p) for p in below]
-    return sum(powers) > 0
+    powers = {}
+    for sign, parts in ((1.0, above), (-1.0, below)):
+        for part in parts:
+            base, power = _power_of_speed(part)
+            if base is not None:
+                powers[base] = powers.get(base, 0.0) + sign * power
+    return bool(powers) and min(powers.values()) > 0
 
 
 def _power_of_speed(part):
-    """Power of the own speed that a factor is for sure."""
+    """The velocity that a factor is a power of, or has the direction of, and that power."""
     power = 1.0
-    while isinstance(part, Call) and part.operator in ("square", "inverse", "pow", "norm"):
+    while isinstance(part, Call) and part.operator in (
+        "square", "inverse", "pow", "norm", "normalize"
+    ):  # fmt: skip
         if part.operator == "pow":
-            if not isinstance(part.args[1], Number):
-                return 0.0
-            power *= part.args[1].value
-        power *= {"square": 2.0, "inverse": -1.0}.get(part.operator, 1.0)
+            power *= part.args[1].value if isinstance(part.args[1], Number) else 0.0
+        power *= {"square": 2.0, "inverse": -1.0, "normalize": 0.0}.get(part.operator, 1.0)
         part = part.args[0]
-    return power if isinstance(part, Input) and part.name == "v_i" else 0.0
+    is_past = isinstance(part, Call) and part.operator == "sub"
+    own = part.args[0] if is_past else part
+    is_own = isinstance(own, Input) and own.name == "v_i"
+    is_own &= not (is_past and {"v_i", "v_j", "p_i", "p_j", "t"} & set(part.args[1].inputs))
+    return (part, power) if is_own else (None, 0.0)

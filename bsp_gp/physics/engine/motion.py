@@ -28,6 +28,8 @@ __all__ = ["CREEP", "Motion", "Points"]
 
 CREEP = 1e-12
 """Speed at which it is asked which way friction acts on a body at rest, m/s."""
+ALIKE = 1e-9
+"""Part of the speed of a medium within which a body is as fast: below it rounding tells the way."""
 STATE = ("p_i", "p_j", "v_i", "v_j")
 RATE = " rate"
 """Behind the name of a measured input: its slope by the time."""
@@ -107,6 +109,20 @@ class _Program:
         self.value = Tape(g, total, self.moving)
         self._add_slopes(total, chains.n_dims, late)
         self._add_margins(chains.n_dims)
+        self._add_media()
+
+    def _add_media(self):
+        """Velocities of that on which bodies come to rest, and their derivatives by constants."""
+        g = self.graph
+        media = [node for _, medium in self.stops for node in medium]
+        self.media, self.medium_of, nodes = Tape(g, media, self.moving), [], []
+        for number, node in enumerate(media):
+            for name in self.constants:
+                slope = g.slope(node, g.constant(name))
+                if slope != g.zero:
+                    self.medium_of.append((number, name))
+                    nodes.append(slope)
+        self.medium_slopes = Tape(g, nodes, self.moving)
 
     def _add_slopes(self, total, n_dims, late):
         """Derivatives of the acceleration by places, velocities and constants."""
@@ -186,13 +202,24 @@ class Motion:
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
         self._settle()
-        stops = [axes for program in self.programs for axes in program.stops]
-        self.stops = tuple(dict.fromkeys(stops))
+        self._find_stops()
         self.has_modes = any(program.modes for program in self.programs)
         self.compiled = Compiled(self) if Compiled.can_take(self) else None
         # Pairs of moving bodies: (receivers, their sources' places among `others`, the sources).
         self._pairs = np.nonzero(self.others < n_own)
         self._pairs += (self.others[self._pairs],)
+
+    def _find_stops(self):
+        """Groups of axes along which bodies may come to rest, and on what: None is at rest."""
+        found = {}
+        for k, program in enumerate(self.programs):
+            first = 0
+            for axes, medium in program.stops:
+                is_still = all(node == program.graph.zero for node in medium)
+                found.setdefault((axes, None if is_still else (k, first)))
+                first += len(axes)
+        self.stops = tuple(axes for axes, _ in found)
+        self._media = tuple(medium for _, medium in found)
 
     def on(self, chains, law):
         """The same formulas with other properties and constants.
@@ -293,7 +320,8 @@ class Motion:
                 [
                     tape.prepare(inputs, constants)
                     for tape in (
-                        program.value, program.slopes, program.margins, program.margin_slopes
+                        program.value, program.slopes, program.margins, program.margin_slopes,
+                        program.media, program.medium_slopes,
                     )
                 ]
             )  # fmt: skip
@@ -361,7 +389,7 @@ class Motion:
 
     def _run(self, which, points):
         """Outputs of one tape of every program: (program, arrays)."""
-        names = ("value", "slopes", "margins", "margin_slopes")
+        names = ("value", "slopes", "margins", "margin_slopes", "media", "medium_slopes")
         for k, program in enumerate(self.programs):
             tape = getattr(program, names[which])
             with np.errstate(all="ignore"):
@@ -387,14 +415,15 @@ class Motion:
 
         Without `holds` a body at rest has no direction, and feels no friction: the paper's rule.
         """
-        total = self._acceleration(points)
         if not (self.stops and holds):
-            return total
+            return self._acceleration(points)
+        points = self._settled(points)
+        total = self._acceleration(points)
         out = total
-        for axes in self.stops:
-            if points.state[1][:, list(axes)].any(axis=1).all():
+        for group in range(len(self.stops)):
+            if self.past(group, points, points.state[1]).any(axis=1).all():
                 continue  # all move, as bodies nearly always do
-            still, is_held, creeping = self._at_rest(points, total, list(axes))
+            still, is_held, creeping = self._at_rest(points, total, group)
             if creeping is not None:
                 out = np.where(still, creeping, out)
                 out = np.where(is_held, 0.0, out)
@@ -411,18 +440,82 @@ class Motion:
         Whichever way they crept, it would stop them: Coulomb's rule, with one coefficient for rest
         and motion.
         """
+        points = self._settled(points)
         total = self._acceleration(points)
-        held = [self._at_rest(points, total, list(axes))[1] for axes in self.stops]
+        held = [self._at_rest(points, total, group)[1] for group in range(len(self.stops))]
         return np.any(held, axis=0)
 
-    def _at_rest(self, points, at_rest, axes):
-        """Bodies at rest along some axes, those held there, and how they move when they creep.
+    def past(self, group, points, velocity):
+        """Velocities (R, d, M) past that on which bodies of a group of axes rest, (R, a, M)."""
+        return velocity[:, list(self.stops[group])] - self.medium(group, points)
+
+    def is_carried(self, group):
+        """Whether that on which bodies of a group of axes come to rest moves."""
+        return self._media[group] is not None
+
+    def _settled(self, points):
+        """The points with bodies that are as fast as what they rest on just as fast."""
+        state = points.state
+        for group in filter(self.is_carried, range(len(self.stops))):
+            is_still = self.are_at_rest(group, points, state[1])[:, None]
+            if is_still.any():
+                axes, state = list(self.stops[group]), state.copy()
+                medium = self.medium(group, points)
+                state[1][:, axes] = np.where(is_still, medium, state[1][:, axes])
+        return points if state is points.state else points.at(state)
+
+    def are_at_rest(self, group, points, velocities):
+        """Bodies (..., R, M) whose velocities (..., R, d, M) are those of what they rest on."""
+        medium, axes = self.medium(group, points), list(self.stops[group])
+        past = np.square(velocities[..., axes, :] - medium).sum(axis=-2)
+        whole = np.square(medium).sum(axis=-2) if self.is_carried(group) else 0.0
+        return past <= ALIKE**2 * whole
+
+    def medium(self, group, points):
+        """Velocity of that on which bodies of a group of axes come to rest, (R, a, M), or 0.0."""
+        if self._media[group] is None:
+            return 0.0
+        (number, first), n_own = self._media[group], self.chains.n_moving
+        values = next(out for k, _, out in self._run(4, points) if k == number)
+        axes, shape = self.stops[group], (n_own, points.state.shape[-1])
+        return np.stack(
+            [np.broadcast_to(self._first(number, v), shape) for v in values[first:][: len(axes)]],
+            axis=1,
+        )
+
+    def _first(self, number, value):
+        """Values of a medium, which all sources of a receiver share, (R, M)."""
+        is_pair = self.programs[number].kind == "pair" and np.ndim(value) == 3
+        return value[:, 0] if is_pair else value
+
+    def medium_slope(self, group, points):
+        """Derivatives of that velocity by the constants, (R, a, k, M)."""
+        axes, (_, n_own, _, n_points) = self.stops[group], points.state.shape
+        out = np.zeros((n_own, len(axes), len(self.parameters), n_points))
+        if self._media[group] is None:
+            return out
+        number, first = self._media[group]
+        program = self.programs[number]
+        values = next(found for k, _, found in self._run(5, points) if k == number)
+        for (node, name), value in zip(program.medium_of, values, strict=True):
+            if first <= node < first + len(axes):
+                owners = np.asarray(self.parameter_of(number, name))
+                own = owners[:, 0] if owners.ndim == 3 else owners
+                value = np.broadcast_to(self._first(number, value), (n_own, n_points))
+                at = own[..., points.chain] if own.ndim else np.broadcast_to(own, value.shape)
+                body, point = np.nonzero(np.broadcast_to(at, value.shape) >= 0)
+                where = np.broadcast_to(at, value.shape)[body, point]
+                out[body, node - first, where, point] += value[body, point]
+        return out
+
+    def _at_rest(self, points, at_rest, group):
+        """Bodies at rest along a group of axes, those held there, and how they creep.
 
         Parameters
         ----------
         at_rest : ndarray, shape (R, d, M)
             Accelerations where a velocity of zero has no direction.
-        axes : list of int
+        group : int
 
         Returns
         -------
@@ -430,8 +523,8 @@ class Motion:
         creeping : ndarray, shape (R, d, M) or None
             Accelerations of bodies that creep as they are pulled; None if none is at rest.
         """
-        still = np.zeros(at_rest.shape, dtype=bool)
-        still[:, axes] = ~points.state[1][:, axes].any(axis=1, keepdims=True)
+        still, axes = np.zeros(at_rest.shape, dtype=bool), list(self.stops[group])
+        still[:, axes] = ~self.past(group, points, points.state[1]).any(axis=1, keepdims=True)
         if not still.any():
             return still, still, None
         pull = np.where(still, at_rest, 0.0)
