@@ -130,7 +130,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         _first(table, declaration, conversion, axes),
         declaration.first_position == "exact",
         conversion.system.is_angle,
-        logged_columns(table, {*inputs_of(table, declaration), *declaration.uses}),
+        logged_columns(table, inputs_of(table, declaration)),
     )
 
 

@@ -28,7 +28,7 @@ from bsp_gp.data.headings import (
 from bsp_gp.errors import UnitError
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, parse_unit
 
-__all__ = ["asked_of", "logged_columns"]
+__all__ = ["asked_of", "logged_columns", "named_of"]
 
 MOST = 6
 """Columns that are asked."""
@@ -132,18 +132,39 @@ def asked_of(dataset, taken=(), exclude=()):
             if not _follows(tracks, name, values, columns):
                 kept[name if name not in taken else name + _SUFFIX] = name
                 columns.append(values)
-    scenes = tuple(
-        dataclasses.replace(
-            s, inputs={**s.inputs, **{new: s.logs[old] for new, old in kept.items()}}, logs={}
-        )
-        for s in dataset.scenes
-    )  # fmt: skip
+    found = _with_inputs(dataset, kept)
     logged = {new: dataset.logged[old] for new, old in kept.items()}
-    units = {name: unit for name, (_, unit) in logged.items()}
+    scenes = tuple(dataclasses.replace(scene, logs={}) for scene in found.scenes)
     return dataclasses.replace(
-        dataset, scenes=scenes, logged=logged, property_units={**dataset.property_units, **units},
-        notes=_told(dataset.notes, logged),
-    )  # fmt: skip
+        found, scenes=scenes, logged=logged, notes=_told(dataset.notes, logged)
+    )
+
+
+def named_of(dataset, uses):
+    """The data set with those columns as measured inputs that laws name as a loop does.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    uses : collection of str
+        Names in laws. A name that is the heading itself is a constant, unless a unit is declared.
+    """
+    return _with_inputs(dataset, {
+        name: name for name, (heading, _) in dataset.logged.items()
+        if name in uses and name != heading and all(_is_logged(s, name) for s in dataset.scenes)
+    })  # fmt: skip
+
+
+def _with_inputs(dataset, names):
+    """The data set with columns as measured inputs, by the names that these get."""
+    scenes = tuple(
+        dataclasses.replace(s, inputs=s.inputs | {new: s.logs[old] for new, old in names.items()})
+        for s in dataset.scenes
+    )
+    units = {new: dataset.logged[old][1] for new, old in names.items()}
+    return dataclasses.replace(
+        dataset, scenes=scenes, property_units={**dataset.property_units, **units}
+    )
 
 
 def _told(notes, logged):

@@ -27,6 +27,7 @@ from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.logged import named_of
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, with_properties
@@ -113,7 +114,7 @@ def load_dataset(
             sides = _split(said, [scene.name for scene in dataset.scenes])
             notes = (*dataset.notes, *sides[2])
             dataset = dataclasses.replace(dataset, train=sides[0], test=sides[1], notes=notes)
-    return with_properties(dataset, properties)
+    return with_properties(named_of(dataset, uses), properties)
 
 
 def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):

@@ -154,6 +154,14 @@ def test_files_need_not_have_the_same_further_columns(track, tmp_path):
     assert not asked_of(data).logged
 
 
+def test_laws_that_were_found_are_read_with_their_columns(track, tmp_path):
+    track["Coil current (A)"] = 0.5 + 0.2 * np.sin(0.7 * track.t)
+    track.to_csv(tmp_path / "one.csv", index=False)
+    data = bsp_gp.load_dataset(tmp_path / "one.csv", uses=["c1", "Coil_current"])
+    assert "Coil_current" in data.scenes[0].inputs
+    assert not asked_of(data, {"Coil_current"}).logged
+
+
 def test_a_drag_is_told_with_its_column(track):
     track["current"] = np.sin(0.7 * track.t)
     types = dataset_types(_asked(track))
