@@ -24,6 +24,8 @@ from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
 
+ENDLESS = 1e100
+"""Changes of a track, metres for each unit of a number, beyond which they are none."""
 INDEPENDENT = 1e-9
 """Part of the length of a column, squared, that must lie beyond all that is free."""
 STEP_ERROR = 0.02
@@ -136,7 +138,10 @@ def instrument_columns(fit, part):
         shooting = Shooting(flow, plain, cut_windows(chains.lengths))
         condensed = shooting.linearise(values, nodes, flow.quick_mesh(nodes))[-1]
         out.append(shooting.columns(condensed, flow.n_state)[1][len(fit.values) :])
-    return np.nan_to_num(join(out))
+    columns = np.nan_to_num(join(out))
+    # Friction that is seen through an instrument has no events: what it makes endless says nothing.
+    is_lost = (np.abs(columns) > ENDLESS).any(axis=(1, 2), keepdims=True)
+    return np.where(is_lost, 0.0, columns)
 
 
 def score_of(rows, residual, size, noise_dof=np.inf):
