@@ -119,7 +119,7 @@ $(VENV)/.ok: setup.cfg pyproject.toml
 	    echo "Making $(VENV) with $$("$$python" --version) ..."; \
 	    "$$python" -m venv --clear $(VENV); \
 	fi; \
-	echo "Installing bsp_gp and what it needs into $(VENV) (once; 180 MB to download, 730 MB on disk) ..."; \
+	echo "Installing bsp_gp and what it needs into $(VENV) (once; 240 MB to download, 950 MB on disk) ..."; \
 	$(PIP) -e '.[test,astro,web]'; \
 	touch $@
 
