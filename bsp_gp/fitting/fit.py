@@ -40,6 +40,8 @@ STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "conve
 """How a fit can end; the first that applies."""
 FAILED = STATUSES[:3]
 """These say nothing about the law: a failed fit is never "nothing missing"."""
+SAME = 1e-9
+"""Part of a log-likelihood by which two fits of exact data that are one may differ."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,12 @@ def fit(
             found.append(run.fit(paper))
             if run.is_reproduced(found[-1]) or run.is_over():
                 break
-    best = max(found, key=lambda f: (not f.is_failed, f.log_likelihood))
+    best = found[0]
+    for other in found[1:]:  # where both lead to the same tracks, rounding must not choose
+        gain = other.log_likelihood - best.log_likelihood
+        is_better = gain > SAME * abs(best.log_likelihood)
+        if (other.is_failed, not is_better) < (best.is_failed, True):
+            best = other
     return replace(best, seconds=time.monotonic() - began)
 
 

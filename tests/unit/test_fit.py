@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from bsp_gp.data.scene import Scene
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import FAILED, STATUSES, fit
 from bsp_gp.fitting.hypothesis import Hypothesis, Part, read_law
@@ -473,3 +473,16 @@ def test_a_flow_that_is_over_has_no_ends():
     assert not late.mesh(nodes).is_complete
     ends, transitions = late.run(nodes, mesh)
     assert np.isnan(ends).all() and np.isnan(transitions).all()
+
+
+def test_rounding_does_not_choose_between_the_papers_steps_and_continuous_motion():
+    """Without a force both lead straight on; what extends the fit was bound to the wrong ones."""
+    times, bodies = 0.02 * np.arange(40), [Entity("ball", "disc", radius=0.1)]
+    scenes = []
+    for k in range(4):
+        places = np.stack([0.3 * times * (1 + k), 0.2 * times + 0.05 * (k + 1) * times**2], axis=-1)
+        scenes.append(Scene(f"s{k}", times, places[:, None], bodies))
+    units = UnitSystem.from_declared({"length": "m", "time": "s"})
+    found = fit(Hypothesis.from_laws(Dataset("d", scenes, units=units), "nothing"),
+                Dataset("d", scenes, units=units))  # fmt: skip
+    assert found.status == "refuted" and found.paper_steps
