@@ -17,7 +17,9 @@ from bsp_gp.units import (
     parse_unit,
 )
 
-__all__ = ["COLUMN_KINDS", "KINDS", "Conversion", "is_unit", "ratio_of", "unit_of"]
+__all__ = [
+    "COLUMN_KINDS", "KINDS", "Conversion", "is_inertia", "is_unit", "ratio_of", "unit_of",
+]  # fmt: skip
 
 _WORDS = {
     "m": "meter metern mètre mètres metri metro metros metre metres meters",
@@ -60,6 +62,11 @@ def unit_of(text):
         return _scale(text)[1]
     except UnitError:
         return None
+
+
+def is_inertia(name, text, system):
+    """Whether a mass is told in kg m^2: where places are angles, inertia stands in its place."""
+    return name == "mass" and system.is_angle and unit_of(text) == Unit.of(kg=1, m=2)
 
 
 def ratio_of(one, other):
@@ -196,11 +203,8 @@ class Conversion:
         if len(texts) > 1:
             self._fail(f"components of {name!r} have different units {sorted(texts)}", name)
         expected = PROPERTY_UNITS.get(name)
-        if texts and name == "mass" and self.system.is_angle:
-            scale, unit = self._read(name, texts.pop(), None)
-            if unit not in (expected, Unit.of(kg=1, m=2)):
-                self._fail(f"the unit must be one of {expected} or kg m^2, got {unit}", name)
-            return scale, expected, None
+        if texts and is_inertia(name, text := next(iter(texts)), self.system):
+            return self._read(name, text)[0], expected, None
         if texts:
             return *self._read(name, texts.pop(), expected), None
         if expected is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -125,8 +126,9 @@ def asked_of(dataset, taken=(), exclude=()):
         if n not in exclude and all(_is_logged(scene, n) for scene in dataset.scenes)
     ]  # fmt: skip
     tracks = [_Track(scene, k) for scene in dataset.scenes for k in scene.dynamic]
+    tracks = [track for track in tracks if len(track.times) > 1]
     kept, columns = {}, []
-    for name in names:
+    for name in names if tracks else ():
         values = _within([track.values(name) for track in tracks])
         if len(kept) < MOST and values is not None:
             if not _follows(tracks, name, values, columns):
@@ -197,7 +199,7 @@ class _Track:
     def __init__(self, scene, k):
         self.scene, self.k = scene, k
         seen = np.isfinite(scene.positions[:, k]).all(axis=1)
-        self.seen, self.times = seen, scene.times[seen]
+        self.times = scene.times[seen]
         self.places = scene.positions[seen, k]
 
     def values(self, name):
@@ -217,12 +219,14 @@ class _Track:
         slopes = np.einsum("tw,tdw->td", t, p) / np.square(t).sum(axis=1)[:, None]
         return np.pad(slopes, ((TAPS, TAPS), (0, 0)), mode="edge")
 
+    @cached_property
     def motion(self):
         """Places, velocities, and squares and sizes of both, (T, f)."""
         p, v = self.places, self.velocities()
         far, speed = (np.linalg.norm(each, axis=1, keepdims=True) for each in (p, v))
         return np.concatenate([p, v, p * p, far, speed, speed**2], axis=1)
 
+    @cached_property
     def differences(self):
         """Second differences of places shifted by rows, and of speeds made of them, (T - 8, f)."""
         n = len(self.times) - 2 * TAPS
@@ -264,12 +268,12 @@ def _follows(tracks, name, values, columns):
         return True
     if beside([track.places for track in tracks]) < AS_PLACE:
         return True
-    if beside([track.motion() for track in tracks]) < AS_MOTION:
+    if beside([track.motion for track in tracks]) < AS_MOTION:
         return True
     long = [k for k, track in enumerate(tracks) if len(track.times) >= LEAST_ROWS]
     if long:
         quick = np.concatenate([np.diff(own[k][TAPS:-TAPS], 2) for k in long])
-        made = np.concatenate([tracks[k].differences() for k in long])
+        made = np.concatenate([tracks[k].differences for k in long])
         if _left(quick, made) < AS_DIFFERENCES:
             return True
     return bool(columns) and _left(values, np.stack(columns, axis=1)) < AS_OTHER

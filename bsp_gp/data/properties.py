@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from bsp_gp.data.conversion import Conversion
+from bsp_gp.data.conversion import Conversion, is_inertia
 from bsp_gp.data.roster import OWN_COLUMNS, STATE_NAMES
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
-from bsp_gp.units import Unit, UnitSystem, parse_unit
+from bsp_gp.units import UnitSystem, parse_unit
 
 __all__ = ["LEFT_OUT", "read_properties", "with_properties"]
 
@@ -20,7 +20,6 @@ _VALUE = re.compile(
 )
 LEFT_OUT = f"{CHECK}columns that are not used look like places of another body: "
 """How a note of such columns begins."""
-_INERTIA = Unit.of(kg=1, m=2)
 _KINDS = {"mass": "kg", "charge": "C"}
 """Kinds of unit that are called like a property, and the one of SI."""
 
@@ -114,7 +113,7 @@ def with_properties(dataset, said):
             declared[name] = _KINDS[name]  # so forces are told in newtons and not in g m/s^2
         values[name] = {}
         for body, (number, unit) in of_bodies.items():
-            scale, units[name] = _scale(name, unit, declared, dataset.units.is_angle)
+            scale, units[name] = _scale(name, unit, declared, dataset.units)
             values[name][body] = number * scale
     made = {}
 
@@ -141,7 +140,7 @@ def with_properties(dataset, said):
     )  # fmt: skip
 
 
-def _scale(name, unit, declared, is_angle):
+def _scale(name, unit, declared, system):
     if not unit:
         return Conversion(declared, {*declared, name}).property(name)[:2]
     try:
@@ -149,7 +148,7 @@ def _scale(name, unit, declared, is_angle):
     except UnitError as error:
         raise DataError(f"{name}: {error}", column=name) from None
     expected = PROPERTY_UNITS.get(name)
-    if is_angle and name == "mass" and read == _INERTIA:  # which m_i stands for
+    if is_inertia(name, unit, system):
         return scale, expected
     if expected is not None and read != expected:
         raise DataError(f"the unit of {name} must be one of {expected}, got {unit!r}", column=name)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -249,13 +249,15 @@ def fit(
             found.append(run.fit(paper))
             if run.is_reproduced(found[-1]) or run.is_over():
                 break
-    best = found[0]
-    for other in found[1:]:  # where both lead to the same tracks, rounding must not choose
-        gain = other.log_likelihood - best.log_likelihood
-        is_better = gain > SAME * abs(best.log_likelihood)
-        if (other.is_failed, not is_better) < (best.is_failed, True):
-            best = other
-    return replace(best, seconds=time.monotonic() - began)
+    return replace(reduce(_better, found), seconds=time.monotonic() - began)
+
+
+def _better(one, other):
+    """The better of two fits; the first where they lead to the same tracks, but for rounding."""
+    if one.is_failed != other.is_failed:
+        return other if one.is_failed else one
+    gain = other.log_likelihood - one.log_likelihood
+    return other if gain > SAME * abs(one.log_likelihood) else one
 
 
 def _longer(groups):

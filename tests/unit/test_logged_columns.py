@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,9 +11,11 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.data.logged import asked_of
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.report.naming import describe
+from bsp_gp.units import DIMENSIONLESS
 
 SIGMA = 5e-4
 
@@ -187,3 +191,19 @@ def test_a_drag_that_goes_with_a_density_is_found():
 def test_a_temperature_that_changes_nothing_is_not_found():
     found = bsp_gp.close_loop(warm(), "-c1 * v_i", rng=0, n_bootstrap=0)
     assert found.verdict == "nothing missing"
+
+
+def test_a_body_that_is_seen_once_has_no_motion_that_a_column_follows():
+    """It has no velocity either: an error of numbers ended the run."""
+    places = np.full((5, 2, 2), np.nan)
+    places[:, 0] = [[0.0, 0.0], [0.1, 0.2], [0.3, 0.1], [0.2, 0.4], [0.5, 0.5]]
+    places[2, 1] = 1.0
+    fan = np.repeat([[1.0], [3.0], [2.0], [5.0], [7.0]], 2, axis=1)
+    bodies = (Entity("cart"), Entity("seen once"))
+    scene = Scene("s", 0.1 * np.arange(5), places, bodies, logs={"Fan": fan})
+    data = Dataset("d", (scene,), logged={"Fan": ("Fan", DIMENSIONLESS)})
+    assert set(asked_of(data).logged) == {"Fan"}
+    places[:, 0] = np.nan
+    places[0, 0] = 0.0
+    alone = Dataset("d", (replace(scene, positions=places),), logged=data.logged)
+    assert not asked_of(alone).logged

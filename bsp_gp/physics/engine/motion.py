@@ -115,14 +115,24 @@ class _Program:
         """Velocities of that on which bodies come to rest, and their derivatives by constants."""
         g = self.graph
         media = [node for _, medium in self.stops for node in medium]
-        self.media, self.medium_of, nodes = Tape(g, media, self.moving), [], []
-        for number, node in enumerate(media):
-            for name in self.constants:
-                slope = g.slope(node, g.constant(name))
-                if slope != g.zero:
-                    self.medium_of.append((number, name))
-                    nodes.append(slope)
+        self.media = Tape(g, media, self.moving)
+        self.medium_of, nodes = self._by_constants(media)
         self.medium_slopes = Tape(g, nodes, self.moving)
+
+    def _by_constants(self, nodes):
+        """Derivatives of nodes by the constants, those that are zero left out.
+
+        Returns
+        -------
+        which : list of (int, str)
+            Number of the node, and constant.
+        slopes : list of int
+        """
+        g = self.graph
+        found = {(number, name): g.slope(node, g.constant(name))
+                 for number, node in enumerate(nodes) for name in self.constants}  # fmt: skip
+        which = [key for key, slope in found.items() if slope != g.zero]
+        return which, [found[key] for key in which]
 
     def _add_slopes(self, total, n_dims, late):
         """Derivatives of the acceleration by places, velocities and constants."""
@@ -135,13 +145,9 @@ class _Program:
                     if slope != g.zero:
                         self.slope_of.append((row, name, axis))
                         nodes.append(slope)
-        self.constant_of = []
+        self.constant_of, by_constant = self._by_constants(total)
+        nodes += by_constant
         for row, node in enumerate(total):
-            for name in self.constants:
-                slope = g.slope(node, g.constant(name))
-                if slope != g.zero:
-                    self.constant_of.append((row, name))
-                    nodes.append(slope)
             for name, delay in late.items():
                 slope = self._by_delay(node, name, n_dims)
                 if slope != g.zero:
