@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from bsp_gp.language.formula import Call, Number, substitute, summands
+from bsp_gp.language.formula import Call, Number, summands
 from bsp_gp.units import DIMENSIONLESS
 
 __all__ = ["bare_number", "with_bare_unit"]
+
+_FACTORS = ("mul", "neg", "div")
 
 
 def bare_number(formula, unit):
@@ -28,8 +30,12 @@ def bare_number(formula, unit):
 
 
 def with_bare_unit(formula, number, unit):
-    """The law with a unit for a number that had none."""
-    return substitute(formula, {number: Number(number.value, unit, f"{number.text} [{unit}]")})
+    """The law with a unit for a number that had none: that very one, and no exponent like it."""
+    if formula is number:
+        return Number(number.value, unit, f"{number.text} [{unit}]")
+    if not isinstance(formula, Call) or formula.operator not in ("add", "sub", *_FACTORS):
+        return formula
+    return Call(formula.operator, *(with_bare_unit(arg, number, unit) for arg in formula.args))
 
 
 def _numbers(term):
@@ -37,8 +43,7 @@ def _numbers(term):
     if isinstance(term, Number):
         is_bare = term.type.unit == DIMENSIONLESS and "[" not in term.text
         return [term] if is_bare and abs(term.value) != 1 else []
-    if isinstance(term, Call) and term.operator in ("mul", "neg"):
-        return [n for arg in term.args for n in _numbers(arg)]
-    if isinstance(term, Call) and term.operator == "div":
-        return _numbers(term.args[0])
+    if isinstance(term, Call) and term.operator in _FACTORS:
+        above = term.args[:1] if term.operator == "div" else term.args
+        return [n for arg in above for n in _numbers(arg)]
     return []

@@ -152,9 +152,12 @@ def kin_of(rival, dataset):
     texts = [to_text(term.formula) for term in rival.law.terms]
     found = [(k, match) for k, text in enumerate(texts)
              if (match := _POWER.search(text) or _WHOLE.search(text))]  # fmt: skip
-    if len(found) != 1 or "bessel" in texts[found[0][0]]:
+    if len(found) != 1:
         return []
     ((k, match),) = found
+    fades = texts[k].replace(match[0], "")
+    if "exp(" in fades or "bessel" in fades or not rival.law.terms[k].formula.constants:
+        return []
     values, length = rival.law.constants, fresh_name(rival.law, "L")
     strength, far = rival.law.terms[k].formula.constants[0], _typical_distance(dataset)
     is_whole = match.re is _WHOLE

@@ -190,6 +190,10 @@ def test_a_whole_power_has_a_fitted_one_and_a_screened_force_as_kin(means):
         screened, fitted = kin_of(rival(means, text, k=1.0), dataset)
         assert screened.law.names == ("k", "L1") and fitted.law.names == ("k", "n1")
         assert fitted.law.constants["n1"] == -2.0
+    known = "-2 * m_i * q_j * norm(p_i - p_j)^-2 * normalize(p_i - p_j)"
+    assert not kin_of(rival(means, known), dataset)  # the number is declared, and has no rival
+    fading = pull(-2).replace(" * normalize", " * exp(-norm(p_i - p_j) / 3 [m]) * normalize")
+    assert not kin_of(rival(means, fading, k=1.0), dataset)
 
 
 def test_none_of_these_has_a_probability(means):

@@ -196,3 +196,10 @@ def test_the_inertia_of_what_turns_is_a_mass_in_kg_m2(tmp_path):
     assert masses(data) == {"object": pytest.approx(0.021)}
     with pytest.raises(DataError, match="must be one of kg"):
         two({"mass": "2[kg m^2]"})
+
+
+def test_a_unit_is_put_to_the_number_in_front_and_to_no_exponent_like_it(spring):
+    """Of -2 and ^2 both got the unit of the factor: "an exponent must be dimensionless"."""
+    data = bsp_gp.load_dataset(spring, properties={"mass": "0.5[kg]"})
+    law = read_law(data, "-2 * norm(v_i)^2 * normalize(v_i)")
+    assert law.text() == "-2 [kg/m] * norm(v_i)^2 * normalize(v_i)"
