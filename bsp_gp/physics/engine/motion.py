@@ -427,7 +427,7 @@ class Motion:
         total = self._acceleration(points)
         out = total
         for group in range(len(self.stops)):
-            if self.past(group, points, points.state[1]).any(axis=1).all():
+            if not self.are_at_rest(group, points, points.state[1]).any():
                 continue  # all move, as bodies nearly always do
             still, is_held, creeping = self._at_rest(points, total, group)
             if creeping is not None:
@@ -530,7 +530,7 @@ class Motion:
             Accelerations of bodies that creep as they are pulled; None if none is at rest.
         """
         still, axes = np.zeros(at_rest.shape, dtype=bool), list(self.stops[group])
-        still[:, axes] = ~self.past(group, points, points.state[1]).any(axis=1, keepdims=True)
+        still[:, axes] = self.are_at_rest(group, points, points.state[1])[:, None]
         if not still.any():
             return still, still, None
         pull = np.where(still, at_rest, 0.0)
