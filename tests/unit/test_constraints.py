@@ -109,6 +109,47 @@ def test_derivatives_are_exact_also_across_a_stop(drag):
         np.testing.assert_allclose(total[:, :, column], measured, rtol=1e-4, atol=1e-4)
 
 
+def test_derivatives_of_a_body_that_has_another_place_in_every_scene_and_is_not_in_all():
+    t, rng = np.arange(6) * 0.05, np.random.default_rng(0)
+    crews = {"1": ("bob", "free"), "2": ("free", "bob"), "3": ("free", "lone")}
+    rows = [
+        pd.DataFrame({"scene": scene, "t": t, "entity": name, "x": at + 0.3 * t, "y": 0.2 - t * t})
+        for scene, names in crews.items()
+        for at, name in zip(rng.uniform(0.3, 0.9, 2), names, strict=True)
+    ]  # fmt: skip
+    crew = pd.DataFrame({"entity": ["bob", "free", "lone"], "mass": [0.2, 0.3, 0.4]})
+    data = bsp_gp.Dataset.from_frames(
+        pd.concat(rows), crew, units={"length": "m", "time": "s", "mass": "kg"}, up="y"
+    )
+    law = read_law(data, [WEIGHT, "-k * (p_i - p_j)", "norm(p_bob - (0, a)) = L"])
+    (chains,) = build_chains(law, data.scenes, data.up)
+    motion = Motion(law, chains, [("L", ""), ("a", ""), ("k", "")])
+    values = np.array([0.7, 0.1, 0.8])
+    motion.set_constants(values)
+    flow = Flow(motion, np.full(chains.n_chains, 1e-12))
+    row, chain = np.nonzero(np.isfinite(chains.times))
+    state = first_nodes(chains)[..., row, chain]
+
+    def asked(state):
+        return motion.acceleration(flow.points(state, chains.times[row, chain], chain))
+
+    by_state, by_constant = motion.slopes(flow.points(state, chains.times[row, chain], chain))
+    for column in range(8):
+        change = np.zeros((8, 1))
+        change[column] = 1e-6
+        change = change.reshape(2, 2, 2, 1)
+        measured = (asked(state + change) - asked(state - change)).reshape(4, -1).T / 2e-6
+        np.testing.assert_allclose(by_state[:, :, column], measured, rtol=1e-5, atol=1e-6)
+    for column in range(3):
+        two = []
+        for sign in (1, -1):
+            motion.set_constants(values + sign * 1e-6 * np.eye(3)[column])
+            two.append(asked(state).reshape(4, -1).T)
+        np.testing.assert_allclose(
+            by_constant[:, :, column], (two[0] - two[1]) / 2e-6, rtol=1e-5, atol=1e-6
+        )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "force"),

@@ -220,9 +220,11 @@ class Constraints:
                     number, of = divmod(row - 3, d)
                     body = bodies[number]
                     if np.ndim(body) or np.ndim(by):
-                        body, by, at = (np.broadcast_to(x, (m,)) for x in (body, by, np.arange(m)))
-                        at = np.flatnonzero((body >= 0) & (body < self.n_own) & (by >= 0))
-                        of_rows[c, body[at] * d + of, by[at], at] += slope[at]
+                        at = np.arange(m)[at]
+                        body, by = np.broadcast_to(body, (m,))[at], np.broadcast_to(by, at.shape)
+                        own = (body >= 0) & (body < self.n_own)
+                        body, by, at = body[own], by[own], at[own]
+                        of_rows[c, body * d + of, by, at] += slope[at]
                     elif 0 <= body < self.n_own:
                         of_rows[c, body * d + of, by] += slope
         return of_values, of_rows
@@ -234,7 +236,8 @@ class Constraints:
             if np.ndim(number) == 0:
                 return 2 * self.n + number, slice(None), number >= 0
             number = number[chain]
-            return 2 * self.n + number, np.arange(len(number)), True
+            at = np.flatnonzero(number >= 0)
+            return 2 * self.n + number[at], at, len(at) > 0
         body, at, is_own = self._own(bodies[name[-1] == "j"])
         return body * self.n_dims + axis + (self.n if name[0] == "v" else 0), at, is_own
 
