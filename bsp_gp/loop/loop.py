@@ -16,7 +16,7 @@ from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import WEAK, log_evidence, significance
-from bsp_gp.loop.proposal import FAULTS, PATIENT, continued, without_term
+from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
@@ -54,6 +54,8 @@ MOST_UNKEPT = 3
 which no more of it are made: what its promises are made of is noise of another kind."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
+MOST_FIRSTS, MOST_SECONDS = 3, 2
+"""Laws beside which a second is asked for, where each leaves much, and seconds that are fitted."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 
@@ -211,6 +213,7 @@ class _Run:
             if turn.p_value <= self.criteria.alpha:
                 asked |= self.traced(view, turn)
                 turn.fit_best()
+                turn.fit_seconds(number, rng)
             else:
                 turn.ask_without_memory(number, view)
         turn.note_time("fits")
@@ -400,6 +403,50 @@ class _Turn:
         self._prune()
         self._tell_near(every, above, highest)
 
+    def fit_seconds(self, number, rng):
+        """Ask beside each of the likeliest laws for a second one, where all leave much.
+
+        Sums are foreseen along the tracks as they were seen, and no better than these are known;
+        of single laws one that takes up some of a second cause may be likelier than the true one.
+        """
+        firsts = self._firsts()
+        for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
+            first, found = self.proposals[row.id], self.fits[row.id]
+            near = continued(self.hypotheses[row.id], found)
+            view = View(found, near, self.run.dataset, stream, self.run.criteria)
+            view.tick, view.seconds_left = self.run.clock.tick, self.run.clock.left
+            for proposer in self.run.proposers:
+                if not getattr(proposer, "asks_seconds", False) or self.note_time("fits"):
+                    continue
+                self.run.says(f"round {number}: {proposer.name} beside {row.text}")
+                try:
+                    seconds = proposer.propose(view).proposals[:MOST_SECONDS]
+                except TimeIsUp:
+                    self.note_time("fits")
+                    continue
+                for second in seconds:
+                    if self.note_time("fits"):
+                        break
+                    both = both_of(first, second)
+                    self.run.says(f"fit of two: {both.text}")
+                    shared = found, self.run.dataset, self.run.criteria, self.run.bounds
+                    job = (proposer.name, both)
+                    self._fitted(*job, _fit_of((*shared, self.run.clock), job))
+        if firsts:
+            self._prune()
+
+    def _firsts(self):
+        """Rows of the likeliest laws, of each form one; none where some cause leaves little."""
+        fitted = [row for row in self.rows[1:] if row.is_fit]
+        if min((self._left(self.fits[row.id]) for row in fitted), default=0.0) < EXPLAINED:
+            return []
+        out = {}
+        for row in sorted(fitted, key=lambda row: -row.log_posterior):
+            proposal = self.proposals[row.id]
+            if proposal.formulas and row.log_posterior > self.rows[0].log_posterior:
+                out.setdefault((proposal.code, proposal.lead), row)
+        return list(out.values())[:MOST_FIRSTS]
+
     def _prune(self):
         """Leave terms out of the likeliest sum of laws while that makes it likelier.
 
@@ -431,8 +478,6 @@ class _Turn:
         found = max(self.found[m] for m in measures)
         far = (self.kept[m] - max(FAR_BEHIND, self.spare[m]) for m in measures)
         if proposal.promise < max(far):
-            return True
-        if is_again and proposal.promise < found:
             return True
         if measures == {False} and proposal.gain > MOST_OF_ALL * self.missing:
             return False  # moments cannot promise more

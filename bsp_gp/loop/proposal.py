@@ -16,8 +16,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "continued", "with_term", "with_term_at",
-           "without_term"]  # fmt: skip
+__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "both_of", "continued", "with_term",
+           "with_term_at", "without_term"]  # fmt: skip
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
@@ -187,6 +187,26 @@ class Family:
     is_control: bool = False
     is_continuum: bool = False
     n_tried: int = 0
+
+
+def both_of(first, second):
+    """Two causes as one; the second was proposed beside the first.
+
+    Parameters
+    ----------
+    first, second : Proposal
+
+    Returns
+    -------
+    Proposal
+    """
+    return replace(
+        second, text=f"{first.text} + {second.text}", log_prior=first.log_prior + second.log_prior,
+        gain=first.gain + second.gain, rank=first.rank + second.rank, ties=(),
+        formulas=(*first.formulas, *second.formulas), volume=first.volume + second.volume,
+        bounds={**first.bounds, **second.bounds}, is_wide=first.is_wide or second.is_wide,
+        patience=max(first.patience, second.patience),
+    )  # fmt: skip
 
 
 def continued(hypothesis, found):

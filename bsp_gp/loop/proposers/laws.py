@@ -62,6 +62,7 @@ class Laws:
     """
 
     name = "laws"
+    asks_seconds = True
 
     def __init__(
         self, grammar, dataset, max_levels=8, exclude=("t",), search="exhaustive", budget=BUDGET
