@@ -47,7 +47,7 @@ def held_flat(dataset, spoken=()):
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
     if not is_plain or is_of_the_sky(dataset):
         return dataset
-    dataset = _from_its_height(dataset, spoken)
+    dataset = in_plane(dataset, spoken)
     tracks = [_tracks(dataset, axis) for axis in range(dataset.n_dims)]
     spans = [max((float(np.ptp(x)) for x in own if len(x)), default=0.0) for own in tracks]
     moving = [k for k, span in enumerate(spans) if span > 0]
@@ -62,24 +62,35 @@ def held_flat(dataset, spoken=()):
         " taken as at rest there, as on a track or a table"
     )
     held = replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
-    return _from_its_height(held, spoken)
+    return in_plane(held, spoken)
 
 
-def _from_its_height(dataset, spoken):
-    """Heights z from where bodies are that stay at one: what pulls to a place does so in a plane.
+def in_plane(dataset, spoken):
+    """Data whose height z does not change, as data of a plane, with a note.
 
-    Of walkers whose heads are tracked above a floor, say. Nothing is done where something is at
-    rest in a place of its own, or a law speaks of the axis.
+    Of walkers whose heads are tracked above a floor, say, or of a tracker that writes a column of
+    zeros. What pulls to a place does so in the plane, and may pull across. Nothing is done where
+    something is at another height, or a law speaks of the axis.
     """
     scenes = dataset.scenes
-    if dataset.n_dims < 3 or "z" in spoken or any(e.is_static for s in scenes for e in s.entities):
+    if dataset.n_dims < 3 or "z" in spoken or (dataset.up or "").strip("-") == "z":
         return dataset
-    heights = [s.positions[..., 2] for s in scenes]
-    if any(np.nanmin(z) != np.nanmax(z) or z.flat[0] == 0 for z in heights):
-        return dataset
-    scenes = tuple(replace(s, positions=s.positions * (1.0, 1.0, 0.0)) for s in scenes)
-    note = "z does not change: it is taken as 0, and distances to a place are those in the plane"
-    return replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
+    for scene in scenes:
+        heights = scene.positions[..., 2]
+        moves = scene.velocities is not None and np.nanmax(np.abs(scene.velocities[..., 2])) > 0
+        if np.nanmin(heights) != np.nanmax(heights) or moves or scene.first is not None:
+            return dataset
+    flat = tuple(
+        replace(scene, **{
+            name: value[..., :2]
+            for name in ("positions", "velocities", "sigma")
+            if (value := getattr(scene, name)) is not None
+        })
+        for scene in scenes
+    )  # fmt: skip
+    note = "z does not change: the motion is taken as one in a plane"
+    noise = dataset.noise and dataset.noise[:2]
+    return replace(dataset, scenes=flat, noise=noise, notes=(*dataset.notes, note))
 
 
 def _tracks(dataset, axis):

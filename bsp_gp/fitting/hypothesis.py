@@ -315,20 +315,21 @@ def read_law(dataset, texts: Sequence[str]):
     dataset : Dataset
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
-        ``"norm(p_i - (0, 1.2)) = L"``. Named constants are fitted. ``"nothing"`` is no force:
-        uniform motion.
+        ``"norm(p_i - (0, 1.2)) = L"``, or a string, ``"norm(p_i - (0, 1.2)) <= L"``. Named
+        constants are fitted. ``"nothing"`` is no force: uniform motion.
 
     Returns
     -------
     ForceLaw
         Its terms are declared; constants are nan until they are fitted.
     """
-    from bsp_gp.fitting.parts.constraints import read_constraint  # parts themselves
+    # Parts themselves:
+    from bsp_gp.fitting.parts.constraints import is_string, read_constraint, read_string
     from bsp_gp.fitting.parts.linkage import is_linkage, read_linkage
     from bsp_gp.fitting.parts.walls import is_wall, read_wall
 
     types = dataset_types(dataset)
-    is_angle, terms, frame = dataset.units.is_angle, [], []
+    is_angle, terms, frame, begun = dataset.units.is_angle, [], [], {}
     texts = [texts] if isinstance(texts, str) else list(texts)
     forces = []
     for text in texts:
@@ -336,6 +337,10 @@ def read_law(dataset, texts: Sequence[str]):
             frame.append(read_wall(dataset, text))
         elif is_linkage(text):
             frame.append(read_linkage(dataset, text))
+        elif is_string(text):
+            term, known = read_string(dataset, text)
+            terms.append(term)
+            begun |= known
         elif "=" in text:
             frame.append(read_constraint(dataset, text))
         else:
@@ -350,7 +355,8 @@ def read_law(dataset, texts: Sequence[str]):
         formula = formula or _read_force(text, types, dataset)
         terms.append(Term(formula, is_declared=True))
     law = ForceLaw(tuple(terms), {}, tuple(frame))
-    return tabled(law.with_constants(dict.fromkeys(law.names, math.nan)), dataset.scenes)
+    begun = {name: begun.get(name, math.nan) for name in law.names}
+    return tabled(law.with_constants(begun), dataset.scenes)
 
 
 def _read_force(text, types, dataset):

@@ -203,7 +203,7 @@ def fit_law(
     _check_settings(starts, bounds, time_limit)
     if noise is not None:
         dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
-    law = laws if isinstance(laws, ForceLaw) else read_law(dataset, laws)
+    law = unset(laws) if isinstance(laws, ForceLaw) else read_law(dataset, laws)
     dataset = with_usable_masses(dataset, needs_masses(law))
     split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
@@ -218,7 +218,7 @@ def fit_law(
 
     def fitted(part, starts, deadline):
         def declared(part):
-            return Hypothesis.from_laws(part, unset(law))
+            return Hypothesis.from_laws(part, law)
 
         return followed(declared, part, starts=starts, bounds=bounds, deadline=deadline)
 

@@ -270,7 +270,7 @@ class _Ready:
             dataset = replace(everywhere.seen(dataset), latents=())
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
-        self.law = declared if is_law else read_law(dataset, declared)
+        self.law = unset(declared) if is_law else read_law(dataset, declared)
         self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
         self.noise = estimate_noise(self.dataset)
         self.rail = None if self.law.frame or self.law.unseen else rail_of(
@@ -290,7 +290,7 @@ class _Ready:
         self.hypothesis = self._declared(self.train)
 
     def _declared(self, train):
-        hypothesis = Hypothesis.from_laws(train, unset(self.law))
+        hypothesis = Hypothesis.from_laws(train, self.law)
         if self.rail is not None:
             hypothesis += self.rail
         if self.latents is not None:
@@ -370,10 +370,14 @@ class _Ready:
 
 
 def _spoken(law, dataset):
-    """Axes of which a law speaks; all where it has constraints or frames, or the data vectors."""
+    """Axes of which a law speaks; all where it has constraints or frames, or the data vectors.
+
+    Products across are no vectors in a plane.
+    """
     types, axes = dataset_types(dataset) | input_types_of(dataset), set()
     vectors = [n for n in types if n not in STATE_INPUTS and types[n].shape == "vector"]
-    if law.frame or law.unseen or vectors:
+    is_across = any("cross(" in to_text(term.formula) for term in law.terms)
+    if law.frame or law.unseen or vectors or is_across:
         return set("xyz"[: dataset.n_dims])
     for name in {name for term in law.terms for name in term.formula.inputs} & {*DIRECTIONS}:
         axes.add(dataset.up.strip("-") if name in ("up", "down") else name[-1])

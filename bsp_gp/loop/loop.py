@@ -537,7 +537,7 @@ class _Turn:
                 self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
-        is_kept = new.chi2_red < EXPLAINED and gained > 0.8 * proposal.promise
+        is_kept = self._left(new) < EXPLAINED and gained > 0.8 * proposal.promise
         if is_kept and proposal.promise > self.kept[measure]:
             left = 0.0 if measure else 0.5 * (self.missing - proposal.gain)
             self.kept[measure] = proposal.promise
@@ -601,11 +601,10 @@ class _Turn:
             nothing = ("nonfinite", -math.inf, -math.inf, 0, HeldOut())
             return self._add(source, proposal, *nothing)
         new, best, evidence = found
-        if proposal.error:
-            level = float(np.nanmax(np.array(new.noise.levels)))
-            self.judged[len(self.rows)] = (level / proposal.error) ** 2 * new.chi2_red
-        elif proposal.judged is not None and not new.is_failed:
-            self.judged[len(self.rows)] = best.chi2_red
+        if (proposal.error or proposal.judged is not None) and not new.is_failed:
+            level = float(np.nanmax(np.array(best.noise.levels)))
+            told = proposal.error or level  # noise that grew with the misfit explains none of it
+            self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
         # Kicks have every row told by those before it, and no rows of a fit to be compared.

@@ -1,4 +1,7 @@
-"""Constraints: a rod to a point or a body, a wire, a plane; what bodies keep to whatever pulls."""
+"""Constraints: a rod to a point or a body, a wire, a plane; what bodies keep to whatever pulls.
+
+A string is none of them: it is a force while it is taut, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,26 @@ import numpy as np
 from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError, UnitError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
-from bsp_gp.language.formula import Call, Constant, Number, evaluate, substitute
+from bsp_gp.language.formula import Call, Constant, Input, Number, evaluate, substitute
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import added_units
+from bsp_gp.physics.force import Term, added_units
 from bsp_gp.units import Unit
 
-__all__ = ["Constraint", "extent_of", "read_constraint"]
+__all__ = ["Constraint", "extent_of", "is_string", "read_constraint", "read_string"]
 
 LENGTH = Unit.of(m=1)
 MOST_ROWS, MOST_STARTS = 400, 36
 """Rows of a body that constants are first guessed from, and from how many values."""
 _POINT = re.compile(r"(?<![A-Za-z0-9_])\(([^()]*,[^()]*)\)")
 _STATE = re.compile(r"\b([pxyz])_([A-Za-z]\w*)\b")
+STIFF = 3.0
+"""Radians that a bob on a string, stretched, would swing from row to row: it stretches by less than
+rows tell, and steps are not much shorter than they."""
+LOOSE = 0.1
+"""What a length counts by which a string is too long to be taut, in that by which it is too
+short."""
 _KEPT = ("p_i", "p_j", "t", "e_x", "e_y", "e_z", "up", "down", "origin")
 
 
@@ -82,14 +91,11 @@ def read_constraint(dataset, text, pairs=None):
     sides = text.split("=")
     if len(sides) != 2 or "<" in text or ">" in text:
         raise LawError(
-            f"a constraint must be one equation such as 'norm(p_i - (0, 1.2)) = 0.8', got {text!r}"
-            "; a string is one while it is taut, and one that stretches and goes slack is a law: "
-            "-K * (1 + sign(norm(p_i - p_j) - L)) * (norm(p_i - p_j) - L) * normalize(p_i - p_j)"
+            f"a constraint must be one equation such as 'norm(p_i - (0, 1.2)) = 0.8', or a string "
+            f"such as 'norm(p_i - (0, 1.2)) <= 0.8', got {text!r}"
         )
-    moving, fixed = _names(dataset)
-    sides, roles = _with_roles(text, sides, moving, fixed)
-    formula, axes = _difference(dataset, text, sides)
-    pairs = tuple(pairs or _pairs(dataset, text, formula, roles))
+    formula, axes, pairs = _read(dataset, text, sides, pairs)
+    moving, _ = _names(dataset)
     coupling = tuple(pair for pair in pairs if pair[1] in moving)
     lone = [e.name for s in dataset.scenes for e in s.entities if not np.isfinite(e.mass)]
     if any(set(pair) & set(lone) for pair in coupling):
@@ -99,6 +105,79 @@ def read_constraint(dataset, text, pairs=None):
         )
     numbers = _numbers(dataset, formula, pairs, axes)
     return Constraint(text.strip(), formula, pairs, numbers, bool(coupling))
+
+
+def is_string(text):
+    """Whether a typed constraint is a string, a distance that is not exceeded."""
+    return "<=" in text
+
+
+def read_string(dataset, text):
+    """Read ``norm(p_i - (0, 1.2)) <= L``: a string, which pulls while it is taut.
+
+    It is stiff for the rows, and critically damped: what a bob has of speed along it is lost where
+    it becomes taut.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    text : str
+        As of `read_constraint`.
+
+    Returns
+    -------
+    term : Term
+    starts : dict of str to float
+        Where its constants begin, SI.
+
+    Raises
+    ------
+    LawError
+        If it is none, or is not on all bodies that forces move.
+    """
+    formula, axes, pairs = _read(dataset, text, text.split("<="), None)
+    way = formula.args[0] if isinstance(formula, Call) and formula.operator == "sub" else None
+    if not (isinstance(way, Call) and way.operator == "norm"):
+        raise LawError(
+            f"{text!r} must be a distance that is not exceeded, as in 'norm(p_i - (0, 1.2)) <= L' "
+            "or 'norm(p_i - p_j) <= L'"
+        )
+    for scene in dataset.scenes:
+        both = {name for pair in pairs if set(pair) <= {"", *scene.names} for name in pair}
+        if not set(scene.names) <= both:
+            raise LawError(
+                f"{text!r}: scene {scene.name!r} has bodies that are not on the string "
+                f"({', '.join(sorted(set(scene.names) - both))}); leave them out, or write it for "
+                "all bodies with p_i and a point"
+            )
+    steps = [np.diff(scene.times) for scene in dataset.scenes]
+    rate = STIFF / float(np.median(np.concatenate(steps)))
+    is_pair = "p_j" in formula.inputs
+    types = dataset_types(dataset)
+    speed = Input("v_i", types["v_i"])
+    mass = Input("m_i", types["m_i"])
+    if is_pair:
+        speed = Call("sub", speed, Input("v_j", types["v_j"]))
+    is_coupled = any(other in _names(dataset)[0] for _, other in pairs)
+    if is_coupled:
+        other = Input("m_j", types["m_j"])
+        mass = Call("div", Call("mul", mass, other), Call("add", mass, other))
+    along = Call("normalize", way.args[0])
+    lag = Number(2.0 / rate, Unit.of(s=1), f"{2.0 / rate:.6g}")
+    pull = Call("add", formula, Call("mul", lag, Call("dot", speed, along)))
+    taut = Call("add", Number(1.0), Call("sign", formula))
+    stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g}")
+    size = Call("mul", Call("mul", stiffness, mass), Call("mul", taut, pull))
+    numbers = _numbers(dataset, formula, pairs, axes, is_least=True)
+    return Term(Call("mul", size, along), is_declared=True), {n.name: n.start for n in numbers}
+
+
+def _read(dataset, text, sides, pairs):
+    """What is kept at zero, which constants are coordinates by axis, and the bodies i and j."""
+    moving, fixed = _names(dataset)
+    sides, roles = _with_roles(text, sides, moving, fixed)
+    formula, axes = _difference(dataset, text, sides)
+    return formula, axes, tuple(pairs or _pairs(dataset, text, formula, roles))
 
 
 def _names(dataset):
@@ -233,8 +312,11 @@ def extent_of(dataset):
     return (low + high) / 2, float(np.max(high - low)) or 1.0
 
 
-def _numbers(dataset, formula, pairs, axes):
-    """Constants, begun where the rows keep to it best; those of `axes` are coordinates."""
+def _numbers(dataset, formula, pairs, axes, is_least=False):
+    """Constants, begun where the rows keep to it best; those of `axes` are coordinates.
+
+    With `is_least` rows may as well be below zero.
+    """
     from scipy.optimize import least_squares  # a slow import
 
     names = formula.constants
@@ -247,7 +329,8 @@ def _numbers(dataset, formula, pairs, axes):
     def left(values):
         known = dict(zip(names, values, strict=True))
         parts = [np.broadcast_to(evaluate(formula, r, known), r["t"].shape) for r in rows]
-        return np.nan_to_num(np.concatenate(parts), nan=1e6, posinf=1e6, neginf=-1e6)
+        out = np.nan_to_num(np.concatenate(parts), nan=1e6, posinf=1e6, neginf=-1e6)
+        return np.where(out < 0, LOOSE * out, out) if is_least else out
 
     choices = [
         [middle[axes[n]] + k * size for k in (0, 1, -1)] if n in axes else

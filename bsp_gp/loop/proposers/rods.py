@@ -210,7 +210,7 @@ def _proposal(view, kept, n_tried):
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=judged, is_sole=kept.is_sole, patience=PATIENT, is_afresh=True,
+        judged=judged, error=level, is_sole=kept.is_sole, patience=PATIENT, is_afresh=True,
     )  # fmt: skip
 
 
