@@ -118,7 +118,11 @@ def verdict_parts(report):
             text = text.replace("the declared model lacks", "the motion shows")
         is_force = any(r.effect.kind not in ("measurement", "noise") for r in adopted)
         is_all = not is_force and last.verdict == "nothing missing"
-        return text[:1].upper() + text[1:] + ".", "No force is missing beside it." if is_all else ""
+        detail = "No force is missing beside it." if is_all else ""
+        if last.verdict == "seen, not adopted":
+            detail = ("More than noise is left beside it that nothing explains: it is the nearest "
+                      "of all that was tried.")  # fmt: skip
+        return text[:1].upper() + text[1:] + ".", detail
     if report.verdict == "effective law" and adopted:
         names = _joined(_counted(map(_either, adopted)))
         text = f"On these tracks the motion is as if there were {names}."

@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from bsp_gp.fitting.channels import join
+from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
@@ -25,6 +27,9 @@ MOST_NUMBERS = 2_000_000
 """In one work array."""
 MOST_FRAMES = 4
 """That are missing or repeated at once."""
+MOST_BREAKS, BESIDE, UNLIKELY = 64, 4, 1e-3
+"""Ends of tracks of which it is asked whether they break, rows on each side that tell it, and the
+chance by which a track that goes on smoothly may look broken."""
 FAR = ("swapped_tracks", "lost_track")
 """Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
@@ -272,13 +277,41 @@ def _rows(windows, n_tried):
 
 
 def _lost(windows):
-    """The track that gains most by leaving out its end, or its beginning, and its gain."""
-    best, parts = -np.inf, []
+    """The track that gains most by leaving out its end, or its beginning, and its gain.
+
+    Of those that break where they are lost: what a law does not follow goes on smoothly.
+    """
+    found = []
     for window, gains in windows:
-        paid = _paid(window, gains)
-        if window.kind == "part" and paid.max() > best:
-            best, parts = paid.max(), [window.part(int(paid.argmax()))]
-    return parts, best
+        if window.kind == "part":
+            paid = _paid(window, gains)
+            found += [(paid[k], window, k) for k in np.argsort(-paid)[:MOST_BREAKS].tolist()]
+    found.sort(key=lambda entry: -entry[0])
+    for paid, window, k in found[:MOST_BREAKS]:
+        if paid > 0 and _is_broken(window, k):
+            return [window.part(k)], paid
+    return [], -np.inf
+
+
+def _is_broken(window, k):
+    """Whether a body jumps or turns off where its track is said to be lost, or found again."""
+    scene = window.chain.scene
+    places = scene.positions[:, scene.names.index(window.entity)]
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    at = int(window.first[k] or window.stop[k])
+    rows = [*seen[seen < at][-BESIDE:], *seen[seen >= at][:BESIDE]]
+    is_behind = np.array(rows) >= at
+    if len(rows) < 2 * BESIDE:
+        return True
+    t = scene.times[rows] - scene.times[rows].mean()
+    t /= np.abs(t).max()
+    smooth = np.stack([np.ones_like(t), t, t * t], axis=1)
+    broken = np.column_stack([smooth, is_behind, is_behind * t])
+    left = [x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
+            for basis in (smooth, broken) for x in (places[rows],)]  # fmt: skip
+    error = scatter(places)
+    gain = float(np.square(left[0]).sum() - np.square(left[1]).sum()) / error**2 if error else 0.0
+    return gain > stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
 
 
 def _frames(moved):
