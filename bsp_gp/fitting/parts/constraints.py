@@ -135,7 +135,8 @@ def read_string(dataset, text):
     LawError
         If it is none, or is not on all bodies that forces move.
     """
-    formula, axes, pairs = _read(dataset, text, text.split("<="), None)
+    sides = text.split("<=")
+    formula, axes, pairs = _read(dataset, text, sides, None) if len(sides) == 2 else (None,) * 3
     way = formula.args[0] if isinstance(formula, Call) and formula.operator == "sub" else None
     if not (isinstance(way, Call) and way.operator == "norm"):
         raise LawError(
@@ -163,10 +164,10 @@ def read_string(dataset, text):
         other = Input("m_j", types["m_j"])
         mass = Call("div", Call("mul", mass, other), Call("add", mass, other))
     along = Call("normalize", way.args[0])
-    lag = Number(2.0 / rate, Unit.of(s=1), f"{2.0 / rate:.6g}")
+    lag = Number(2.0 / rate, Unit.of(s=1), f"{2.0 / rate:.6g} [s]")
     pull = Call("add", formula, Call("mul", lag, Call("dot", speed, along)))
     taut = Call("add", Number(1.0), Call("sign", formula))
-    stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g}")
+    stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g} [1/s^2]")
     size = Call("mul", Call("mul", stiffness, mass), Call("mul", taut, pull))
     numbers = _numbers(dataset, formula, pairs, axes, is_least=True)
     return Term(Call("mul", size, along), is_declared=True), {n.name: n.start for n in numbers}
@@ -227,7 +228,8 @@ def _difference(dataset, text, sides):
 
     def length(digits):
         name = f"literal{len(literals)}"
-        literals[Constant(name)] = Number(float(digits) * metres, LENGTH, digits)
+        value = float(digits) * metres
+        literals[Constant(name)] = Number(value, LENGTH, f"{value:.6g} [m]")
         return name
 
     def point(match):

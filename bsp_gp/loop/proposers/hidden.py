@@ -113,7 +113,8 @@ def pulls_of(view, strength):
     """
     law, columns = view.fit.law, {}
     for term in law.terms:
-        pull = unit_pull(term, strength) if term.kind == "pair" else None
+        is_placed = term.kind == "pair" and "p_j" in term.formula.inputs
+        pull = unit_pull(term, strength) if is_placed else None
         if pull is not None:
             columns.setdefault(pull[1], []).append((term, Term(pull[0], "pair")))
     return [tuple(both) for both in columns.values()]

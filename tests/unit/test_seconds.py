@@ -1,0 +1,81 @@
+"""Two causes at once, where a first one alone leaves much of what is missing."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import bsp_gp
+from bsp_gp.loop.proposal import Proposal, both_of
+from bsp_gp.loop.proposers.hidden import pulls_of
+from bsp_gp.planning.means import Body, Experiment, means_from
+from tests.loop_views import throws, view_of
+
+PULL, WIND, SIGMA = 9.0, 0.07, 0.3
+
+
+def round_a_heavy_body(n_scenes, rng):
+    """Three bodies on orbits and three probes, beside a heavy body at rest and in a wind.
+
+    Ten places each, a second apart, of which the first is known.
+    """
+    means = means_from({
+        "bodies": {"body": {"x": 0.0, "y": 0.0}}, "look": {"until": 10.0, "noise": SIGMA}
+    })  # fmt: skip
+    angle, radius = rng.uniform(0, 2 * np.pi, 3), rng.uniform(3, 14, 3)
+    out, along = np.stack([np.cos(angle), np.sin(angle)], 1), np.sqrt(PULL) * rng.uniform(0.8, 1.1)
+    places, speeds = radius[:, None] * out, along * np.stack([-out[:, 1], out[:, 0]], 1)
+    times, scenes = np.arange(1.0, 11.0), []
+
+    def rate(_, z):
+        p, v = z.reshape(2, -1, 2)
+        a = -PULL * p / np.square(p).sum(axis=1, keepdims=True) + (WIND, 0.0)
+        return np.concatenate([v.ravel(), a.ravel()])
+
+    for k in range(n_scenes):
+        p = np.vstack([places, rng.uniform(-15, 15, (3, 2))])
+        v = np.vstack([speeds, rng.uniform(-2, 2, (3, 2))])
+        found = solve_ivp(rate, (0, 10), np.concatenate([p.ravel(), v.ravel()]), t_eval=times,
+                          rtol=1e-8, atol=1e-9).y  # fmt: skip
+        seen = found[: p.size].T.reshape(len(times), -1, 2)
+        seen = np.concatenate([p[None], seen + SIGMA * rng.standard_normal(seen.shape)])
+        crew = [Body("heavy", (0.0, 0.0), (0.0, 0.0), {"mass": 1e7}, True)]
+        crew += [Body(f"body {j}", tuple(p[j]), tuple(v[j]), {"mass": float(1 + j % 3)})
+                 for j in range(len(p))]  # fmt: skip
+        whole = np.concatenate([np.zeros((len(seen), 1, 2)), seen], axis=1)
+        made = Experiment(tuple(crew), (0.0, *times))
+        scenes.append(made.scene(str(k), whole, sigma=np.full(whole.shape, SIGMA)))
+    return means.dataset(scenes)
+
+
+@pytest.mark.slow
+def test_a_pull_and_a_wind_are_found_though_neither_alone_is_likely():
+    data = round_a_heavy_body(6, np.random.default_rng(5))
+    found = bsp_gp.close_loop(data, rng=0, n_bootstrap=0)
+    assert found.verdict == "effect adopted"
+    law = found.fit.law
+    place, still = np.array([[[4.0, 0.0], [0.0, 0.0]]]), np.zeros((1, 2, 2))
+    probe = Experiment((Body("a", (4.0, 0.0), (0.0, 0.0), {"mass": 1.0}),
+                        Body("heavy", (0.0, 0.0), (0.0, 0.0), {"mass": 1e7}, True)),
+                       (0.0, 1.0, 2.0)).scene("x")  # fmt: skip
+    from bsp_gp.physics.bodies import stack
+
+    (batch,) = stack((probe,))
+    force = law.acceleration(batch.bodies, place, still, np.zeros(1))[0, 0]
+    assert force == pytest.approx([-PULL / 4 + WIND, 0.0], abs=0.03)
+
+
+def test_two_causes_are_one_with_the_terms_of_both():
+    first = Proposal("law", "a", None, -2.0, 10.0, formulas=("f",), starts={"a": 1.0})
+    second = Proposal("law", "b", "both", -3.0, 4.0, 2, {"b": 2.0}, formulas=("g",))
+    both = both_of(first, second)
+    assert (both.text, both.hypothesis, both.formulas) == ("a + b", "both", ("f", "g"))
+    assert (both.log_prior, both.gain, both.rank) == (-5.0, 14.0, 3)
+    assert both.starts == {"b": 2.0}  # the first begins where it was found
+
+
+def test_a_force_that_hangs_on_no_place_is_no_pull_of_an_unseen_body():
+    data = throws(np.random.default_rng(0), n_bodies=2)
+    view = view_of(data, ("-9.81 [m/s^2] * m_i * e_y", "-c * (v_i - v_j)"))
+    assert pulls_of(view, "M") == []
+    view = view_of(data, ("-9.81 [m/s^2] * m_i * e_y", "-k * (p_i - p_j)"))
+    assert len(pulls_of(view, "M")) == 1
