@@ -7,8 +7,9 @@ from scipy.integrate import solve_ivp
 import bsp_gp
 from bsp_gp.loop.proposal import Proposal, both_of
 from bsp_gp.loop.proposers.hidden import pulls_of
+from bsp_gp.physics.bodies import stack
 from bsp_gp.planning.means import Body, Experiment, means_from
-from tests.loop_views import throws, view_of
+from tests.loop_views import GRAVITY, throws, view_of
 
 PULL, WIND, SIGMA = 9.0, 0.07, 0.3
 
@@ -57,8 +58,6 @@ def test_a_pull_and_a_wind_are_found_though_neither_alone_is_likely():
     probe = Experiment((Body("a", (4.0, 0.0), (0.0, 0.0), {"mass": 1.0}),
                         Body("heavy", (0.0, 0.0), (0.0, 0.0), {"mass": 1e7}, True)),
                        (0.0, 1.0, 2.0)).scene("x")  # fmt: skip
-    from bsp_gp.physics.bodies import stack
-
     (batch,) = stack((probe,))
     force = law.acceleration(batch.bodies, place, still, np.zeros(1))[0, 0]
     assert force == pytest.approx([-PULL / 4 + WIND, 0.0], abs=0.03)
@@ -75,7 +74,5 @@ def test_two_causes_are_one_with_the_terms_of_both():
 
 def test_a_force_that_hangs_on_no_place_is_no_pull_of_an_unseen_body():
     data = throws(np.random.default_rng(0), n_bodies=2)
-    view = view_of(data, ("-9.81 [m/s^2] * m_i * e_y", "-c * (v_i - v_j)"))
-    assert pulls_of(view, "M") == []
-    view = view_of(data, ("-9.81 [m/s^2] * m_i * e_y", "-k * (p_i - p_j)"))
-    assert len(pulls_of(view, "M")) == 1
+    assert pulls_of(view_of(data, GRAVITY, "-c * (v_i - v_j)"), "M") == []
+    assert len(pulls_of(view_of(data, GRAVITY, "-k * (p_i - p_j)"), "M")) == 1
