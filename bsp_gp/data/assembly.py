@@ -209,6 +209,7 @@ def axes_of(table, declaration):
     columns = [str(column) for column in table.frame.columns]
     axes = [axis for axis in "xyz" if axis in columns]
     _refuse_rates(table, declaration, axes)
+    _require_clock(table, declaration)
     if axes not in (["x"], ["y"]):
         require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
         return axes, ()
@@ -235,6 +236,16 @@ def axes_of(table, declaration):
         f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
     )  # fmt: skip
     return ["x", "y"], note
+
+
+def _require_clock(table, declaration):
+    """DataError where a table has no column of times and its rows are no frames of a known rate."""
+    has_rate = declaration.fps is not None or declaration.dt is not None
+    if table.untimed and not (has_rate and "frame" in table.frame.columns):
+        raise DataError(
+            f"there is no column 't'; present are {', '.join(table.present)}",
+            file=table.file, column="t", remedy=table.untimed,
+        )  # fmt: skip
 
 
 def _may_be_place(table, column, axis):

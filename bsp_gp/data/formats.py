@@ -31,6 +31,7 @@ from bsp_gp.data.headings import (
 from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
+from bsp_gp.data.untimed import COUNTED, rows_as_frames
 from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
 
@@ -67,6 +68,8 @@ class Table:
         Axis that is a height by its name.
     unused : dict of str to str
         Names of columns that mean nothing to us -> what the file calls them.
+    untimed : str
+        Of a table without a column of times: the remedy where rows are no frames of a known rate.
     """
 
     frame: pd.DataFrame
@@ -81,10 +84,11 @@ class Table:
     present: tuple[str, ...] = ()
     up: str | None = None
     unused: dict = field(default_factory=dict)
+    untimed: str = ""
 
 
 def read_table(path, *, rename=None, as_text=False):
-    """Read a delimited file with a header.
+    """Read a delimited file, with a header or with numbers alone.
 
     Parameters
     ----------
@@ -116,13 +120,13 @@ def read_table(path, *, rename=None, as_text=False):
             f"the rows cannot be told apart: {error}",
             file=path, remedy="is it a table, with one row per time and entity?",
         ) from None  # fmt: skip
-    line = layout.header_line + 1
+    line = layout.header_line + 1 or None
     groups = groups_of(layout.headings, () if as_text else layout.title_cells, file=path, line=line)
     frame = _read_frame(source, layout, as_text)
     return long_table(
         frame, layout.headings, layout.units, groups, file=path, title=_title(layout, head),
         line=line, as_text=as_text, digest=source.digest, decimal=layout.decimal,
-        notes=source.notes,
+        notes=(*source.notes, *layout.notes),
     )  # fmt: skip
 
 
@@ -154,6 +158,9 @@ def long_table(
         )  # fmt: skip
     names = [h.name for h in found]
     frame, date_notes, dated = _without_dates(frame, names) if not as_text else (frame, [], False)
+    frames, untimed = None, ""
+    if not (as_text or {"t", "frame"} & set(names)) and has_place(found):
+        frames, untimed = rows_as_frames(frame, found)
     if groups:
         used = {k for group in groups for k in group.columns.values()}
         rest = [h for k, h in enumerate(found) if k not in used or h.sure == UNKNOWN]
@@ -161,11 +168,9 @@ def long_table(
     else:
         rest = [h for h in found if h.sure == UNKNOWN]
         frame = frame.set_axis(names, axis=1)[[name for name in names if name]]
-    is_named = {"entity", "scene"} & set(names)
-    untimed = not (as_text or is_named or {"t", "frame"} & set(names)) and has_place(found)
-    if untimed and all(h.sure != UNKNOWN for h in found):  # else one of the others is the time
-        frame = frame.assign(frame=frame.index - frame.index.min())
-        notes = (*notes, "there is no column of times: every row is taken as a frame")
+    if frames is not None:
+        frame = frame.assign(frame=frames[frame.index].to_numpy())
+        notes = (*notes, COUNTED)
     is_named = {"entity", "scene"} & set(frame.columns)
     if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not run_of(title):
         title = ""  # of Tracker it is the name of the mass; of others, anything
@@ -189,7 +194,7 @@ def long_table(
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
-        unused=unused,
+        unused=unused, untimed=untimed,
     )  # fmt: skip
 
 
@@ -263,16 +268,16 @@ def _require_even_rows(source, layout, head):
         first = head[layout.data_line : layout.data_line + 1]
         if not first or len(split_line(first[0], layout.delimiter)) == n_cells:
             return
+    first = "the header" if layout.header_line >= 0 else "the first row"
     with source.open(newline="") as stream:
         for line, row in enumerate(csv.reader(stream, delimiter=layout.delimiter), start=1):
             if line <= layout.data_line or not any(cell.strip() for cell in row):
                 continue
             if len(row) != n_cells:
                 raise DataError(
-                    f"this row has {len(row)} cells, the header has {n_cells} "
+                    f"this row has {len(row)} cells, {first} has {n_cells} "
                     f"({DELIMITER_NAMES[layout.delimiter]} between them)",
-                    file=source.path, row=line,
-                    remedy="every row needs as many cells as the header",
+                    file=source.path, row=line, remedy=f"every row needs as many cells as {first}",
                 )  # fmt: skip
 
 

@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.headings import Heading, has_place, headings, number_columns
-from bsp_gp.errors import DataError
+from bsp_gp.data.headings import Heading, has_place, headings, is_ignored, number_columns
+from bsp_gp.errors import DataError, in_python
 
 __all__ = ["DELIMITER_NAMES", "Layout", "sniff", "split_line"]
 
@@ -21,7 +21,7 @@ _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parts of a delimited file are; lines count from 0.
+    """Where the parts of a delimited file are; lines count from 0, and no header is at -1.
 
     Attributes
     ----------
@@ -34,6 +34,8 @@ class Layout:
     decimal : str
     title_cells : tuple of str
         Cells of the line above the header.
+    notes : tuple of str
+        What was taken for granted.
     """
 
     delimiter: str | None
@@ -43,6 +45,7 @@ class Layout:
     data_line: int
     decimal: str = "."
     title_cells: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self):
@@ -64,7 +67,7 @@ def sniff(head, rename, marks, path):
     head : list of str
         The first lines, without their ends.
     rename : mapping of str to str
-        Our name of a column -> its name in the file.
+        Our name of a column -> its name in the file, or its number where no column has a name.
     marks : tuple of str
         A line is the header if it has one of these columns (and, for tracks, x or y, or a
         distance and an angle).
@@ -76,6 +79,9 @@ def sniff(head, rename, marks, path):
     Layout
     """
     is_track = marks != ("entity",)
+    bare = _without_header(head, rename) if is_track else None
+    if bare is not None:
+        return bare
     for number, line in enumerate(head):
         for delimiter in _DELIMITERS:
             cells = _header_cells(line, delimiter)
@@ -88,10 +94,69 @@ def sniff(head, rename, marks, path):
     cells = _header_cells(head[number], delimiter)
     if cells and all(_is_number(cell) for cell in cells if cell):
         raise DataError(
-            "the first line holds numbers where the names of the columns are expected",
-            file=path, row=number + 1, remedy="add a header such as t,x,y",
+            f"the first line holds {len(cells)} number(s) where the names of the columns are "
+            "expected",
+            file=path, row=number + 1, remedy=_remedy_of_numbers(cells),
         )  # fmt: skip
     return _finish(head, number, delimiter, headings(cells, rename, is_track=is_track))
+
+
+def _without_header(head, rename):
+    """The layout of a file of numbers alone, called by the numbers of their columns; or None.
+
+    Where nobody says which column is which, they are t, x, y and z, if the first is a time.
+    """
+    first = next((k for k, s in enumerate(head) if s.strip() and not _COMMENT.match(s)), len(head))
+    rows, delimiter = _rows_of_numbers([line for line in head[first:] if line.strip()])
+    numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
+    said = {theirs.strip() for theirs in rename.values() if _is_number(theirs)}
+    named = {} if said or any(map(_COMMENT.match, head)) else _named_by_place(rows, rename)
+    if not named and not (said and said <= set(numbers)):
+        return None
+    options = " ".join(f"{name}={number}" for name, number in named.items())
+    note = in_python(
+        f"no header: columns read as {', '.join(named)}; if they are not that, say which is which "
+        f"by its number: --columns {options}"
+    )
+    return Layout(
+        delimiter, headings(numbers, {**named, **rename}), ("",) * len(numbers), header_line=-1,
+        data_line=first, decimal=_decimal(head[first:], delimiter), notes=(note,) if named else (),
+    )  # fmt: skip
+
+
+def _rows_of_numbers(lines):
+    """Rows of lines that begin with one of numbers, and the delimiter; none of other lines."""
+    for delimiter in _DELIMITERS:
+        if lines and all(_is_number(cell or "0") for cell in split_line(lines[0], delimiter)):
+            return [split_line(line, delimiter) for line in lines], delimiter
+    return [], None
+
+
+def _named_by_place(rows, rename):
+    """Our names of two to four columns of numbers, the first of which increases; {} of others."""
+    is_even = len(set(map(len, rows))) == 1
+    if not is_even or not all(_is_number(cell or "0") for row in rows for cell in row):
+        return {}
+    columns = {str(k + 1): cells for k, cells in enumerate(zip(*rows, strict=True))}
+    kept = [n for n in columns if any(columns[n]) and not is_ignored(rename.get(n, ""), columns)]
+    times = [float(cell.replace(",", ".") or "nan") for cell in columns[kept[0]]] if kept else []
+    is_timed = all(early < late for early, late in zip(times, times[1:], strict=False))
+    if not 2 <= len(kept) <= 4 or not is_timed or _are_places(rows[0]):
+        return {}
+    return dict(zip("txyz", kept, strict=False))
+
+
+def _remedy_of_numbers(cells):
+    remedy = "add a header such as t,x,y, or say which column is which by its number: "
+    by_number = "--columns t=1 x=2"
+    if _are_places(cells):
+        by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
+    return remedy + by_number
+
+
+def _are_places(cells):
+    """Whether a row is 0, 1, 2, as a header of pandas is, and hardly one of data."""
+    return len(cells) > 1 and tuple(cells) == tuple(map(str, range(len(cells))))
 
 
 def _is_even(head, number, delimiter, cells):

@@ -69,11 +69,13 @@ def load_dataset(
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
         ``"px"`` keeps pixels; ``"0.17 um"`` says what one count is.
     columns : mapping of str to str, optional
-        Our name of a column -> its name in the file, e.g. ``{"x": "X_cm"}``; of bodies side by
-        side ``{"red_x": "X1", "red_y": "Y1", "blue_x": "X2", ...}``; and
-        ``velocity="measured"`` if the velocity columns are data in their own right.
+        Our name of a column -> its name in the file, e.g. ``{"x": "X_cm"}``, or its number from 1
+        where there is no header, ``{"x": "3"}``; of bodies side by side ``{"red_x": "X1",
+        "red_y": "Y1", "blue_x": "X2", ...}``; and ``velocity="measured"`` if the velocity columns
+        are data in their own right.
     fps, dt : float, optional
-        Frames per second, or time per frame in the unit of time, where the file counts frames.
+        Frames per second, or time per frame in the unit of time, where the file counts frames or
+        every row is one.
     train, test : str or list of str, optional
         Names, globs or ranges ``a..b`` of scenes, in place of ``[split]``.
     properties : mapping of str to float, str or mapping, optional

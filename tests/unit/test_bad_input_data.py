@@ -44,7 +44,7 @@ DEFECTS = {
     "empty file": ({T: ""}, [T, "empty", "header"]),
     "blank file": ({T: "\n \n"}, [T, "empty"]),
     "header only": ({T: "t,x,y\n"}, [T, "no rows"]),
-    "no header": ({T: "0,0,0\n1,1,1\n2,2,2\n"}, [T, "line 1", "names of the columns", "t,x,y"]),
+    "no header": ({T: "0,0,0\n1,1,1\n1,2,2\n"}, [T, "line 1", "names of the columns", "t,x,y"]),
     "duplicated header": ({T: edit("entity,x", "x,x")}, [T, "line 1", "'x' twice"]),
     "short row": ({T: edit("ball,1,0", "ball,1")}, [T, "line 3", "4 cells", "header has 5"]),
     "long row": ({T: edit("ball,0,0", "ball,0,0,0")}, [T, "line 2", "6 cells", "header has 5"]),

@@ -1,0 +1,90 @@
+"""Tables without a column of times: their rows as frames, where nothing speaks against it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.headings import UNKNOWN
+from bsp_gp.units import Unit
+
+__all__ = ["COUNTED", "rows_as_frames"]
+
+COUNTED = "there is no column of times: every row is taken as a frame"
+RISES = 0.8
+"""Part of the steps of a clock that go up; it may begin anew where another recording begins."""
+_TIME = Unit.of(s=1)
+_NAME_IT = 'add it, or say which it is: --columns t="..."'
+
+
+def rows_as_frames(frame, found):
+    """Count the rows of a table that has places and no times.
+
+    Rows are frames one after another unless a column says otherwise, or may: that of bodies, that
+    of recordings whose rows are mixed, or one that means nothing to us and may be a clock or tell
+    rows apart.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Its columns are called by their positions; its index counts lines.
+    found : sequence of Heading
+
+    Returns
+    -------
+    frames : Series or None
+        The frame of every row, from 0 in every recording; None where rows are not counted.
+    remedy : str
+        What to do where nothing says how long a frame is, or rows are not counted.
+    """
+    names = [h.name for h in found]
+    doubtful = [
+        k for k, h in enumerate(found)
+        if h.sure == UNKNOWN and not (h.ignored or _is_measured(h)) and _may_order(frame[k])
+    ]  # fmt: skip
+    if doubtful:
+        return None, _remedy_of_doubt(doubtful, [found[k].theirs for k in doubtful])
+    scenes = frame[names.index("scene")] if "scene" in names else pd.Series(0, frame.index)
+    are_mixed = (scenes != scenes.shift()).sum() > scenes.nunique()
+    if "entity" in names or are_mixed:
+        return None, (
+            f'{_NAME_IT}; or number the frames, --columns frame="..." and --fps 25: rows of '
+            "several bodies or recordings are no frames one after another"
+        )
+    lines = pd.Series(frame.index, frame.index)
+    counted = lines - lines.groupby(scenes).transform("min")  # rows where all are lost count
+    return counted, f"{_NAME_IT}; if every row is a frame, --fps 25 says how many are in a second"
+
+
+def _is_measured(heading):
+    """Whether a column has a unit, and that is none of time."""
+    return bool(heading.unit) and unit_of(heading.unit) != _TIME
+
+
+def _may_order(cells):
+    """Whether a column may be a clock, or names of bodies or recordings."""
+    cells = cells.dropna()
+    n_values = cells.nunique()
+    if n_values < 2:
+        return False
+    if cells.dtype.kind not in "iuf":
+        return True
+    steps = np.diff(cells.to_numpy(dtype=float))
+    if (steps == 1).all():  # it counts rows
+        return False
+    is_clock = (steps > 0).sum() >= RISES * (steps != 0).sum()
+    return bool(is_clock or (n_values <= len(cells) / 2 and (cells % 1 == 0).all()))
+
+
+def _remedy_of_doubt(places, names):
+    if "" in names:
+        place = places[names.index("")] + 1
+        return f"column {place} has no name and may be it: give it one, such as t or frame"
+    quoted = [name if name.isidentifier() else f'"{name}"' for name in names]
+    ignored = " ".join(f"{name}=ignore" for name in quoted)
+    return (
+        f"if {' or '.join(quoted[:3])} is it, or tells bodies or recordings apart, say so: "
+        f"--columns t={quoted[0]} (or frame=, entity=, scene=); if none does, and every row is a "
+        f"frame: --columns {ignored} and --fps 25"
+    )
