@@ -329,7 +329,8 @@ def read_law(dataset, texts: Sequence[str]):
     from bsp_gp.fitting.parts.walls import is_wall, read_wall
 
     types = dataset_types(dataset)
-    is_angle, terms, frame, begun = dataset.units.is_angle, [], [], {}
+    is_angle, terms, frame = dataset.units.is_angle, [], []
+    begun: dict = {}
     texts = [texts] if isinstance(texts, str) else list(texts)
     forces = []
     for text in texts:
