@@ -27,6 +27,8 @@ MOST_NUMBERS = 2_000_000
 """In one work array."""
 MOST_FRAMES = 4
 """That are missing or repeated at once."""
+MOST_OFF, FEW_OFF = 0.05, 5
+"""Part of the rows that may be off one by one, and how many may be of few."""
 MOST_BREAKS, BESIDE, UNLIKELY = 64, 4, 1e-3
 """Ends of tracks of which it is asked whether they break, rows on each side that tell it, and the
 chance by which a track that goes on smoothly may look broken."""
@@ -258,6 +260,7 @@ def _rows(windows, n_tried):
     """All single rows that pay for being left out, or else the best one, and their gain.
 
     What a row gains more than those beside it is its own: what is missing elsewhere is smooth.
+    Where that holds of many rows they are too coarse to be smooth, and none is told to be off.
     """
     found = []
     for window, gains in windows:
@@ -273,7 +276,8 @@ def _rows(windows, n_tried):
             break
         if not places & taken:
             chosen, taken, total = [*chosen, window.part(k)], taken | places, total + paid
-    return chosen, total
+    is_many = len(chosen) > max(MOST_OFF * len(found), FEW_OFF)
+    return ([], -np.inf) if is_many else (chosen, total)
 
 
 def _lost(windows):
