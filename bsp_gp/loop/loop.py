@@ -50,8 +50,9 @@ tracks have gained otherwise."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_UNKEPT = 3
-"""Fits of a family that are no likelier than the law as it is, though they promised to be, after
-which no more of it are made: what its promises are made of is noise of another kind."""
+"""Fits of a family that are no likelier than the law as it is, though they promised to be, or, of
+what is no law, that lead nowhere, after which no more of it are made: what its promises are made of
+is noise of another kind."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_FIRSTS, MOST_SECONDS = 3, 2
@@ -391,9 +392,10 @@ class _Turn:
                 broken.append((proposal, self.judged[row.id]))
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
-            if row.is_fit:
+            if row.is_fit or not (is_open or proposal.formulas):
                 is_likelier = row.log_posterior > self.rows[0].log_posterior
                 unkept[source] = -math.inf if is_likelier else unkept.get(source, 0) + 1
+            if row.is_fit:
                 self._note_gain(row, proposal, self.measure.get(source, False))
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
