@@ -465,6 +465,10 @@ class _Turn:
             smaller = _without_weakest(proposal, found, self.run.criteria)
             if smaller is None or smaller.key in {r.key for r in self.rows if r.is_fit}:
                 return
+            same = (p for f in self.families for p in f.proposals if p.rank == smaller.rank)
+            twin = next((p for p in same if p.key == smaller.key), None)
+            if twin is not None:  # it was proposed itself: that is what it costs
+                smaller = replace(smaller, log_prior=twin.log_prior, ties=twin.ties)
             self.run.says(f"fit without the weakest term: {smaller.text}")
             shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
             new = self._fitted(row.source, smaller, _fit_of(shared, (row.source, smaller)))

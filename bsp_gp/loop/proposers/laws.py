@@ -8,7 +8,7 @@ import numpy as np
 
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
 from bsp_gp.fitting.response import RESOLVED
-from bsp_gp.language.formula import Input, rename_constants
+from bsp_gp.language.formula import Input, rename_constants, walk
 from bsp_gp.language.grammar import PLACED
 from bsp_gp.language.inputs import SHORT, property_of
 from bsp_gp.language.operators import is_across_in
@@ -38,6 +38,8 @@ MOST_SCORED_ANEW = 12
 """Laws of pairs that are scored on all data where a part was searched."""
 MOST_SEEDS = 20
 """Laws from which a guided search sets out."""
+WORDY = 0.02
+"""Nats for every part of a formula: of laws that are about as likely the shortest is told."""
 PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
 SAME = 1e-9
@@ -216,7 +218,8 @@ class Laws:
                 continue
             if any(own) and candidate.kind == "pair":
                 candidate = _like(candidate, own, view.criteria.cause_nats)
-            others.append(candidate)
+            wordy = WORDY * sum(1 for _ in walk(candidate.formula))
+            others.append(replace(candidate, complexity=candidate.complexity + wordy))
         every = (
             replace(c, complexity=c.complexity + view.odd_nats) if c.kind == "field" else c
             for c in (*common, *others)
