@@ -635,7 +635,8 @@ def _model(parser, *names, help_, required):
     parser.add_argument(
         "--constrain", action="append", default=[], metavar="EQUATION",
         help='what bodies keep to: "norm(p_i - (0, 1.2)) = 0.8" (a rod to a point; names in place '
-        'of numbers are fitted), "norm(p_bob - p_hand) = L", "y_i = 0.3 * x_i" (an incline)',
+        'of numbers are fitted), "norm(p_bob - p_hand) = L", "norm(p_i - (0, 1.2)) <= L" (a '
+        'string), "y_i = 0.3 * x_i" (an incline)',
     )  # fmt: skip
 
 

@@ -362,7 +362,7 @@ class _Turn:
             asked[source] = min(proposal.rank, asked.get(source, math.inf))
             measure, is_again = self.measure.get(source, False), k >= n_first
             measures = {measure} if is_first else {False, True}
-            if self._is_behind(proposal, measures, is_again):
+            if self._is_behind(proposal, measures):
                 continue
             least = REACH * (proposal.promise + self.run.criteria.class_nats)
             if least < self.kept[not measure] and not self.base.is_failed:
@@ -412,30 +412,33 @@ class _Turn:
         of single laws one that takes up some of a second cause may be likelier than the true one.
         """
         firsts = self._firsts()
+        able = [p for p in self.run.proposers if getattr(p, "asks_seconds", False)]
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
-            first, found = self.proposals[row.id], self.fits[row.id]
+            found = self.fits[row.id]
             near = continued(self.hypotheses[row.id], found)
             view = View(found, near, self.run.dataset, stream, self.run.criteria)
             view.tick, view.seconds_left = self.run.clock.tick, self.run.clock.left
-            for proposer in self.run.proposers:
-                if not getattr(proposer, "asks_seconds", False) or self.note_time("fits"):
-                    continue
+            for proposer in able:
                 self.run.says(f"round {number}: {proposer.name} beside {row.text}")
-                try:
-                    seconds = proposer.propose(view).proposals[:MOST_SECONDS]
-                except TimeIsUp:
-                    self.note_time("fits")
-                    continue
-                for second in seconds:
-                    if self.note_time("fits"):
-                        break
-                    both = both_of(first, second)
-                    self.run.says(f"fit of two: {both.text}")
-                    shared = found, self.run.dataset, self.run.criteria, self.run.bounds
-                    job = (proposer.name, both)
-                    self._fitted(*job, _fit_of((*shared, self.run.clock), job))
+                self._fit_beside(row, proposer, view)
         if firsts:
             self._prune()
+
+    def _fit_beside(self, row, proposer, view):
+        """Fit the likeliest of a proposer beside the law of a row, at whose tracks a view looks."""
+        run, found = self.run, self.fits[row.id]
+        try:
+            seconds = () if self.note_time("fits") else proposer.propose(view).proposals
+        except TimeIsUp:
+            self.note_time("fits")
+            return
+        for second in seconds[:MOST_SECONDS]:
+            if self.note_time("fits"):
+                return
+            job = proposer.name, both_of(self.proposals[row.id], second)
+            run.says(f"fit of two: {job[1].text}")
+            shared = found, run.dataset, run.criteria, run.bounds, run.clock
+            self._fitted(*job, _fit_of(shared, job))
 
     def _firsts(self):
         """Rows of the likeliest laws, of each form one; none where some cause leaves little."""
@@ -475,7 +478,7 @@ class _Turn:
             if not (new.is_fit and new.log_posterior > row.log_posterior):
                 return
 
-    def _is_behind(self, proposal, measures, is_again):
+    def _is_behind(self, proposal, measures):
         """Whether a proposal promises too little beside what was found to be worth a fit.
 
         What moments promise of a force and rows of an instrument is not of one measure: the first
@@ -598,7 +601,7 @@ class _Turn:
         both = {False, True}
         return run.crew.work(
             _fit_of, (self.near, run.dataset, run.criteria, run.bounds, run.clock), queue,
-            lambda job: not self._is_behind(job[1], both, is_again=False),
+            lambda job: not self._is_behind(job[1], both),
         )  # fmt: skip
 
     def _fitted(self, source, proposal, found):

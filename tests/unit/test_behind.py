@@ -14,7 +14,7 @@ def is_behind(promise, gain, *, missing, measures, found=NOTHING, kept=NOTHING, 
         run=SimpleNamespace(criteria=Criteria()),
     )  # fmt: skip
     proposal = SimpleNamespace(promise=promise, gain=gain)
-    return _Turn._is_behind(turn, proposal, measures, is_again=False)
+    return _Turn._is_behind(turn, proposal, measures)
 
 
 def test_a_law_that_explains_all_that_moments_miss_is_fitted_whatever_a_rod_has_gained():
