@@ -278,8 +278,15 @@ class Hypothesis:
 
     @property
     def parameters(self):
-        """Everything that is fitted and is no noise, tuple of Parameter."""
-        return tuple(p for part in self.parts if part.kind != "noise" for p in part.parameters)
+        """Everything that is fitted and is no noise, tuple of Parameter.
+
+        A constant that several parts share is one.
+        """
+        found: dict = {}
+        for part in self.parts:
+            for p in part.parameters if part.kind != "noise" else ():
+                found.setdefault((p.name, p.entity), p)
+        return tuple(found.values())
 
     @property
     def log_density(self):

@@ -6,8 +6,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import with_term
 from bsp_gp.loop.proposers.kin import kin_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
@@ -55,6 +58,26 @@ def test_a_spring_has_kin_of_higher_powers_of_its_stretch_and_of_its_distance():
 def test_a_constant_inside_is_shared():
     found = texts_of_kin("-k * (x_i - X) * e_x")
     assert found == ["c1 * (abs(x_i - X) * (x_i - X) * e_x)", "c1 * ((x_i - X)^3 * e_x)"]
+
+
+def test_a_hardening_spring_shares_the_rest_point_that_is_fitted():
+    """The point was a number of either term: one was never told, and no fit came to an end."""
+    t, rest = np.linspace(0.0, 12.0, 240), 0.3
+    frames = {
+        f"run {k}": moved(lambda p, v: -9 * (p - rest) - 40 * (p - rest) ** 3 - 0.1 * v,
+                          (rest + 0.2 + 0.05 * k, 0.0), t, 1e-3, k)
+        for k in range(3)
+    }  # fmt: skip
+    data = recorded(frames)
+    base = Hypothesis.from_laws(data, ["-k * m_i * (x_i - X) * e_x", "-c * m_i * v_i"])
+    term = Term(parse_formula("b * m_i * (x_i - X)^3 * e_x", dataset_types(data)))
+    both = with_term(base, term, {"b": -30.0, "X": rest})
+    assert [p.name for p in both.parameters].count("X") == 1
+    found = fit(both, data, near=fit(base, data))
+    assert found.status == "converged"
+    known = dict(zip((name for name, _ in found.parameters), found.values, strict=True))
+    assert known["b"] == pytest.approx(-40.0, abs=1.0)
+    assert known["X"] == pytest.approx(rest, abs=1e-3)
 
 
 @pytest.mark.parametrize(("n_dims", "count"), [(2, 4), (3, 8)])

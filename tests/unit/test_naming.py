@@ -34,6 +34,10 @@ def formula(text):
     [
         ("c1 * norm(v_i) * normalize(v_i)", -0.1, "drag, linear in speed"),
         ("c1 * v_i", -0.1, "drag, linear in speed"),
+        ("c1 * ((x_i - X)^3 * m_i * e_x)", -0.1,
+         "spring along x that hardens or softens, cubic in its stretch"),
+        ("c1 * (abs(x_i - X) * (x_i - X) * e_x)", -0.1,
+         "spring along x that hardens or softens, quadratic in its stretch"),
         ("c1 * v_i", None, "drag, linear in speed"),
         ("c1 * v_i", 0.1, "forward push, linear in speed"),
         ("c1 * norm(v_i) * v_i", -0.1, "drag, quadratic in speed"),
