@@ -445,8 +445,10 @@ class _Turn:
         fitted = [row for row in self.rows[1:] if row.is_fit]
         if min((self._left(self.fits[row.id]) for row in fitted), default=0.0) < EXPLAINED:
             return []
-        out = {}
-        for row in sorted(fitted, key=lambda row: -row.log_posterior):
+        out, fitted = {}, sorted(fitted, key=lambda row: -row.log_posterior)
+        if len(self.proposals[fitted[0].id].formulas) > 1:  # sums were foreseen well enough
+            return []
+        for row in fitted:
             proposal = self.proposals[row.id]
             if proposal.formulas and row.log_posterior > self.rows[0].log_posterior:
                 out.setdefault((proposal.code, proposal.lead), row)
