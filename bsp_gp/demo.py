@@ -8,6 +8,7 @@ perihelion, the rivals) is computed from whatever law was found.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -392,8 +393,7 @@ def _other_planets(report):
 
 def _parts(text):
     """Terms of a set that is written as ``c1 * ... + c2 * ...``."""
-    first, *rest = text.split(" + c")
-    return [first, *("c" + part for part in rest)]
+    return re.split(r" \+ (?=c\d+ \*)", text)
 
 
 def _motion_text(term):

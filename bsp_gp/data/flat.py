@@ -47,7 +47,7 @@ def held_flat(dataset, spoken=()):
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)
     if not is_plain or is_of_the_sky(dataset):
         return dataset
-    dataset = in_plane(dataset, spoken)
+    dataset = _in_plane(dataset, spoken)
     tracks = [_tracks(dataset, axis) for axis in range(dataset.n_dims)]
     spans = [max((float(np.ptp(x)) for x in own if len(x)), default=0.0) for own in tracks]
     moving = [k for k, span in enumerate(spans) if span > 0]
@@ -62,10 +62,10 @@ def held_flat(dataset, spoken=()):
         " taken as at rest there, as on a track or a table"
     )
     held = replace(dataset, scenes=scenes, notes=(*dataset.notes, note))
-    return in_plane(held, spoken)
+    return _in_plane(held, spoken)
 
 
-def in_plane(dataset, spoken):
+def _in_plane(dataset, spoken):
     """Data whose height z does not change, as data of a plane, with a note.
 
     Of walkers whose heads are tracked above a floor, say, or of a tracker that writes a column of
@@ -75,18 +75,12 @@ def in_plane(dataset, spoken):
     scenes = dataset.scenes
     if dataset.n_dims < 3 or "z" in spoken or (dataset.up or "").strip("-") == "z":
         return dataset
-    for scene in scenes:
-        heights = scene.positions[..., 2]
-        moves = scene.velocities is not None and np.nanmax(np.abs(scene.velocities[..., 2])) > 0
-        if np.nanmin(heights) != np.nanmax(heights) or moves or scene.first is not None:
-            return dataset
+    if any(np.nanmin(z) != np.nanmax(z) for z in (s.positions[..., 2] for s in scenes)):
+        return dataset
     flat = tuple(
-        replace(scene, **{
-            name: value[..., :2]
-            for name in ("positions", "velocities", "sigma")
-            if (value := getattr(scene, name)) is not None
-        })
-        for scene in scenes
+        replace(s, positions=s.positions[..., :2], sigma=s.sigma if s.sigma is None else
+                s.sigma[..., :2])
+        for s in scenes
     )  # fmt: skip
     note = "z does not change: the motion is taken as one in a plane"
     noise = dataset.noise and dataset.noise[:2]

@@ -36,6 +36,7 @@ from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
 from bsp_gp.language.inputs import DIRECTIONS, STATE_INPUTS
+from bsp_gp.language.operators import is_across_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
@@ -376,7 +377,7 @@ def _spoken(law, dataset):
     """
     types, axes = dataset_types(dataset) | input_types_of(dataset), set()
     vectors = [n for n in types if n not in STATE_INPUTS and types[n].shape == "vector"]
-    is_across = any("cross(" in to_text(term.formula) for term in law.terms)
+    is_across = not all(is_across_in(to_text(term.formula), 2) for term in law.terms)
     if law.frame or law.unseen or vectors or is_across:
         return set("xyz"[: dataset.n_dims])
     for name in {name for term in law.terms for name in term.formula.inputs} & {*DIRECTIONS}:

@@ -441,13 +441,17 @@ class _Turn:
             self._fitted(*job, _fit_of(shared, job))
 
     def _firsts(self):
-        """Rows of the likeliest laws, of each form one; none where some cause leaves little."""
+        """Rows of the likeliest laws, of each form one.
+
+        None where some cause leaves little, or a sum is likeliest: they were foreseen well enough.
+        """
         fitted = [row for row in self.rows[1:] if row.is_fit]
         if min((self._left(self.fits[row.id]) for row in fitted), default=0.0) < EXPLAINED:
             return []
-        out, fitted = {}, sorted(fitted, key=lambda row: -row.log_posterior)
-        if len(self.proposals[fitted[0].id].formulas) > 1:  # sums were foreseen well enough
+        fitted.sort(key=lambda row: -row.log_posterior)
+        if len(self.proposals[fitted[0].id].formulas) > 1:
             return []
+        out: dict = {}
         for row in fitted:
             proposal = self.proposals[row.id]
             if proposal.formulas and row.log_posterior > self.rows[0].log_posterior:

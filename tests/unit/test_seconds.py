@@ -1,10 +1,14 @@
 """Two causes at once, where a first one alone leaves much of what is missing."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
+from bsp_gp.demo import _parts
+from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposal import Proposal, both_of
 from bsp_gp.loop.proposers.hidden import pulls_of
 from bsp_gp.physics.bodies import stack
@@ -61,6 +65,26 @@ def test_a_pull_and_a_wind_are_found_though_neither_alone_is_likely():
     (batch,) = stack((probe,))
     force = law.acceleration(batch.bodies, place, still, np.zeros(1))[0, 0]
     assert force == pytest.approx([-PULL / 4 + WIND, 0.0], abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("left", "formulas", "count"), [(9.0, ("f",), 1), (1.2, ("f",), 0), (9.0, ("f", "g"), 0)]
+)
+def test_a_second_is_asked_for_beside_single_laws_that_leave_much(left, formulas, count):
+    rows = [SimpleNamespace(id=k, is_fit=True, log_posterior=float(k)) for k in (0, 1, 2)]
+    proposals = {
+        1: SimpleNamespace(code="period", formulas=(), lead="p"),
+        2: SimpleNamespace(code="law", formulas=formulas, lead="f"),
+    }
+    turn = SimpleNamespace(
+        rows=rows, proposals=proposals, fits={1: 20.0, 2: left}, _left=lambda found: found
+    )
+    assert [row.id for row in _Turn._firsts(turn)] == [2] * count
+
+
+def test_terms_of_the_demo_are_told_apart_also_where_they_have_a_place():
+    place = "norm(origin + centre_x1 * e_x - p_i)"
+    assert _parts(f"c1 * a + c2 * {place} * b") == ["c1 * a", f"c2 * {place} * b"]
 
 
 def test_two_causes_are_one_with_the_terms_of_both():

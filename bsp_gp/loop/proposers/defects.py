@@ -303,19 +303,20 @@ def _is_broken(window, k):
     places = scene.positions[:, scene.names.index(window.entity)]
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     at = int(window.first[k] or window.stop[k])
-    rows = [*seen[seen < at][-BESIDE:], *seen[seen >= at][:BESIDE]]
-    is_behind = np.array(rows) >= at
+    rows = np.concatenate([seen[seen < at][-BESIDE:], seen[seen >= at][:BESIDE]])
     if len(rows) < 2 * BESIDE:
         return True
     t = scene.times[rows] - scene.times[rows].mean()
-    t /= np.abs(t).max()
+    t, is_behind = t / np.abs(t).max(), rows >= at
     smooth = np.stack([np.ones_like(t), t, t * t], axis=1)
     broken = np.column_stack([smooth, is_behind, is_behind * t])
-    left = [x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
-            for basis in (smooth, broken) for x in (places[rows],)]  # fmt: skip
-    error = scatter(places)
-    gain = float(np.square(left[0]).sum() - np.square(left[1]).sum()) / error**2 if error else 0.0
-    return gain > stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
+
+    def left(basis):
+        rest = places[rows] - basis @ np.linalg.lstsq(basis, places[rows], rcond=None)[0]
+        return float(np.square(rest).sum())
+
+    least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
+    return left(smooth) - left(broken) > least * scatter(places) ** 2
 
 
 def _frames(moved):
