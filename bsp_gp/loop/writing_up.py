@@ -38,9 +38,9 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes"}
 """Why a law only describes the tracks."""
-MOST_CAUSES = 2
-"""Forces that may be missing from what people declare, one more where nothing is declared: more of
-them add up to one of another form as terms of a series do."""
+MOST_CAUSES = 3
+"""Forces that may be missing from what people declare: more of them add up to one of another form
+as terms of a series do."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -129,8 +129,7 @@ def is_many(rounds, removed):
         for r in adopted
         if r.decision.best.kind in FORESEEING and r.decision.best.code != "contact"
     ]  # someone may have kicked a ball often
-    nothing = not rounds[0].entering.law.terms
-    return sum(causes) > MOST_CAUSES + nothing
+    return sum(causes) > MOST_CAUSES
 
 
 def judged_together(records):
