@@ -410,6 +410,8 @@ class _Turn:
 
         Sums are foreseen along the tracks as they were seen, and no better than these are known;
         of single laws one that takes up some of a second cause may be likelier than the true one.
+        Two that leave much as well have no such claim: the first is adopted, and the next round
+        asks for the second by itself.
         """
         firsts = self._firsts()
         able = [p for p in self.run.proposers if getattr(p, "asks_seconds", False)]
@@ -438,7 +440,9 @@ class _Turn:
             job = proposer.name, both_of(self.proposals[row.id], second)
             run.says(f"fit of two: {job[1].text}")
             shared = found, run.dataset, run.criteria, run.bounds, run.clock
-            self._fitted(*job, _fit_of(shared, job))
+            both = _fit_of(shared, job)
+            if both is not None and self._left(both[0]) < EXPLAINED:
+                self._fitted(*job, both)
 
     def _firsts(self):
         """Rows of the likeliest laws, of each form one.
