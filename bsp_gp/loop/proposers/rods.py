@@ -26,6 +26,8 @@ UNEVEN = 0.2
 """Standard deviation of a speed, in its mean, that no round orbit has."""
 MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
+MOST = 0.7
+"""Part of all misfit that must be of bodies on a rod, if nothing else is to be looked at first."""
 LEAST_ROWS = 12
 EXACT = 1e-7
 """Part of the extent below which deviations are rounding."""
@@ -192,7 +194,7 @@ def _proposal(view, kept, n_tried):
     if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
         return None
     level = max(kept.level * _unseen(fit.noise, view.step), float(np.max(fit.noise.lowest)))
-    gain, n_rows = _misfit(fit, kept, levels, level)
+    gain, n_rows, share = _misfit(fit, kept, levels, level)
     if gain < (MISFIT - 1) * n_rows:
         return None
     try:
@@ -210,7 +212,8 @@ def _proposal(view, kept, n_tried):
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=judged, error=level, is_sole=kept.is_sole, patience=PATIENT, is_afresh=True,
+        judged=judged, error=level, is_sole=kept.is_sole and share > MOST, patience=PATIENT,
+        is_afresh=True,
     )  # fmt: skip
 
 
@@ -223,14 +226,19 @@ def _unseen(noise, step):
 
 
 def _misfit(fit, kept, levels, level):
-    """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
+    """Chi-squared that the constraint may take away, in errors of its own.
 
-    A body that moves along a line is no body on a wire, unless the law would have it leave it.
+    Of the bodies that it holds alone; with it how many rows these are, and which part of all misfit
+    is of them. A body that moves along a line is on no wire, unless the law would have it leave it.
     """
+    channels, names = fit.channels, fit.channels.body_names
     if kept.normal is None:
+        own = np.isin(channels.body, [k for k, name in enumerate(names) if name in kept.pair])
         size = 2 * float(np.log(levels / level).mean()) - 1
-        return float(np.square(fit.whitened).sum()) + fit.n_rows * size, fit.n_rows
-    channels, mine = fit.channels, fit.channels.body_names.index(kept.pair[0])
+        n_rows, square = int(channels.seen[:, own].sum()), np.square(fit.whitened).sum(axis=0)
+        mine = float(square[own].sum())
+        return mine + n_rows * size, n_rows, mine / (float(square.sum()) or 1.0)
+    mine = names.index(kept.pair[0])
     across = []
     for chain in np.unique(channels.chain):
         own = (channels.chain == chain) & (channels.body == mine)
@@ -240,7 +248,7 @@ def _misfit(fit, kept, levels, level):
             across.append(np.array(kept.normal) @ rows)
     left = np.concatenate(across) / level
     left = left[np.isfinite(left)]
-    return float(np.square(left).sum()) - len(left), len(left)
+    return float(np.square(left).sum()) - len(left), len(left), 1.0
 
 
 def _is_uneven(series):
