@@ -25,7 +25,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = ["Rows", "axes_of", "build_rows", "build_scenes", "inputs_of"]
+__all__ = ["Rows", "along_named_axis", "axes_of", "build_rows", "build_scenes", "inputs_of"]
 
 MAX_CELLS = 100_000_000
 _GAP = "leave the whole row out to mark a gap in the track"
@@ -198,6 +198,42 @@ def _inputs(table, declaration, conversion):
         scale, unit, _ = conversion.property(name, columns if name in stems else ())
         out[name] = scale * (np.stack(values, axis=1) if name in stems else values[0]), unit
     return out
+
+
+def along_named_axis(table, declaration):
+    """The table with its only place along the axis that laws name, if they name another one only.
+
+    A height that a file calls one is read as y; who writes laws in x means it all the same.
+
+    Parameters
+    ----------
+    table : Table
+    declaration : Declaration
+        ``uses`` has the names in laws.
+
+    Returns
+    -------
+    Table
+    """
+    own = [axis for axis in "xyz" if axis in table.frame.columns]
+    named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
+    if len(own) != 1 or len(named) != 1 or own == named or named == ["z"]:
+        return table
+    (old,), (new,) = own, named
+    is_vertical = {"up", "down"} & set(declaration.uses)
+    if old in declaration.columns or f"v{old}" in table.frame or is_vertical:
+        return table
+    place = table.theirs.get(old, old)
+    note = f"laws name {new} alone, and {place!r} is the only place: it is taken as {new}"
+
+    def renamed(values):
+        return {new if key == old else key: value for key, value in values.items()}
+
+    return replace(
+        table, frame=table.frame.rename(columns={old: new, f"s{old}": f"s{new}"}),
+        units=renamed(table.units), theirs=renamed({old: place, **table.theirs}),
+        up=None if table.up == old else table.up, notes=(*table.notes, note),
+    )  # fmt: skip
 
 
 def axes_of(table, declaration):

@@ -20,7 +20,14 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.apart import recordings_apart
-from bsp_gp.data.assembly import axes_of, build_rows, build_scenes, inputs_of, unwrapped
+from bsp_gp.data.assembly import (
+    along_named_axis,
+    axes_of,
+    build_rows,
+    build_scenes,
+    inputs_of,
+    unwrapped,
+)
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
@@ -304,6 +311,7 @@ def _assemble(table, roster, declaration, default_name):
         sense=declaration.angle_turns or "counter-clockwise",
     )  # fmt: skip
     table, declared = from_sky(table, declared, declaration.sky)
+    table = along_named_axis(table, declaration)
     tables = [t for t in (table, roster) if isinstance(t, Table)]
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)

@@ -91,9 +91,9 @@ _WHOLE = (
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
-    (r"^\(1 [-+] sign\(([xyz])_i - \w+\)\) \* \(\w+ - \1_i\) \* e_\1$",
+    (r"^0\.5 \* \(1 [-+] sign\(([xyz])_i - \w+\)\) \* \(\w+ - \1_i\) \* e_\1$",
      "spring along {0} on one side of a place (a bumper)"),
-    (r"^\(\(1 - sign\(([xyz])_i - \w+\)\) .*\(1 \+ sign\(\1_i - \w+\)\) .*\) \* e_\1$",
+    (r"^0\.5 \* \(\(1 - sign\(([xyz])_i - \w+\)\) .*\(1 \+ sign\(\1_i - \w+\)\) .*\) \* e_\1$",
      "springs along {0} at both ends (bumpers)"),
     (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",
      "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
@@ -144,7 +144,8 @@ def _inner_phrase(direction, formula, powers):
     if is_place and not powers and not inner:
         return "spring to a rest point"
     point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
-    along = point if is_place else f"along the {_DIRECTIONS.get(bare, bare)}"
+    along = f"along the {_DIRECTIONS.get(bare, bare)}"
+    along = point if is_place else along.replace("along the e_", "along ")
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     if of_bodies:

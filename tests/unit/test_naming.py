@@ -213,6 +213,7 @@ def test_a_power_that_a_law_lacks_is_said_where_zero_is_far(low, high, is_said):
         ("c * (1 + sign(x_i - a)) * v_i", "force along the velocity, beyond a threshold"),
         ("c * (1 + sign(t - a)) * (1 - sign(t - b)) * v_i",
          "force along the velocity, switched on and off in time"),
+        ("c1 * (m_i * 0.5 * (1 - sign(t - t1)) * e_x)", "force along x, up to an instant"),
         ("c * exp(-((x_i - h) / D)^2) * (x_i - h) * e_x",
          "force along x about a place, gone a length away (a dip or a bump)"),
         ("c * ((y_i - h)^2 + D^2)^-1.5 * (y_i - h) * e_y",
@@ -238,9 +239,9 @@ CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
         (f"c1 * inverse(norm{CENTRE}) * normalize{CENTRE}", "force to a point, as distance⁻¹"),
         ("c1 * (1 - ((dot(p_i - origin, e_x) - h_x1) / D1)^2) * v_i",
          "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
-        ("c1 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) * e_x",
+        ("c1 * 0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) * e_x",
          "spring along x on one side of a place (a bumper)"),
-        ("c1 * ((1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) + "
+        ("c1 * 0.5 * ((1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) + "
          "(1 + sign(dot(p_i - origin, e_x) - H_x1)) * (H_x1 - dot(p_i - origin, e_x))) * e_x",
          "springs along x at both ends (bumpers)"),
         ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x", "push with a period along x"),

@@ -438,3 +438,21 @@ def test_frames_without_a_unit_of_time_ask_for_the_rate(tmp_path):
     path.write_text("\n".join(["frame,x_px,y_px", *rows]))
     with pytest.raises(DataError, match="fps.25 where it counts frames"):
         load_dataset(path)
+
+
+@pytest.mark.parametrize(
+    ("heading", "uses", "axis"),
+    [
+        ("height (mm)", ("k", "x_i", "e_x", "v_i"), "x"), ("height (mm)", ("k", "y_i", "e_y"), "y"),
+        ("height (mm)", ("x_i", "down", "m_i"), "y"), ("height (mm)", ("v_i",), "y"),
+        ("x (mm)", ("y_i", "e_y"), "y"),
+    ],
+)  # fmt: skip
+def test_the_only_place_is_along_the_axis_that_laws_name(tmp_path, heading, uses, axis):
+    path = tmp_path / "ball.csv"
+    path.write_text(f"t (s),{heading}\n0,5\n1,7\n2,4\n", encoding="utf-8")
+    data = load_dataset(path, uses=uses)
+    moving = np.ptp(data.scenes[0].positions[:, 0], axis=0) > 0
+    assert "xy"[int(np.argmax(moving))] == axis
+    told = f"laws name {axis} alone, and {heading!r} is the only place: it is taken as {axis}"
+    assert (told in data.notes) is ((heading[0], axis) in [("h", "x"), ("x", "y")])
