@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.data.scene import CHECK
 
-__all__ = ["held_still"]
+__all__ = ["held_still", "steadied"]
 
 FEWEST_ROWS = 5
 JITTER = 2.0
@@ -50,7 +50,31 @@ def held_still(scenes):
         f"{CHECK}{told} never {'moves' if len(names) == 1 else 'move'}: taken as held fast at the "
         "mean place; a column dynamic of entities.csv (1: moved by forces, 0: held) says what holds"
     )
-    return tuple(_with_held(scene, set(names)) for scene in scenes), (note,)
+    held = [[k for k in scene.dynamic if scene.names[k] in names] for scene in scenes]
+    return tuple(map(_with_held, scenes, held)), (note,)
+
+
+def steadied(scenes):
+    """Scenes whose static bodies are at their mean place where all that they do is jitter.
+
+    A body that is held and was measured again and again is where it is: its error of each row is
+    none of the forces that it exerts. One that is moved keeps its track.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+
+    Returns
+    -------
+    tuple of Scene
+    """
+    return tuple(map(_steadied, scenes))
+
+
+def _steadied(scene):
+    static = [k for k, entity in enumerate(scene.entities) if entity.is_static]
+    held = [k for k in static if _is_jitter(scene.positions[:, k])]
+    return _with_held(scene, held) if held else scene
 
 
 def _span(places):
@@ -61,16 +85,20 @@ def _span(places):
 
 def _is_still(places, longest):
     seen = places[np.isfinite(places).all(axis=1)]
+    return _is_jitter(places) and float(np.linalg.norm(seen.std(axis=0))) < LITTLE * longest
+
+
+def _is_jitter(places):
+    """Whether a track is jitter about one place."""
+    seen = places[np.isfinite(places).all(axis=1)]
     if len(seen) < FEWEST_ROWS:
         return False
-    spread = seen.std(axis=0)
     steps = np.sqrt(np.mean(np.square(np.diff(seen, axis=0)), axis=0) / 2)
-    is_jitter = bool(np.all(spread <= JITTER * steps + 1e-12 * np.abs(seen).max()))
-    return is_jitter and float(np.linalg.norm(spread)) < LITTLE * longest
+    return bool(np.all(seen.std(axis=0) <= JITTER * steps + 1e-12 * np.abs(seen).max()))
 
 
-def _with_held(scene, names):
-    held = [k for k in scene.dynamic if scene.names[k] in names]
+def _with_held(scene, held):
+    """The scene with bodies, by their numbers, held at their mean places."""
     if not held:
         return scene
     positions, entities = scene.positions.copy(), list(scene.entities)

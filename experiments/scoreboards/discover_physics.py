@@ -223,8 +223,9 @@ class Probes(Many):
         self.reach, self.fast, self.tests = reach, fast, tests
 
     def drawn(self, rng):
-        return {"probe_positions": rng.uniform(-self.reach, self.reach, (5, 2)).tolist(),
-                "probe_velocities": rng.uniform(-self.fast, self.fast, (5, 2)).tolist()}  # fmt: skip
+        places = rng.uniform(-self.reach, self.reach, (5, 2))
+        speeds = rng.uniform(-self.fast, self.fast, (5, 2))
+        return {"probe_positions": places.tolist(), "probe_velocities": speeds.tolist()}
 
     def begun(self, asked, shown):
         """Where bodies begin; how fast those begin that cannot be chosen may not be told."""

@@ -239,9 +239,11 @@ CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
         (f"c1 * inverse(norm{CENTRE}) * normalize{CENTRE}", "force to a point, as distance⁻¹"),
         ("c1 * (1 - ((dot(p_i - origin, e_x) - h_x1) / D1)^2) * v_i",
          "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
-        ("c1 * 0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) * e_x",
+        ("c1 * 0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * "
+         "(h_x1 - dot(p_i - origin, e_x)) * e_x",
          "spring along x on one side of a place (a bumper)"),
-        ("c1 * 0.5 * ((1 - sign(dot(p_i - origin, e_x) - h_x1)) * (h_x1 - dot(p_i - origin, e_x)) + "
+        ("c1 * 0.5 * ((1 - sign(dot(p_i - origin, e_x) - h_x1)) * "
+         "(h_x1 - dot(p_i - origin, e_x)) + "
          "(1 + sign(dot(p_i - origin, e_x) - H_x1)) * (H_x1 - dot(p_i - origin, e_x))) * e_x",
          "springs along x at both ends (bumpers)"),
         ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x", "push with a period along x"),
