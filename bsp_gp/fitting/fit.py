@@ -19,6 +19,7 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.climb import Climb
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
+from bsp_gp.fitting.led import led_by
 from bsp_gp.fitting.noise_estimate import estimate, estimate_beside, needs
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
@@ -63,6 +64,8 @@ class FitTolerances:
         Starts at the most; all are taken where no two agree.
     noise_passes : int
         Times that noise and law are fitted in turn, at the most.
+    led_passes : int
+        Times that bodies are led anew by the tracks that a fit gives the others, at the most.
     refuted : float
         Standard deviations of chi-squared above its mean from which declared errors refute a law.
     misfit : float
@@ -79,6 +82,7 @@ class FitTolerances:
     resolution: float = 1e-7
     most_starts: int = 16
     noise_passes: int = 4
+    led_passes: int = 2
     refuted: float = 5.0
     misfit: float = 1.5
     prior_width: float = 10.0
@@ -240,6 +244,8 @@ def fit(
     tolerances = tolerances or FitTolerances()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
     run.near = near
+    if near is not None:
+        run.lead(near)
     run.is_over = _Patience(began, deadline, effort and effort * _longer(run.groups))
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
@@ -249,7 +255,8 @@ def fit(
             found.append(run.fit(paper))
             if run.is_reproduced(found[-1]) or run.is_over():
                 break
-    return replace(reduce(_better, found), seconds=time.monotonic() - began)
+        best = run.led_further(reduce(_better, found))
+    return replace(best, seconds=time.monotonic() - began)
 
 
 def _better(one, other):
@@ -356,6 +363,28 @@ class _Run:
             return (False,)
         has_sizes = any(np.any(chains.code != POINT) for chains in self.groups)
         return (True, False) if has_sizes else (False, True)
+
+    def lead(self, found):
+        """Let bodies that are led by others be so by the tracks of a fit; whether that changes."""
+        groups = led_by(self.groups, found)
+        if groups is not None:
+            self.groups = groups
+            for name in ("motions", "probed_motions"):  # of the chains as they were
+                self.__dict__.pop(name, None)
+        return groups is not None
+
+    def led_further(self, found):
+        """The fit with bodies that are led by the tracks that it gives the others."""
+        for _ in range(self.tolerances.led_passes):
+            if found.is_failed or self.is_over() or not self.lead(found):
+                break
+            self.near = found
+            self.starts = dict(zip(self.parameters, found.values.tolist(), strict=True))
+            new = self.fit(found.paper_steps)
+            if new.is_failed:
+                break
+            found = new
+        return found
 
     def is_reproduced(self, found):
         """Whether nothing is left of exact data but rounding, below which no fit can get."""

@@ -29,7 +29,7 @@ from bsp_gp.planning.apparatus import Recording, recording_of
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
 from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
-from bsp_gp.planning.rivals import Rival, in_common, kin_of, rivals_of
+from bsp_gp.planning.rivals import Rival, in_common, kin_of, less_a_term, rivals_of
 from bsp_gp.randomness import generator
 
 __all__ = ["Discovery", "calm", "discover"]
@@ -284,9 +284,10 @@ class _State:
         if report.law.terms and not any(r.law.text(digits=False) == text for r in found):
             found = [_final(report), *found]
         found = [r for r in found if r.law.terms]
-        known = {r.law.text(digits=False) for r in found}
         kin = kin_of(found[0], self.dataset) if found else []
-        self.rivals = (*found, *(r for r in kin if r.law.text(digits=False) not in known))
+        less = [one for rival in (*found[:1], *kin) for one in less_a_term(rival)]
+        rivals = {r.law.text(digits=False): r for r in reversed((*found, *kin, *less))}
+        self.rivals = tuple(reversed(rivals.values()))
 
     def _weigh(self, dataset):
         """Fit every rival to all recordings; those that cannot be fitted are left out."""
@@ -296,7 +297,9 @@ class _State:
             hypothesis = Hypothesis.from_laws(with_usable_masses(dataset), rival.law)
             found = fit(hypothesis, with_usable_masses(dataset),
                         effort=PATIENT * self.settings["criteria"].effort)  # fmt: skip
-            height = log_evidence(found, hypothesis, self.settings["criteria"])
+            criteria = self.settings["criteria"]
+            height = log_evidence(found, hypothesis, criteria)
+            height -= criteria.cause_nats * len(rival.law.terms)
             if not math.isfinite(height):
                 continue
             kept.append(_fitted(rival, found))

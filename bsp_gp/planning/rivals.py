@@ -17,7 +17,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.stored import law_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Rival", "in_common", "kin_of", "rivals_of"]
+__all__ = ["Rival", "in_common", "kin_of", "less_a_term", "rivals_of"]
 
 LEAST = 1e-3
 """Less likely rivals are left out."""
@@ -186,6 +186,23 @@ def kin_of(rival, dataset):
         known = {name: (values | starts)[name] for name in law.names}
         out.append(Rival(law.text(digits=False), law.with_constants(known), 0.0))
     return out
+
+
+def less_a_term(rival):
+    """Laws that lack one of the terms of a sum: what was found beside another form may be none.
+
+    Parameters
+    ----------
+    rival : Rival
+
+    Returns
+    -------
+    list of Rival
+        Of no probability yet, their constants starts; none of a single term.
+    """
+    terms = rival.law.terms
+    less = [rival.law.without(k) for k in range(len(terms))] if len(terms) > 1 else []
+    return [Rival(law.text(digits=False), law, 0.0) for law in less]
 
 
 FADING = 3.0

@@ -153,8 +153,6 @@ class Pair:
 class Many:
     """Bodies of which only some, or only a few numbers, can be chosen."""
 
-    has_masses = False
-
     def __init__(self, executor, sigma):
         self.executor, self.sigma = executor, sigma
         self.means = means_from({
@@ -236,13 +234,9 @@ class Probes(Many):
         masses = shown.get("particle_masses")
         return tuple(
             Body(f"body {k}" if k < count else f"probe {k - count + 1}", tuple(p), tuple(v),
-                 {} if masses is None else {"mass": masses[k]}, self.is_held(masses, k))
+                 {} if masses is None else {"mass": masses[k]})
             for k, (p, v) in enumerate(zip(places, speeds, strict=True))
         )  # fmt: skip
-
-    def is_held(self, masses, k):
-        """A body that outweighs all others by far is told to stay."""
-        return masses is not None and masses[k] > 1e6 * np.median(masses)
 
 
 class Weighed(Probes):

@@ -1,0 +1,85 @@
+"""Bodies that are led by where others were seen: led by where a fit has these, once there is one.
+
+Of many bodies each is followed by itself. What was measured of the others has errors, and a force
+of a body near by has them too, many times over; the track that the same law gives them has less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.fitting.jumps import scatter
+
+__all__ = ["led_by"]
+
+LEAST_ROWS = 6
+NEAR = 2.0
+"""Errors of a coordinate, as neighbouring rows tell them, within which a track is where a body was
+seen, root mean square: what leads others must be."""
+SETTLED = 0.02
+"""Of such an error, by which tracks that lead may change, root mean square, and stay."""
+
+
+def led_by(groups, found):
+    """Groups of chains whose bodies are led by the tracks of a fit; None where nothing changes.
+
+    Parameters
+    ----------
+    groups : tuple of Chains
+    found : Fit
+        Whose tracks count where they are near what was seen.
+
+    Returns
+    -------
+    tuple of Chains or None
+    """
+    tracks = _tracks(found)
+    moving = {(scene, body) for chains in groups
+              for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
+              for body in bodies}  # fmt: skip
+    pairs = [_led(chains, tracks, moving) for chains in groups]
+    if not any(is_changed for _, is_changed in pairs):
+        return None
+    return tuple(chains for chains, _ in pairs)
+
+
+def _tracks(found):
+    """States of bodies at the rows of their scenes, (2, T, d), and their errors, by both names."""
+    out = {}
+    for chains, nodes in zip(found.groups, found.nodes, strict=True):
+        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+            n = int(chains.lengths[s])
+            for r, body in enumerate(bodies):
+                states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
+                seen = chains.observed[:n, s, r]
+                off = states[0] - seen
+                rows = np.isfinite(seen).all(axis=1)
+                if rows.sum() < LEAST_ROWS or not np.isfinite(states).all():
+                    continue
+                error = scatter(seen)
+                if np.sqrt(np.mean(np.square(off[rows]))) <= NEAR * error:
+                    out[scene, body] = states, error
+    return out
+
+
+def _led(chains, tracks, moving):
+    """Chains with the tracks that lead them, and whether any is another one than before."""
+    if not any((scene, body) in moving for scene, fixed in zip(chains.scenes, chains.fixed,
+                                                               strict=True) for body in fixed):
+        return chains, False  # fmt: skip
+    places = chains.driven.copy()
+    given = chains.driven_velocities
+    speeds = np.full(places.shape, np.nan) if given is None else given.copy()
+    is_changed = False
+    for s, (scene, fixed) in enumerate(zip(chains.scenes, chains.fixed, strict=True)):
+        for k, body in enumerate(fixed):
+            if (scene, body) not in moving or (scene, body) not in tracks:
+                continue
+            states, error = tracks[scene, body]
+            n = min(len(states[0]), len(places))
+            change = np.nan_to_num(places[:n, s, k] - states[0, :n], nan=np.inf)
+            is_changed |= bool(np.sqrt(np.mean(np.square(change))) > SETTLED * error)
+            places[:n, s, k], speeds[:n, s, k] = states[0, :n], states[1, :n]
+    return replace(chains, driven=places, driven_velocities=speeds), is_changed
