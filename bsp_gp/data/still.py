@@ -54,27 +54,23 @@ def held_still(scenes):
     return tuple(map(_with_held, scenes, held)), (note,)
 
 
-def steadied(scenes):
-    """Scenes whose static bodies are at their mean place where all that they do is jitter.
+def steadied(scene):
+    """Positions of a scene with static bodies at their mean place where all that they do is jitter.
 
     A body that is held and was measured again and again is where it is: its error of each row is
     none of the forces that it exerts. One that is moved keeps its track.
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    scene : Scene
 
     Returns
     -------
-    tuple of Scene
+    ndarray, shape (T, N, d), m
     """
-    return tuple(map(_steadied, scenes))
-
-
-def _steadied(scene):
     static = [k for k, entity in enumerate(scene.entities) if entity.is_static]
     held = [k for k in static if _is_jitter(scene.positions[:, k])]
-    return _with_held(scene, held) if held else scene
+    return _at_means(scene.positions, held) if held else scene.positions
 
 
 def _span(places):
@@ -85,13 +81,16 @@ def _span(places):
 
 def _is_still(places, longest):
     seen = places[np.isfinite(places).all(axis=1)]
-    return _is_jitter(places) and float(np.linalg.norm(seen.std(axis=0))) < LITTLE * longest
+    if len(seen) < FEWEST_ROWS:
+        return False
+    is_one = _is_jitter(places) or not np.any(seen != seen[0])
+    return is_one and float(np.linalg.norm(seen.std(axis=0))) < LITTLE * longest
 
 
 def _is_jitter(places):
-    """Whether a track is jitter about one place."""
+    """Whether a track is jitter about one place, and not that place."""
     seen = places[np.isfinite(places).all(axis=1)]
-    if len(seen) < FEWEST_ROWS:
+    if len(seen) < FEWEST_ROWS or not np.any(seen != seen[0]):
         return False
     steps = np.sqrt(np.mean(np.square(np.diff(seen, axis=0)), axis=0) / 2)
     return bool(np.all(seen.std(axis=0) <= JITTER * steps + 1e-12 * np.abs(seen).max()))
@@ -101,9 +100,16 @@ def _with_held(scene, held):
     """The scene with bodies, by their numbers, held at their mean places."""
     if not held:
         return scene
-    positions, entities = scene.positions.copy(), list(scene.entities)
+    entities = list(scene.entities)
+    for k in held:
+        entities[k] = replace(entities[k], is_static=True)
+    places = _at_means(scene.positions, held)
+    return replace(scene, positions=places, entities=tuple(entities))
+
+
+def _at_means(positions, held):
+    positions = positions.copy()
     for k in held:
         place = np.nanmean(positions[:, k], axis=0)
         positions[:, k] = np.where(np.isnan(positions[:, k]), np.nan, place)
-        entities[k] = replace(entities[k], is_static=True)
-    return replace(scene, positions=positions, entities=tuple(entities))
+    return positions

@@ -44,7 +44,7 @@ from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
-from bsp_gp.data.still import held_still, steadied
+from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, in_python
@@ -334,7 +334,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
-    scenes, still = (steadied(scenes), ()) if is_said or is_star else held_still(scenes)
+    scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes)
     if conversion.system.is_angle:
         scenes = tuple(map(unwrapped, scenes))
     has_times = "t" in table.frame.columns

@@ -35,20 +35,30 @@ def led_by(groups, found):
     -------
     tuple of Chains or None
     """
-    tracks = _tracks(found)
     moving = {(scene, body) for chains in groups
               for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
               for body in bodies}  # fmt: skip
+    if not any(_leads(chains, moving) for chains in groups):
+        return None
+    tracks = _tracks(found)
     pairs = [_led(chains, tracks, moving) for chains in groups]
     if not any(is_changed for _, is_changed in pairs):
         return None
     return tuple(chains for chains, _ in pairs)
 
 
+def _leads(chains, moving):
+    """Whether bodies that forces move stand beside chains, where they were seen."""
+    beside = zip(chains.scenes, chains.fixed, strict=True)
+    return any((scene, body) in moving for scene, fixed in beside for body in fixed)
+
+
 def _tracks(found):
     """States of bodies at the rows of their scenes, (2, T, d), and their errors, by both names."""
     out = {}
     for chains, nodes in zip(found.groups, found.nodes, strict=True):
+        if nodes.shape[-2] != len(chains.times):  # it is known at other rows
+            continue
         for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
             n = int(chains.lengths[s])
             for r, body in enumerate(bodies):
@@ -66,9 +76,8 @@ def _tracks(found):
 
 def _led(chains, tracks, moving):
     """Chains with the tracks that lead them, and whether any is another one than before."""
-    if not any((scene, body) in moving for scene, fixed in zip(chains.scenes, chains.fixed,
-                                                               strict=True) for body in fixed):
-        return chains, False  # fmt: skip
+    if not _leads(chains, moving):
+        return chains, False
     places = chains.driven.copy()
     given = chains.driven_velocities
     speeds = np.full(places.shape, np.nan) if given is None else given.copy()

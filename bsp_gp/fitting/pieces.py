@@ -134,9 +134,18 @@ class Pieces:
             n, w = times.shape
             chain = np.broadcast_to(np.arange(w), (n, w)).ravel()
             places = driven.at(times.ravel(), chain)  # (2, D, d, n W)
-            parts.append(np.moveaxis(places.reshape(*places.shape[:3], n, w), (3, 4), (1, 2)))
+            places = np.moveaxis(places.reshape(*places.shape[:3], n, w), (3, 4), (1, 2))
+            parts.append(places[:, :, np.arange(w)[:, None], self._still(chains)])
         whole = np.concatenate(parts, axis=3)
         return whole[0], whole[1]
+
+
+    def _still(self, chains):
+        """Which of the bodies beside each chain no force moves, (W, D): others lead it as well."""
+        moving = {name for bodies in chains.bodies for name in bodies}
+        return np.array([
+            [k for k, name in enumerate(fixed) if name not in moving] for fixed in chains.fixed
+        ], dtype=int).reshape(len(chains.fixed), -1)
 
 
 def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):

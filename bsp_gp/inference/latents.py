@@ -14,6 +14,7 @@ import numpy as np
 from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.priors import Prior, prior_of
+from bsp_gp.physics.force import key_of
 
 __all__ = ["Latent", "Latents", "PropertyTable", "declared_latents", "latents_of"]
 
@@ -31,7 +32,7 @@ class Latent:
         The property.
     prior : Prior
     members : tuple of (str, str)
-        Scene and entity names that have this value.
+        Scene and entity names that have this value; "" for a scene is every one.
     truth : float
         A recorded value, nan if there is none; serves scoring only.
     """
@@ -176,12 +177,14 @@ class Latents:
         for item, value in zip(self.items, values, strict=True):
             for scene, entity in item.members:
                 changes.setdefault((scene, entity), {})[item.column] = float(value)
+
+        def changed(scene, entity):
+            return with_properties(entity, changes.get(key_of((scene.name, entity.name), changes)))
+
         return tuple(
             replace(
                 scene,
-                entities=tuple(
-                    with_properties(e, changes.get((scene.name, e.name))) for e in scene.entities
-                ),
+                entities=tuple(changed(scene, entity) for entity in scene.entities),
             )
             for scene in scenes
         )

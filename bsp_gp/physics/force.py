@@ -335,11 +335,15 @@ class ForceLaw:
 
 
 def key_of(key, table):
-    """What a scene or body is called in a table: simulated copies are what they are copies of."""
+    """What a scene or body is called in a table: simulated copies are what they are copies of.
+
+    A body of all scenes, whichever these are, stands there with "" for a scene.
+    """
     if key in table:
         return key
     if isinstance(key, tuple):
-        return (key[0].partition(COPY)[0], *key[1:])
+        own, of_all = (key[0].partition(COPY)[0], *key[1:]), ("", *key[1:])
+        return of_all if own not in table and of_all in table else own
     return key.partition(COPY)[0]
 
 

@@ -17,6 +17,7 @@ CAUSES = {
     "constant_per_scene": "a constant for each scene",
     "law_by_body": "a force of another strength for each body",
     "law_by_scene": "a force of another strength in each scene",
+    "law_by_source": "a force between bodies, each of which acts by a strength of its own",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
     "drift": "a camera that drifts", "offset": "an origin that is off",
@@ -37,6 +38,7 @@ CAUSES = {
 OWN_STRENGTHS = {
     "law_by_body": "of another strength for each body",
     "law_by_scene": "of another strength in each scene",
+    "law_by_source": "each body acting by a strength of its own",
 }
 """What is said behind the name of a force."""
 KINDS = {

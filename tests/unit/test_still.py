@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import bsp_gp
-from bsp_gp.data.still import held_still
+from bsp_gp.data.still import held_still, steadied
 
 T = np.arange(20) / 30.0
 
@@ -62,8 +62,10 @@ def test_of_a_body_that_is_said_to_be_held_jitter_is_no_motion():
     crew = pd.DataFrame({"entity": ["ball", "mark"], "dynamic": [1, 0]})
     ball, mark = frame("a", "ball", 2 * T, 0.0), frame("a", "mark", 1.0, 1.0)
     (scene,) = loaded(ball, mark, entities=crew).scenes
-    places = scene.positions[:, list(scene.names).index("mark")]
+    at = list(scene.names).index("mark")
+    np.testing.assert_array_equal(scene.positions[:, at], mark[["x", "y"]])  # as it was measured
+    places = steadied(scene)[:, at]
     np.testing.assert_allclose(places, np.tile(mark[["x", "y"]].mean(), (len(T), 1)), atol=1e-12)
     led = frame("a", "mark", 1.0 + 0.1 * np.sin(3 * T), 1.0)  # a support that somebody moves
     (scene,) = loaded(ball, led, entities=crew).scenes
-    np.testing.assert_array_equal(scene.positions[:, list(scene.names).index("mark"), 0], led.x)
+    np.testing.assert_array_equal(steadied(scene)[:, at, 0], led.x)

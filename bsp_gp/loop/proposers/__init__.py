@@ -24,6 +24,7 @@ from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
+from bsp_gp.loop.proposers.sources import Sources
 from bsp_gp.loop.proposers.unfollowed import Unfollowed
 from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
@@ -47,6 +48,6 @@ def standard(grammar, dataset, **settings):
     return [
         laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
         Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
-        Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Measurement(),
-        LateLogs(), Defects(), Noise(), Unfollowed(laws),
+        Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
+        Measurement(), LateLogs(), Defects(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

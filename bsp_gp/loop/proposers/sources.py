@@ -1,0 +1,121 @@
+"""Bodies that pull or push all others by strengths of their own: charges, unknown masses."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.parts.latents import Properties
+from bsp_gp.fitting.tangent import as_pair
+from bsp_gp.inference.latents import Latent, Latents
+from bsp_gp.inference.priors import Prior
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.by_owner import evidence_of
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.units import Unit
+
+__all__ = ["Sources"]
+
+FEWEST, MOST = 3, 60
+"""Bodies of which strengths are asked; of a pair each has one that acts on the other alone."""
+POWERS = (-3, -2, -1, 1)
+"""Of the distance."""
+WIDE = 3.0
+"""Width of the prior of strengths, in the root mean square of those that the moments tell."""
+
+
+class Sources:
+    """A pull of every body on all others, as a power of the distance, as a proposer.
+
+    What a body does to others need not be what it is made to do by them: neither its mass nor any
+    number that is known of it need tell how strongly it pulls. Strengths are linear in what is left
+    of the tracks, one column for each body.
+    """
+
+    name = "sources"
+
+    def propose(self, view):
+        """The family of all powers.
+
+        Parameters
+        ----------
+        view : View
+        """
+        names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
+        if not FEWEST <= len(names) <= MOST or view.is_sky:
+            return Family(self.name)
+        null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
+        known = {to_text(term.formula) for term in view.fit.law.terms}
+        for power in POWERS:
+            if any(re.search(rf"strength\d+_j .*\^{power} ", text) for text in known):
+                continue
+            columns = _columns(view, names, power)
+            acts = np.isfinite(columns).all(axis=0) & np.any(columns, axis=0)
+            columns = columns[:, acts]
+            if acts.sum() < FEWEST:
+                continue
+            score = view.score_forces(columns)
+            n_tried += 1
+            null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
+            best = max(best, float(as_pair(score.statistic, score.rank)))
+            height = evidence_of(view, columns)
+            together = evidence_of(view, columns.sum(axis=1, keepdims=True))
+            if height - together > view.criteria.noise_nats:
+                own = [name for name, does in zip(names, acts, strict=True) if does]
+                found.append(_proposal(view, power, own, score, height))
+        found.sort(key=lambda p: -p.promise)
+        return Family(self.name, tuple(found), best, 2, null, n_tried=n_tried)
+
+
+def _columns(view, names, power):
+    """Moments of a pull of strength one to each body, beside no other, (n, len(names))."""
+    parts = []
+    for batch in view.response.regression.batches:
+        places = np.nan_to_num(batch.positions, nan=np.inf)  # (n, S, N, d)
+        own = batch.bodies.receivers
+        gaps = places[:, :, None] - places[:, :, own, None]  # (n, S, R, N, d)
+        distance = np.linalg.norm(gaps, axis=-1, keepdims=True)
+        is_other = np.isfinite(distance) & (distance > 0)
+        safe = np.where(is_other, distance, 1.0)
+        pulls = np.where(is_other, gaps * safe ** (power - 1), 0.0)
+        index = np.array([[names.index(n) for n in scene] for scene in batch.bodies.names])
+        values = np.zeros((*pulls.shape[:3], len(names), pulls.shape[-1]))
+        for s, which in enumerate(index):
+            values[:, s][:, :, which] = pulls[:, s]
+        moments = batch.whiten(values)  # (m, S, 1, names, 1)
+        parts.append(moments[:, :, 0, :, 0].reshape(-1, len(names)))
+    return np.concatenate(parts)
+
+
+def _proposal(view, power, names, score, height):
+    """The pull with a property more, one number of each body."""
+    column = _fresh(view.dataset)
+    unit = Unit.of(m=1 - power, s=-2)
+    spread = WIDE * float(np.sqrt(np.mean(np.square(score.amplitudes))))
+    prior = Prior("truncated_normal", mean=0.0, sd=spread)
+    items = tuple(Latent(f"{column}[{name}]", column, prior, (("", name),)) for name in names)
+    values = tuple(map(float, score.amplitudes))
+    part = Properties(Latents(items), ((column, unit),), values)
+    seen = part.seen(view.dataset)
+    types = dataset_types(replace(seen, property_units={**seen.property_units, column: unit}))
+    text = f"m_i * {column}_j * norm(p_i - p_j)^{power} * normalize(p_j - p_i)"
+    formula = parse_formula(text, types, units=view.dataset.units)
+    return Proposal(
+        "law_by_source", text, view.hypothesis + part + Forces(ForceLaw((Term(formula),), {})),
+        -2 * view.criteria.cause_nats, 2 * height, score.rank, is_wide=True, formulas=(formula,),
+        n_dims=view.dataset.n_dims,
+    )  # fmt: skip
+
+
+def _fresh(dataset):
+    """A name of a property that no body has."""
+    known, number = set(dataset.property_names), 1
+    while f"strength{number}" in known:
+        number += 1
+    return f"strength{number}"
