@@ -18,6 +18,9 @@ FEWEST_ROWS = 5
 JITTER = 2.0
 """Standard deviations of a track, in those that its steps from row to row show, up to which it is
 jitter about one place."""
+ROWS_OF_HELD, WHITE, ALIKE = 10, 1.3, 3.0
+"""Rows from which a body that is said to be held may jitter only; the same ratio, of errors that
+know nothing of each other; and how far it may be off, in the error of bodies that move."""
 LITTLE = 0.01
 """Part of the way of what moves most that this may be."""
 
@@ -57,8 +60,9 @@ def held_still(scenes):
 def steadied(scene):
     """Positions of a scene with static bodies at their mean place where all that they do is jitter.
 
-    A body that is held and was measured again and again is where it is: its error of each row is
-    none of the forces that it exerts. One that is moved keeps its track.
+    A body that is held and was measured again and again is where it is: its error of each row,
+    which is that of the bodies that move, is none of the forces that it exerts. One that is moved
+    keeps its track.
 
     Parameters
     ----------
@@ -69,8 +73,24 @@ def steadied(scene):
     ndarray, shape (T, N, d), m
     """
     static = [k for k, entity in enumerate(scene.entities) if entity.is_static]
-    held = [k for k in static if _is_jitter(scene.positions[:, k])]
+    static = [k for k in static if _is_jitter(scene.positions[:, k], ROWS_OF_HELD, WHITE)]
+    if not static:
+        return scene.positions
+    errors = [_error(scene.positions[:, k]) for k in scene.dynamic]
+    most = ALIKE * float(np.nanmedian(errors)) if len(errors) else np.nan
+    held = [k for k in static if np.linalg.norm(_spread(scene.positions[:, k])) <= most]
     return _at_means(scene.positions, held) if held else scene.positions
+
+
+def _error(places):
+    """Of a place, as third differences of neighbouring rows tell it; nan of too few."""
+    steps = np.diff(places[np.isfinite(places).all(axis=1)], 3, axis=0)
+    return float(np.sqrt(np.square(steps).sum(axis=1).mean() / 20)) if len(steps) else np.nan
+
+
+def _spread(places):
+    """Standard deviations of the seen places, (d,)."""
+    return places[np.isfinite(places).all(axis=1)].std(axis=0)
 
 
 def _span(places):
@@ -84,16 +104,16 @@ def _is_still(places, longest):
     if len(seen) < FEWEST_ROWS:
         return False
     is_one = _is_jitter(places) or not np.any(seen != seen[0])
-    return is_one and float(np.linalg.norm(seen.std(axis=0))) < LITTLE * longest
+    return is_one and float(np.linalg.norm(_spread(places))) < LITTLE * longest
 
 
-def _is_jitter(places):
+def _is_jitter(places, n_rows=FEWEST_ROWS, most=JITTER):
     """Whether a track is jitter about one place, and not that place."""
     seen = places[np.isfinite(places).all(axis=1)]
-    if len(seen) < FEWEST_ROWS or not np.any(seen != seen[0]):
+    if len(seen) < n_rows or not np.any(seen != seen[0]):
         return False
     steps = np.sqrt(np.mean(np.square(np.diff(seen, axis=0)), axis=0) / 2)
-    return bool(np.all(seen.std(axis=0) <= JITTER * steps + 1e-12 * np.abs(seen).max()))
+    return bool(np.all(seen.std(axis=0) <= most * steps + 1e-12 * np.abs(seen).max()))
 
 
 def _with_held(scene, held):

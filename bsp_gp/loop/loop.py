@@ -38,6 +38,8 @@ numbers of an instrument; and moments, beside what the kept one leaves of them b
 UNEVEN = 0.02
 """Of the greatest promise, for each number that a cause adds: by so much promises are off far from
 the tracks, and of those that differ by less the simpler is fitted first."""
+MANY = 4
+"""Numbers beyond which more of them, one of each body, count no further for that."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
 LESS = 0.9
@@ -778,4 +780,4 @@ def _order(proposal):
 
 def _evened(proposal, top):
     """What a proposal promises, of those that differ by less than promises are off the simplest."""
-    return proposal.promise - UNEVEN * top * proposal.rank
+    return proposal.promise - UNEVEN * top * min(proposal.rank, MANY)

@@ -35,8 +35,8 @@ def scene_of(seed, n_times=12, irregular=True, name=None, static_moves=False):
     steps = rng.uniform(0.05, 0.2, n_times) if irregular else np.full(n_times, 0.125)
     crew = (ball("a", 1.5), ball("b", 0.7), ball("wall", 2.0, is_static=True))
     positions = rng.normal(size=(n_times, 3, 2)) + np.array([[0, 0], [6, 0], [0, 6]])
-    if not static_moves:
-        positions[:, 2] = positions[0, 2]
+    drift = np.arange(n_times)[:, None] if static_moves else 0.0  # jitter alone would be none
+    positions[:, 2] = positions[0, 2] + drift
     return Scene(name or f"s{seed}", np.cumsum(steps), positions, crew)
 
 
