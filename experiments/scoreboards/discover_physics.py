@@ -308,7 +308,7 @@ def is_alike(law, truth):
 
     if not lengths:
         return off(()) <= ALIKE
-    return minimize(off, np.zeros(len(lengths)), method="Nelder-Mead").fun <= ALIKE
+    return bool(minimize(off, np.zeros(len(lengths)), method="Nelder-Mead").fun <= ALIKE)
 
 
 def apart(law, truth):

@@ -48,7 +48,8 @@ class Sources:
         view : View
         """
         names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
-        if not FEWEST <= len(names) <= MOST or view.is_sky:
+        together = max(len(scene.names) for scene in view.dataset.scenes)
+        if together < FEWEST or len(names) > MOST or view.is_sky:
             return Family(self.name)
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         known = {to_text(term.formula) for term in view.fit.law.terms}
@@ -65,8 +66,8 @@ class Sources:
             null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
             best = max(best, float(as_pair(score.statistic, score.rank)))
             height = evidence_of(view, columns)
-            together = evidence_of(view, columns.sum(axis=1, keepdims=True))
-            if height - together > view.criteria.noise_nats:
+            alike = evidence_of(view, columns.sum(axis=1, keepdims=True))
+            if height - alike > view.criteria.noise_nats:
                 own = [name for name, does in zip(names, acts, strict=True) if does]
                 found.append(_proposal(view, power, own, score, height))
         found.sort(key=lambda p: -p.promise)
@@ -77,13 +78,13 @@ def _columns(view, names, power):
     """Moments of a pull of strength one to each body, beside no other, (n, len(names))."""
     parts = []
     for batch in view.response.regression.batches:
-        places = np.nan_to_num(batch.positions, nan=np.inf)  # (n, S, N, d)
+        places = batch.positions  # (n, S, N, d)
         own = batch.bodies.receivers
         gaps = places[:, :, None] - places[:, :, own, None]  # (n, S, R, N, d)
         distance = np.linalg.norm(gaps, axis=-1, keepdims=True)
         is_other = np.isfinite(distance) & (distance > 0)
         safe = np.where(is_other, distance, 1.0)
-        pulls = np.where(is_other, gaps * safe ** (power - 1), 0.0)
+        pulls = np.where(is_other, np.nan_to_num(gaps) * safe ** (power - 1), 0.0)
         index = np.array([[names.index(n) for n in scene] for scene in batch.bodies.names])
         values = np.zeros((*pulls.shape[:3], len(names), pulls.shape[-1]))
         for s, which in enumerate(index):
