@@ -44,7 +44,7 @@ from bsp_gp.loop.backward import prune
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
-from bsp_gp.loop.foresight import is_refuted, that_foresee
+from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
@@ -180,7 +180,17 @@ def close_loop(
         earlier = rounds_from(
             earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
         )
-    rounds = look(ready, round_rng, begun, on_round=on_round, earlier=earlier)
+    left = None if time_limit is None else time_limit - (time.monotonic() - began)
+    until = Clock(None if left is None else left + LATE_S)
+    foreseen: dict = {}
+    foresight = Foresight(
+        lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
+        ready.dataset, ready.split.test, foresight_rng.spawn(max_rounds), settings["crew"],
+        foreseen,
+    )  # fmt: skip
+    rounds = look(
+        ready, round_rng, begun, on_round=on_round, earlier=earlier, is_refused=foresight.refuses
+    )
     is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
@@ -190,14 +200,8 @@ def close_loop(
         is_cut = bool(found[0].left_out)
         if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
             ready, rounds = other, found
-    foreseen: dict = {}
     if not ready.is_swapped:  # what acts in those scenes only foresees nothing of the others
-        left = None if time_limit is None else time_limit - (time.monotonic() - began)
-        until = Clock(None if left is None else left + LATE_S)
-        rounds = that_foresee(
-            rounds, lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-            ready.dataset, ready.split.test, foresight_rng, settings["crew"], foreseen,
-        )  # fmt: skip
+        rounds = that_foresee(rounds, foresight)
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )

@@ -15,7 +15,7 @@ from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.proposal import FAULTS, continued
 
-__all__ = ["FORESEEING", "is_refuted", "that_foresee"]
+__all__ = ["FORESEEING", "Foresight", "is_refuted", "that_foresee"]
 
 N_COPIES = 40
 """Simulated copies of the held-out scenes that say whether predictions are surely worse."""
@@ -34,7 +34,68 @@ FORESEEING = ("force", "constraint", "wall", "hidden_body")
 """Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 
 
-def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
+class Foresight:
+    """What causes do to predictions of held-out rows, each asked once.
+
+    Parameters
+    ----------
+    refitted : callable
+        ``refitted(fit, hypothesis)`` gives a fit as it would be without the held-out rows.
+    dataset : Dataset
+    scenes : sequence of Scene
+        Held out.
+    streams : sequence of numpy.random.Generator
+        One for each round there may be.
+    crew : Crew, optional
+        By whom scenes are scored.
+    kept : dict, optional
+        Of `Accounts`.
+    """
+
+    def __init__(self, refitted, dataset, scenes, streams, crew=None, kept=None):
+        self._refitted, self._dataset, self._scenes = refitted, dataset, scenes
+        self._streams, self._crew, self._kept = streams, crew, {} if kept is None else kept
+        self._known = {}
+
+    def refuses(self, done):
+        """Whether the cause that a round adopts surely makes predictions worse."""
+        return self._of(done)[0]
+
+    def helps(self, done):
+        """Whether it makes them better, or explains what no law foresees."""
+        return self._of(done)[1]
+
+    def _of(self, done):
+        if done.number not in self._known:
+            self._known[done.number] = self._asked(done)
+        return self._known[done.number]
+
+    def _asked(self, done):
+        pair = [
+            self._refitted(done.entering, done.hypotheses[0]),
+            self._refitted(done.after, done.continuing),
+        ]
+        stream = self._streams[done.number - 1]
+
+        def accounts(n_copies):
+            return Accounts(
+                pair, self._dataset, self._scenes, stream, n_copies, self._crew, self._kept
+            )
+
+        plain = accounts(0)
+        if done.entering.is_failed:  # it foresees nothing: what it was left at has seen all rows
+            return False, math.isfinite(plain.errors(1).rollout_rmse)
+        if done.decision.best.kind == "noise":  # no cause: rows are weighed otherwise
+            return False, True
+        ratio = plain.ratio(0, 1).value
+        # Only where predictions are worse does it matter whether that is chance.
+        is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
+        if is_worse or _runs_away(plain):
+            return True, False
+        return False, not ratio > NO_BETTER or _is_better_in_noise(accounts(N_COPIES))
+
+
+def that_foresee(rounds, foresight):
     """Rounds up to the first whose cause surely makes predictions of held-out rows worse.
 
     Where something is left in the end, the last causes that make them no better go as well.
@@ -42,47 +103,21 @@ def that_foresee(rounds, refitted, dataset, scenes, rng, crew=None, kept=None):
     Parameters
     ----------
     rounds : sequence of Round
-    refitted : callable
-        ``refitted(fit, hypothesis)`` gives a fit as it would be without the held-out rows.
-    dataset : Dataset
-    scenes : sequence of Scene
-        Held out.
-    rng : numpy.random.Generator
-    crew : Crew, optional
-        By whom scenes are scored.
-    kept : dict, optional
-        Of `Accounts`.
+    foresight : Foresight
 
     Returns
     -------
     list of Round
         The first round of a cause that is refused adopts nothing, and those after it are gone.
     """
-    kept, helps = {} if kept is None else kept, []
-    for k, (done, stream) in enumerate(zip(rounds, rng.spawn(len(rounds)), strict=True)):
+    helps = []
+    for k, done in enumerate(rounds):
         if not done.decision.is_adopted:
             break
-        pair = [
-            refitted(done.entering, done.hypotheses[0]), refitted(done.after, done.continuing)
-        ]  # fmt: skip
-
-        def accounts(n_copies, pair=pair, stream=stream):
-            return Accounts(pair, dataset, scenes, stream, n_copies, crew, kept)
-
-        plain = accounts(0)
-        if done.entering.is_failed:  # it foresees nothing: what it was left at has seen all rows
-            helps.append(math.isfinite(plain.errors(1).rollout_rmse))
-            continue
-        if done.decision.best.kind == "noise":  # no cause: rows are weighed otherwise
-            helps.append(True)
-            continue
-        ratio = plain.ratio(0, 1).value
-        # Only where predictions are worse does it matter whether that is chance.
-        is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
-        if is_worse or _runs_away(plain):
+        if foresight.refuses(done):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
-        helps.append(not ratio > NO_BETTER or _is_better_in_noise(accounts(N_COPIES)))
+        helps.append(foresight.helps(done))
     if rounds[-1].decision.verdict == "nothing missing":
         return list(rounds)
     return _that_help(rounds, helps)

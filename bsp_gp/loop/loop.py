@@ -130,6 +130,7 @@ class Round:
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
     clock=None, on_round=None, begun=None, earlier=None, progress=None, looks=1, crew=None,
+    is_refused=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -161,6 +162,9 @@ def run_rounds(
         Data sets, this one among them, of which any may show that something is missing.
     crew : Crew, optional
         By whom proposals are fitted.
+    is_refused : callable, optional
+        ``is_refused(round)``: whether what a round adopts will be taken back, since it makes
+        predictions worse: none is found beside it.
 
     Returns
     -------
@@ -179,6 +183,8 @@ def run_rounds(
         if number <= len(rounds):
             continue
         if rounds and (not rounds[-1].decision.is_adopted or rounds[-1].is_last):
+            break
+        if rounds and is_refused is not None and is_refused(rounds[-1]):
             break
         done = run.round(number, hypothesis, found, stream)
         rounds.append(done)

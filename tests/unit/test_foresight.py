@@ -10,7 +10,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.accounts import Accounts, Ratio
 from bsp_gp.loop.decide import Decision
-from bsp_gp.loop.foresight import _is_surely_worse, is_refuted, that_foresee
+from bsp_gp.loop.foresight import Foresight, _is_surely_worse, is_refuted, that_foresee
 from bsp_gp.loop.loop import Round
 from tests.unit.test_response import GRAVITY, thrown
 
@@ -30,13 +30,17 @@ def round_of(number, dataset, before, after, kind="force", status="converged"):
     return Round(number, fits[0], None, decision, fits, hypotheses, ())
 
 
+def foresight(world, test):
+    streams = np.random.default_rng(0).spawn(5)
+    return Foresight(lambda found, hypothesis: found, world, test, streams)
+
+
 def looked_at(world, *steps, end=None):
     train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
     rounds = [round_of(k + 1, train, *laws) for k, laws in enumerate(steps)]
     if end is not None:
         rounds.append(replace(rounds[-1], number=len(rounds) + 1, decision=end))
-    rng = np.random.default_rng(0)
-    return that_foresee(rounds, lambda found, hypothesis: found, world, test, rng)
+    return that_foresee(rounds, foresight(world, test))
 
 
 def test_a_cause_that_makes_predictions_worse_is_refused_and_ends_the_rounds(world):
@@ -139,6 +143,6 @@ def test_a_cause_with_which_tracks_run_away_is_refused(world):
     other = Hypothesis.from_laws(train, [GRAVITY, away])
     wild = replace(done.fits[1], law=other.law)
     fits, hypotheses = {0: done.fits[0], 1: wild}, {0: done.hypotheses[0], 1: other}
-    done, rng = replace(done, fits=fits, hypotheses=hypotheses), np.random.default_rng(0)
-    (done,) = that_foresee([done], lambda found, hypothesis: found, world, test, rng)
+    done = replace(done, fits=fits, hypotheses=hypotheses)
+    (done,) = that_foresee([done], foresight(world, test))
     assert done.decision.reason == "predictions_worse"
