@@ -221,7 +221,8 @@ def along_named_axis(table, declaration):
         return table
     (old,), (new,) = own, named
     is_vertical = {"up", "down"} & set(declaration.uses)
-    if old in declaration.columns or f"v{old}" in table.frame or is_vertical:
+    is_said = {old, f"s{old}"} & {*declaration.columns, *declaration.units}
+    if is_said or f"v{old}" in table.frame or is_vertical:
         return table
     place = table.theirs.get(old, old)
     note = f"laws name {new} alone, and {place!r} is the only place: it is taken as {new}"

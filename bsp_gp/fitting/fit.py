@@ -478,6 +478,8 @@ class _Run:
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
         led.low, led.high, led.near = self.low, self.high, self.near
         led.is_over = self.is_over
+        if self.near is not None:
+            led.lead(self.near)
         return led
 
     def has_misfit(self, minimum):
@@ -511,7 +513,7 @@ class _Run:
         """
         parts = (Forces(self.probed_law, False), TrackNoise(model))
         beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
-        beside.is_over = self.is_over
+        beside.is_over, beside.groups = self.is_over, self.groups
         wider = Climb(beside, self.noises(model), climb.scales, False)
         nodes = self.near.nodes if self.near is not None and self.near.shows_tracks else None
         found = wider.stepped(climb.coordinates.constants(minimum.values)[0], nodes)

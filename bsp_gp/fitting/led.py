@@ -35,26 +35,38 @@ def led_by(groups, found):
     -------
     tuple of Chains or None
     """
-    moving = {(scene, body) for chains in groups
-              for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
-              for body in bodies}  # fmt: skip
-    if not any(_leads(chains, moving) for chains in groups):
+    seen = _seen(groups)
+    if not any(_leads(chains, seen) for chains in groups):
         return None
-    tracks = _tracks(found)
-    pairs = [_led(chains, tracks, moving) for chains in groups]
+    tracks = _tracks(found, seen)
+    pairs = [_led(chains, tracks) for chains in groups]
     if not any(is_changed for _, is_changed in pairs):
         return None
     return tuple(chains for chains, _ in pairs)
 
 
-def _leads(chains, moving):
+def _seen(groups):
+    """Times and measured places of the bodies that forces move, by scene and body."""
+    out = {}
+    for chains in groups:
+        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+            n = int(chains.lengths[s])
+            for r, body in enumerate(bodies):
+                out[scene, body] = chains.times[:n, s], chains.observed[:n, s, r]
+    return out
+
+
+def _leads(chains, seen):
     """Whether bodies that forces move stand beside chains, where they were seen."""
     beside = zip(chains.scenes, chains.fixed, strict=True)
-    return any((scene, body) in moving for scene, fixed in beside for body in fixed)
+    return any((scene, body) in seen for scene, fixed in beside for body in fixed)
 
 
-def _tracks(found):
-    """States of bodies at the rows of their scenes, (2, T, d), and their errors, by both names."""
+def _tracks(found, seen):
+    """States of bodies at the rows of their scenes, (2, T, d), and their errors, by both names.
+
+    Of those alone that are near where the rows, by which others are to be led, have them.
+    """
     out = {}
     for chains, nodes in zip(found.groups, found.nodes, strict=True):
         if nodes.shape[-2] != len(chains.times):  # it is known at other rows
@@ -62,29 +74,29 @@ def _tracks(found):
         for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
             n = int(chains.lengths[s])
             for r, body in enumerate(bodies):
+                times, places = seen.get((scene, body), (None, None))
                 states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
-                seen = chains.observed[:n, s, r]
-                off = states[0] - seen
-                rows = np.isfinite(seen).all(axis=1)
-                if rows.sum() < LEAST_ROWS or not np.isfinite(states).all():
+                if times is None or not np.array_equal(times, chains.times[:n, s]):
                     continue
-                error = scatter(seen)
-                if np.sqrt(np.mean(np.square(off[rows]))) <= NEAR * error:
+                rows = np.isfinite(places).all(axis=1)
+                moving = np.ptp(places[rows], axis=0) > 0 if rows.any() else np.zeros(1, dtype=bool)
+                if rows.sum() < LEAST_ROWS or not moving.any() or not np.isfinite(states).all():
+                    continue
+                error, off = scatter(places), (states[0] - places)[rows][:, moving]
+                if np.sqrt(np.mean(np.square(off))) <= NEAR * error:
                     out[scene, body] = states, error
     return out
 
 
-def _led(chains, tracks, moving):
+def _led(chains, tracks):
     """Chains with the tracks that lead them, and whether any is another one than before."""
-    if not _leads(chains, moving):
-        return chains, False
     places = chains.driven.copy()
     given = chains.driven_velocities
     speeds = np.full(places.shape, np.nan) if given is None else given.copy()
     is_changed = False
     for s, (scene, fixed) in enumerate(zip(chains.scenes, chains.fixed, strict=True)):
         for k, body in enumerate(fixed):
-            if (scene, body) not in moving or (scene, body) not in tracks:
+            if (scene, body) not in tracks:
                 continue
             states, error = tracks[scene, body]
             n = min(len(states[0]), len(places))

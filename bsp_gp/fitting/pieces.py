@@ -142,9 +142,11 @@ class Pieces:
 
     def _still(self, chains):
         """Which of the bodies beside each chain no force moves, (W, D): others lead it as well."""
-        moving = {name for bodies in chains.bodies for name in bodies}
+        moving = {(scene, name) for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
+                  for name in bodies}  # fmt: skip
         return np.array([
-            [k for k, name in enumerate(fixed) if name not in moving] for fixed in chains.fixed
+            [k for k, name in enumerate(fixed) if (scene, name) not in moving]
+            for scene, fixed in zip(chains.scenes, chains.fixed, strict=True)
         ], dtype=int).reshape(len(chains.fixed), -1)
 
 

@@ -39,7 +39,7 @@ UNEVEN = 0.02
 """Of the greatest promise, for each number that a cause adds: by so much promises are off far from
 the tracks, and of those that differ by less the simpler is fitted first."""
 MANY = 4
-"""Numbers beyond which more of them, one of each body, count no further for that."""
+"""Numbers beyond which more of them (one of each body, say) count no further for that."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
 LESS = 0.9

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.data.still import steadied
 from bsp_gp.errors import LawError
 from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
 from bsp_gp.language.operators import Type
@@ -271,7 +270,7 @@ def _batch(scenes, key, up):
     sigma = np.full_like(positions, np.nan) if is_quoted else None
     for s, scene in enumerate(scenes):
         times[: len(scene.times), s] = scene.times
-        positions[: len(scene.times), s] = steadied(scene)
+        positions[: len(scene.times), s] = scene.positions
         if measured:
             velocities[: len(scene.times), s] = scene.velocities
         if scene.sigma is not None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.loop.close import close_loop
@@ -23,6 +23,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.outcome import law_record
 from bsp_gp.output.place import whole_file
+from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
@@ -281,13 +282,17 @@ class _State:
         """The rivals of a report, and its law with what every round has found."""
         found = list(rivals_of(report))
         text = report.law.text(digits=False)
-        if report.law.terms and not any(r.law.text(digits=False) == text for r in found):
+        is_told = not fitted_properties(report.law)  # of bodies that are known alone
+        known = any(r.law.text(digits=False) == text for r in found)
+        if report.law.terms and is_told and not known:
             found = [_final(report), *found]
         found = [r for r in found if r.law.terms]
         kin = kin_of(found[0], self.dataset) if found else []
         less = [one for rival in (*found[:1], *kin) for one in less_a_term(rival)]
-        rivals = {r.law.text(digits=False): r for r in reversed((*found, *kin, *less))}
-        self.rivals = tuple(reversed(rivals.values()))
+        rivals: dict = {}
+        for rival in (*found, *kin, *less):
+            rivals.setdefault(rival.law.text(digits=False), rival)
+        self.rivals = tuple(rivals.values())
 
     def _weigh(self, dataset):
         """Fit every rival to all recordings; those that cannot be fitted are left out."""
@@ -386,7 +391,7 @@ class _State:
             self.left, self.stands = tuple(content["open"]), content["stands"]
             self.part, self.is_misfit = content["part"], content["is_misfit"]
             return int(content["round"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, LawError) as error:
             raise DataError(f"this is no discovery to go on from ({error})", file=file,
                             remedy="choose another folder") from error  # fmt: skip
 

@@ -112,6 +112,8 @@ class Experiment:
         if not errors[0]:
             positions = np.array(positions)
             positions[0] = places
+            held = [k for k, body in enumerate(self.bodies) if body.is_static]
+            positions[:, held] = places[held]  # whatever was measured of them
         error = np.where(np.isfinite(speeds), errors[1], np.nan)
         first = FirstState(speeds, error, not errors[0])
         return Scene(name, np.array(self.times), positions, entities, sigma=sigma, first=first)

@@ -114,6 +114,8 @@ def rivals_of(report):
         law = law_of(model, report.dataset)
         if law is None or law.names != tuple(n for n in law.names if n in law.constants):
             continue
+        if len(law.terms) < len(model["terms"]):  # it needs what no report keeps
+            continue
         count = len(model["uncertain"])
         covariance = np.array(model["covariance"], float).reshape(count, count)
         name = row["law"] or "no further force"

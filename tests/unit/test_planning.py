@@ -228,6 +228,14 @@ def test_calm_rows_are_foreseeable_however_vague_a_constant_is(means):
     assert len(kept.times) == len(calm(scene).times) == 6
 
 
+def test_a_held_body_is_where_it_is_held_whatever_was_measured_of_it():
+    bodies = (Body("ball", (1.0, 0.0), (0.0, 1.0)), Body("post", (0.0, 0.0), (0.0, 0.0), {}, True))
+    seen = np.random.default_rng(0).standard_normal((3, 2, 2))
+    scene = Experiment(bodies, (0.0, 1.0, 2.0)).scene("a", seen)
+    np.testing.assert_array_equal(scene.positions[:, 1], np.zeros((3, 2)))
+    np.testing.assert_array_equal(scene.positions[1:, 0], seen[1:, 0])
+
+
 def test_a_motion_is_foretold_from_where_an_experiment_begins(means):
     experiment = means.draw(np.random.default_rng(0))
     scene = experiment.scene("a")  # nothing is seen yet

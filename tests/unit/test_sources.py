@@ -63,6 +63,22 @@ def test_strengths_of_their_own_are_proposed_with_the_power_of_the_distance():
     assert found["strength1[B]"] > found["strength1[A]"] > 0 > found["strength1[C]"]
 
 
+def test_a_body_may_be_held_in_one_recording_and_move_in_another():
+    rng, times = np.random.default_rng(0), np.linspace(0.0, 2.0, 21)
+    scenes = []
+    for number, moving in enumerate("ABC"):
+        bodies = tuple(
+            Body(name, (3.0 * k, 0.0), (0.0, 0.3 * (name == moving)), {}, name != moving)
+            for k, name in enumerate("ABC")
+        )
+        experiment = Experiment(bodies, tuple(times.tolist()))
+        places = np.repeat([[b.position for b in bodies]], len(times), axis=0)
+        places[:, number, 1] += 0.3 * times + SIGMA * rng.standard_normal(len(times))
+        scenes.append(experiment.scene(f"recording {number}", places))
+    means = means_from({"bodies": {"body": {"x": 0.0}}, "look": {"until": 2.0, "noise": SIGMA}})
+    assert isinstance(proposals(means.dataset(scenes)), tuple)
+
+
 @pytest.mark.slow
 def test_hidden_charges_are_found_and_hold_in_recordings_that_were_left_out():
     strengths = (0.15, 0.45, -0.3)

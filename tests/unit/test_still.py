@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import bsp_gp
-from bsp_gp.data.still import held_still, steadied
+from bsp_gp.data.still import held_still
 
 T = np.arange(20) / 30.0
 
@@ -56,16 +56,3 @@ def test_what_is_said_is_believed_and_something_must_move():
     assert is_static(loaded(ball, mark, entities=crew), "mark") == [False]
     alone = loaded(frame("a", "one", 1.0, 0.0), frame("a", "other", 2.0, 0.0))
     assert held_still(alone.scenes) == (alone.scenes, ())
-
-
-def test_of_a_body_that_is_said_to_be_held_jitter_is_no_motion():
-    crew = pd.DataFrame({"entity": ["ball", "mark"], "dynamic": [1, 0]})
-    ball, mark = frame("a", "ball", 2 * T, 0.0), frame("a", "mark", 1.0, 1.0)
-    (scene,) = loaded(ball, mark, entities=crew).scenes
-    at = list(scene.names).index("mark")
-    np.testing.assert_array_equal(scene.positions[:, at], mark[["x", "y"]])  # as it was measured
-    places = steadied(scene)[:, at]
-    np.testing.assert_allclose(places, np.tile(mark[["x", "y"]].mean(), (len(T), 1)), atol=1e-12)
-    led = frame("a", "mark", 1.0 + 0.1 * np.sin(3 * T), 1.0)  # a support that somebody moves
-    (scene,) = loaded(ball, led, entities=crew).scenes
-    np.testing.assert_array_equal(steadied(scene)[:, at, 0], led.x)

@@ -27,7 +27,7 @@ UNEVEN = 0.2
 MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
 MOST = 0.7
-"""Part of all misfit that must be of bodies on a rod, if nothing else is to be looked at first."""
+"""Part of all misfit that must be of bodies on rods, if nothing else is to be looked at first."""
 LEAST_ROWS = 12
 EXACT = 1e-7
 """Part of the extent below which deviations are rounding."""
@@ -95,7 +95,8 @@ class Rods:
             for k, one in enumerate(free) for other in (*others[k + 1 :], *still)
         ]  # fmt: skip
         found = [kept for kept in found if kept is not None]
-        proposals = [p for kept in found for p in (_proposal(view, kept, len(found)),) if p]
+        every = {name for kept in found if kept.normal is None for name in kept.pair}
+        proposals = [p for kept in found for p in (_proposal(view, kept, every, len(found)),) if p]
         proposals.sort(key=lambda p: -p.promise)
         best = max(proposals, key=lambda p: p.gain, default=None)
         return Family(
@@ -186,7 +187,7 @@ def _is_constant(spread, level, places):
     return spread <= max(CONSTANT * level, EXACT * float(np.ptp(places, axis=0).max()))
 
 
-def _proposal(view, kept, n_tried):
+def _proposal(view, kept, every, n_tried):
     """The constraint beside the law; None where the law leaves nothing that it could explain."""
     fit = view.fit
     names = [fresh_name(fit.law, stem) for stem in kept.stems]
@@ -194,7 +195,7 @@ def _proposal(view, kept, n_tried):
     if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
         return None
     level = max(kept.level * _unseen(fit.noise, view.step), float(np.max(fit.noise.lowest)))
-    gain, n_rows, share = _misfit(fit, kept, levels, level)
+    gain, n_rows = _misfit(fit, kept, levels, level)
     if gain < (MISFIT - 1) * n_rows:
         return None
     try:
@@ -209,11 +210,11 @@ def _proposal(view, kept, n_tried):
     hypothesis = view.hypothesis + part
     terms = tuple(probe_terms(fit.groups, np.isfinite(levels), is_held=True))
     strengths = {name: math.nan for term in terms for name in term.formula.constants}
+    is_sole = kept.is_sole and (kept.normal is not None or _share(fit, every) > MOST)
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=judged, error=level, is_sole=kept.is_sole and share > MOST, patience=PATIENT,
-        is_afresh=True,
+        judged=judged, error=level, is_sole=is_sole, patience=PATIENT, is_afresh=True,
     )  # fmt: skip
 
 
@@ -226,18 +227,17 @@ def _unseen(noise, step):
 
 
 def _misfit(fit, kept, levels, level):
-    """Chi-squared that the constraint may take away, in errors of its own.
+    """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
 
-    Of the bodies that it holds alone; with it how many rows these are, and which part of all misfit
-    is of them. A body that moves along a line is on no wire, unless the law would have it leave it.
+    Of the bodies that it holds alone. One that moves along a line is no body on a wire, unless the
+    law would have it leave it.
     """
     channels, names = fit.channels, fit.channels.body_names
     if kept.normal is None:
         own = np.isin(channels.body, [k for k, name in enumerate(names) if name in kept.pair])
         size = 2 * float(np.log(levels / level).mean()) - 1
-        n_rows, square = int(channels.seen[:, own].sum()), np.square(fit.whitened).sum(axis=0)
-        mine = float(square[own].sum())
-        return mine + n_rows * size, n_rows, mine / (float(square.sum()) or 1.0)
+        n_rows = int(channels.seen[:, own].sum())
+        return float(np.square(fit.whitened[:, own]).sum()) + n_rows * size, n_rows
     mine = names.index(kept.pair[0])
     across = []
     for chain in np.unique(channels.chain):
@@ -248,7 +248,14 @@ def _misfit(fit, kept, levels, level):
             across.append(np.array(kept.normal) @ rows)
     left = np.concatenate(across) / level
     left = left[np.isfinite(left)]
-    return float(np.square(left).sum()) - len(left), len(left), 1.0
+    return float(np.square(left).sum()) - len(left), len(left)
+
+
+def _share(fit, bodies):
+    """Part of all misfit that is of some bodies."""
+    own = [k for k, name in enumerate(fit.channels.body_names) if name in bodies]
+    square = np.square(fit.whitened).sum(axis=0)
+    return float(square[np.isin(fit.channels.body, own)].sum()) / (float(square.sum()) or 1.0)
 
 
 def _is_uneven(series):

@@ -49,7 +49,7 @@ class Sources:
         """
         names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
         together = max(len(scene.names) for scene in view.dataset.scenes)
-        if together < FEWEST or len(names) > MOST or view.is_sky:
+        if together < FEWEST or len(names) > MOST or view.is_sky or view.dataset.units.is_angle:
             return Family(self.name)
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         known = {to_text(term.formula) for term in view.fit.law.terms}
@@ -68,9 +68,12 @@ class Sources:
             height = evidence_of(view, columns)
             alike = evidence_of(view, columns.sum(axis=1, keepdims=True))
             if height - alike > view.criteria.noise_nats:
-                own = [name for name, does in zip(names, acts, strict=True) if does]
-                found.append(_proposal(view, power, own, score, height))
-        found.sort(key=lambda p: -p.promise)
+                strengths = np.zeros(len(names))
+                strengths[acts] = score.amplitudes
+                found.append(_proposal(view, power, names, strengths, score.rank, height))
+        # Where some law with numbers that are known does as well, no other is asked for.
+        least = view.promised - view.criteria.noise_nats
+        found = sorted((p for p in found if p.promise > least), key=lambda p: -p.promise)
         return Family(self.name, tuple(found), best, 2, null, n_tried=n_tried)
 
 
@@ -94,14 +97,14 @@ def _columns(view, names, power):
     return np.concatenate(parts)
 
 
-def _proposal(view, power, names, score, height):
+def _proposal(view, power, names, strengths, rank, height):
     """The pull with a property more, one number of each body."""
     column = _fresh(view.dataset)
     unit = Unit.of(m=1 - power, s=-2)
-    spread = WIDE * float(np.sqrt(np.mean(np.square(score.amplitudes))))
+    spread = WIDE * float(np.sqrt(np.mean(np.square(strengths))))
     prior = Prior("truncated_normal", mean=0.0, sd=spread)
     items = tuple(Latent(f"{column}[{name}]", column, prior, (("", name),)) for name in names)
-    values = tuple(map(float, score.amplitudes))
+    values = tuple(map(float, strengths))
     part = Properties(Latents(items), ((column, unit),), values)
     seen = part.seen(view.dataset)
     types = dataset_types(replace(seen, property_units={**seen.property_units, column: unit}))
@@ -109,7 +112,7 @@ def _proposal(view, power, names, score, height):
     formula = parse_formula(text, types, units=view.dataset.units)
     return Proposal(
         "law_by_source", text, view.hypothesis + part + Forces(ForceLaw((Term(formula),), {})),
-        -2 * view.criteria.cause_nats, 2 * height, score.rank, is_wide=True, formulas=(formula,),
+        -2 * view.criteria.cause_nats, 2 * height, rank, is_wide=True, formulas=(formula,),
         n_dims=view.dataset.n_dims,
     )  # fmt: skip
 
