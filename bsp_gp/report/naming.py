@@ -144,8 +144,8 @@ def _inner_phrase(direction, formula, powers):
     if is_place and not powers and not inner:
         return "spring to a rest point"
     point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
-    along = f"along the {_DIRECTIONS.get(bare, bare)}"
-    along = point if is_place else along.replace("along the e_", "along ")
+    way = bare[2:] if bare.startswith("e_") else f"the {_DIRECTIONS.get(bare, bare)}"
+    along = point if is_place else f"along {way}"
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     if of_bodies:

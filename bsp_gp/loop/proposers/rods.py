@@ -210,7 +210,7 @@ def _proposal(view, kept, every, n_tried):
     hypothesis = view.hypothesis + part
     terms = tuple(probe_terms(fit.groups, np.isfinite(levels), is_held=True))
     strengths = {name: math.nan for term in terms for name in term.formula.constants}
-    is_sole = kept.is_sole and (kept.normal is not None or _share(fit, every) > MOST)
+    is_sole = kept.is_sole and _share(fit, every) > MOST
     judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",

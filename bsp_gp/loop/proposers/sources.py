@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.by_owner import evidence_of
 from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit
 
@@ -54,7 +54,7 @@ class Sources:
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         known = {to_text(term.formula) for term in view.fit.law.terms}
         for power in POWERS:
-            if any(re.search(rf"strength\d+_j .*\^{power} ", text) for text in known):
+            if any(_text(column, power) in known for column in fitted_properties(view.fit.law)):
                 continue
             columns = _columns(view, names, power)
             acts = np.isfinite(columns).all(axis=0) & np.any(columns, axis=0)
@@ -108,13 +108,18 @@ def _proposal(view, power, names, strengths, rank, height):
     part = Properties(Latents(items), ((column, unit),), values)
     seen = part.seen(view.dataset)
     types = dataset_types(replace(seen, property_units={**seen.property_units, column: unit}))
-    text = f"m_i * {column}_j * norm(p_i - p_j)^{power} * normalize(p_j - p_i)"
+    text = _text(column, power)
     formula = parse_formula(text, types, units=view.dataset.units)
     return Proposal(
         "law_by_source", text, view.hypothesis + part + Forces(ForceLaw((Term(formula),), {})),
         -2 * view.criteria.cause_nats, 2 * height, rank, is_wide=True, formulas=(formula,),
         n_dims=view.dataset.n_dims,
     )  # fmt: skip
+
+
+def _text(column, power):
+    """The pull of all bodies by their number in a column."""
+    return f"m_i * {column}_j * norm(p_i - p_j)^{power} * normalize(p_j - p_i)"
 
 
 def _fresh(dataset):

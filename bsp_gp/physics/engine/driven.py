@@ -10,7 +10,7 @@ __all__ = ["Driven"]
 
 N_POWERS = 6
 """Coefficients of a piece of a curve, of which the highest degree is 5."""
-MOST_KEPT = 1 << 28
+MOST_KEPT = 1 << 27
 """Bytes of places at instants that were asked for before, which are kept."""
 
 
