@@ -70,6 +70,8 @@ class Table:
         Names of columns that mean nothing to us -> what the file calls them.
     untimed : str
         Of a table without a column of times: the remedy where rows are no frames of a known rate.
+    is_dated : bool
+        Whether its times, in seconds, were dates.
     """
 
     frame: pd.DataFrame
@@ -85,6 +87,7 @@ class Table:
     up: str | None = None
     unused: dict = field(default_factory=dict)
     untimed: str = ""
+    is_dated: bool = False
 
 
 def read_table(path, *, rename=None, as_text=False):
@@ -194,7 +197,7 @@ def long_table(
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
-        unused=unused, untimed=untimed,
+        unused=unused, untimed=untimed, is_dated=dated,
     )  # fmt: skip
 
 
@@ -252,7 +255,7 @@ def _without_dates(frame, names):
     out = frame.copy()
     for key, values in new.items():
         out[key] = values
-    return out, [f"times are in seconds since {start}"], True
+    return out, [f"times count from {start}"], True
 
 
 def _require_even_rows(source, layout, head):

@@ -82,16 +82,17 @@ def sniff(head, rename, marks, path):
     bare = _without_header(head, rename) if is_track else None
     if bare is not None:
         return bare
+    said = {*rename, *rename.values()}
     for number, line in enumerate(head):
         for delimiter in _DELIMITERS:
-            cells = _header_cells(line, delimiter)
+            cells = _header_cells(line, delimiter, said)
             if is_track and (len(cells) < 2 or not _is_even(head, number, delimiter, cells)):
                 continue
             found = headings(cells, rename, is_track=is_track)
             if {h.name for h in found} & set(marks) and (not is_track or has_place(found)):
                 return _finish(head, number, delimiter, found)
     number, delimiter = _likely_header(head)
-    cells = _header_cells(head[number], delimiter)
+    cells = _header_cells(head[number], delimiter, said)
     if cells and all(_is_number(cell) for cell in cells if cell):
         raise DataError(
             f"the first line holds {len(cells)} number(s) where the names of the columns are "
@@ -173,8 +174,11 @@ def _below(head, number):
     return lines[0] if lines else ""
 
 
-def _header_cells(line, delimiter):
-    return split_line(_COMMENT.sub("", line), delimiter)
+def _header_cells(line, delimiter, said=()):
+    """Names of a header; its mark is one of a comment, unless a name is said with it (%time)."""
+    cells = split_line(line, delimiter)
+    is_name = bool(cells) and cells[0] in said
+    return cells if is_name else split_line(_COMMENT.sub("", line), delimiter)
 
 
 def _likely_header(head):

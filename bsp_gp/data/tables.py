@@ -47,8 +47,9 @@ from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.wide import groups_of
-from bsp_gp.errors import DataError, MissingDependencyError, in_python
+from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
+from bsp_gp.units import Unit, parse_unit
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
 
@@ -302,6 +303,7 @@ def _assemble(table, roster, declaration, default_name):
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
+    table = _dates_as_declared(table, declaration.units)
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)
     declaration, input_notes = _with_inputs(table, declaration)
@@ -478,6 +480,21 @@ def _about_unit_of_x(table, units):
     more = [axis for axis in "yz" if axis in table.frame and axis not in units]
     told = f"{' and '.join(more)} without a unit: taken as that of x, {units['x']}"
     return [told] if more else []
+
+
+def _dates_as_declared(table, units):
+    """Times that were dates in the unit that is declared: they are in none of their own."""
+    text = units.get("t", units.get("time"))
+    if not table.is_dated or text is None:
+        return table
+    try:
+        scale, unit = parse_unit(text)
+    except UnitError:  # told where all units are read
+        return table
+    if unit != Unit.of(s=1):
+        return table
+    frame = table.frame.assign(t=table.frame["t"] / scale)
+    return dataclasses.replace(table, frame=frame, units={**table.units, "t": text})
 
 
 def _with_angles(table, declaration):

@@ -17,6 +17,7 @@ from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.growing import RANKS, grow, tried
 from bsp_gp.fitting.jumps import nodes_between
 from bsp_gp.fitting.least_squares import minimise
+from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.problem import Minimum, Settings
 from bsp_gp.fitting.regression import regressed
 from bsp_gp.fitting.shooting import Shooting, cut_windows, in_groups, most_steps
@@ -193,6 +194,11 @@ class Climb:
             return None
         if not self._can_begin_at(near.nodes):
             return None
+        # Of chains that are cut shorter now, rows are left over.
+        nodes = tuple(
+            np.where(np.isfinite(chains.times), own, np.nan)
+            for chains, own in zip(run.groups, near.nodes, strict=True)
+        )
         there = dict(zip(near.parameters, near.values, strict=True))
         known = np.array([run.starts.get(pair, there.get(pair, np.nan)) for pair in run.parameters])
         missing = np.flatnonzero(np.isnan(known))
@@ -200,8 +206,8 @@ class Climb:
             return None
         if len(missing):
             known[missing] = 0.0
-            known = regressed(self.flows, near.nodes, self.noises, known, list(missing))
-        point = TrackPoint(self.coordinates.unknowns(known), near.nodes)
+            known = regressed(self.flows, nodes, self.noises, known, list(missing))
+        point = TrackPoint(self.coordinates.unknowns(known), nodes)
         problem = self.at(None, point)
         end = self._joined(self._minimise(problem, point, WHOLE), problem)
         is_end = end.linearised is not None and end.status != "unconverged"
@@ -385,17 +391,20 @@ class Climb:
         return replace(minimum, linearised=None)
 
     def _tell_lost(self, minimum, problem):
-        """Remember the scenes of which a track was held, if those are few."""
+        """Remember the tracks that were held, if those are few."""
         if minimum.code != "held":
             return
         held = problem.split(minimum.held)
-        scenes = dict.fromkeys(
-            shooting.chains.scenes[s]
+        lost = [
+            (shooting.chains, s)
             for shooting, own in zip(problem.shootings, held, strict=True)
             for s in shooting.chains_of(own)
-        )
-        if len(scenes) <= FEW_LOST * sum(flow.chains.n_chains for flow in self.flows):
-            self.run.lost.append((minimum.kept_chisqr, tuple(scenes)))
+        ]
+        if len(lost) <= FEW_LOST * sum(flow.chains.n_chains for flow in self.flows):
+            n_lost = sum(np.isfinite(chains.observed[:, s]).sum() for chains, s in lost)
+            n_others = sum(noise.n_seen for noise in self.noises) - n_lost
+            cut = tuple(CutShort.at_turn(*each) for each in lost)
+            self.run.lost.append((minimum.kept_chisqr / max(n_others, 1), cut, minimum))
 
     def again(self, minimum, meshes, is_last=True):
         """Descend from a minimum under this noise, with the steps it was found with.
@@ -407,6 +416,8 @@ class Climb:
         if self.run.is_over() and new.linearised is None:
             return self._stopped(minimum)
         new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
+        if new.code == "held":
+            return self._joined(new, self.problem)
         return self._finish(new) if is_last else new
 
     def whole(self, meshes):
@@ -426,7 +437,7 @@ class Climb:
                 break
             self.problem = finer
             new = self._minimise(finer, point, WHOLE)
-            if minimum.linearised is None:  # pieces alone led here
+            if minimum.linearised is None or new.code == "held":  # pieces alone led here
                 new = self._joined(new, finer)
             if new.linearised is None:
                 if self.run.is_over():

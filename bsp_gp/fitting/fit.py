@@ -11,6 +11,7 @@ import math
 import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
+from operator import itemgetter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -139,9 +140,11 @@ class Fit:
     seconds : float
     message : str
         Code of why the descent ended.
-    lost : tuple of str
-        Scenes that no path under the law follows, where all others are followed: for them alone
-        it has not converged.
+    lost : tuple of CutShort
+        Tracks that no path under the law follows, where all others are followed: for them alone
+        it has not converged. Each cut where it turns most sharply.
+    chi2_others : float
+        Reduced chi-squared of all others where some are lost, else nan.
     """
 
     law: ForceLaw
@@ -174,6 +177,7 @@ class Fit:
     seconds: float = 0.0
     message: str = ""
     lost: tuple = ()
+    chi2_others: float = math.nan
 
     def __repr__(self):
         names = [f"{n}{f' of {e}' if e else ''} = {v:.4g}" for (n, e), v in
@@ -306,15 +310,15 @@ class _Run:
         self.width = np.array([
             p.width(self.starts.get((p.name, p.entity), 0.0)) for p in hypothesis.parameters
         ])  # fmt: skip
-        self.groups = tuple(
-            build_chains(
-                self.law, dataset.scenes, dataset.up, dataset.velocity, may_lead=True
-            )
+        groups = build_chains(
+            self.law, dataset.scenes, dataset.up, dataset.velocity, may_lead=True
         )
+        self.groups = hypothesis.followed(tuple(groups))
         self.channels = _channels(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = _Patience(0.0, None, None)
-        # Of descents of which a few tracks stayed behind: chi-squared of the others, their scenes.
+        # Of descents of which a few tracks stayed behind: what is left of the others, these, and
+        # where it ended.
         self.lost = []
         self.near = None
         model = hypothesis.noise
@@ -381,7 +385,7 @@ class _Run:
             self.near = found
             self.starts = dict(zip(self.parameters, found.values.tolist(), strict=True))
             new = self.fit(found.paper_steps)
-            if new.is_failed:
+            if new.is_failed and not new.lost:
                 break
             found = new
         return found
@@ -598,6 +602,10 @@ class _Run:
 
     def result(self, climb, minimum, model, paper_steps):
         """Everything that is said of a minimum."""
+        chi2_others, lost = math.nan, ()
+        if self.lost and minimum.linearised is None:
+            chi2_others, lost, left = min(self.lost, key=itemgetter(0))
+            minimum = replace(minimum, point=left.point, values=left.values)
         tracks = _tracks_of(self, climb, minimum)
         constants, _ = climb.coordinates.constants(minimum.values)
         law = self.law.with_values(self.parameters, constants) if self.parameters else self.law
@@ -632,7 +640,7 @@ class _Run:
             rows=rows, row_scenes=row_scenes,
             local_columns=tracks.local, shared_columns=tracks.shared, paper_steps=paper_steps,
             message="stopped" if minimum.linearised is None and self.is_over() else minimum.code,
-            lost=min(self.lost)[1] if self.lost and minimum.linearised is None else (),
+            lost=lost, chi2_others=chi2_others,
         )  # fmt: skip
         return replace(found, status=self.status(climb, minimum, found))
 

@@ -92,6 +92,10 @@ class Part:
         """The rows as the rest of the hypothesis has to explain them."""
         return dataset
 
+    def followed(self, groups):
+        """The chains as the rest of the hypothesis has to follow them, tuple of Chains."""
+        return groups
+
     def describe(self):
         """One sentence for people."""
         raise NotImplementedError
@@ -287,6 +291,12 @@ class Hypothesis:
             for p in part.parameters if part.kind != "noise" else ():
                 found.setdefault((p.name, p.entity), p)
         return tuple(found.values())
+
+    def followed(self, groups):
+        """The chains as its laws have to follow them, tuple of Chains."""
+        for part in self.parts:
+            groups = part.followed(groups)
+        return groups
 
     @property
     def log_density(self):

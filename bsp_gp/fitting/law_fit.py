@@ -16,7 +16,7 @@ from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError, in_python
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
-from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.followed import about_lost, followed
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.law_text import (
@@ -217,12 +217,10 @@ def fit_law(
         return max(time_limit - (time.monotonic() - began), LEAST_SHARE * time_limit)
 
     def fitted(part, starts, deadline):
-        def declared(part):
-            return Hypothesis.from_laws(part, law)
+        hypothesis = Hypothesis.from_laws(part, law)
+        return followed(hypothesis, part, starts=starts, bounds=bounds, deadline=deadline)
 
-        return followed(declared, part, starts=starts, bounds=bounds, deadline=deadline)
-
-    found, lost = fitted(train, starts, time_limit)
+    found, hypothesis = fitted(train, starts, time_limit)
     blind = found
     if split.whole and split.test and not found.is_failed:
         part, _ = training_part(dataset, split.train, said)
@@ -241,53 +239,13 @@ def fit_law(
         n_rows=found.n_rows, n_free=found.n_free, n_starts=found.n_starts, n_agree=found.n_agree,
         gradient=float(found.gradient), split=split.told,
         notes=(
-            *dataset.notes, *said.notes, *about_lost(lost),
+            *dataset.notes, *said.notes, *about_lost(hypothesis),
             *about_outliers(found, train.scenes is not split.learned, far_off),
             *doubts(found, wider, bool(split.test)),
             *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
         ),
     )  # fmt: skip
-
-
-def followed(declared, dataset, **settings):
-    """The fit of a law to the scenes that it can follow.
-
-    One that it cannot follow at all, where it does all others - the close pass of two bodies, a
-    collision - would hide what these tell.
-
-    Parameters
-    ----------
-    declared : callable
-        ``declared(dataset) -> Hypothesis``.
-    dataset : Dataset
-    **settings
-        Of `fit`.
-
-    Returns
-    -------
-    found : Fit
-    lost : tuple of str
-        Scenes that are left out.
-    """
-    found = fit(declared(dataset), dataset, **settings)
-    lost = found.lost
-    if lost:
-        kept = tuple(scene for scene in dataset.scenes if scene.name not in lost)
-        dataset = replace(dataset, scenes=kept)
-        found = fit(declared(dataset), dataset, **settings)
-    return found, lost
-
-
-def about_lost(scenes):
-    """Which scenes no path under a law follows, a note or none."""
-    if not scenes:
-        return ()
-    names = f"scene {scenes[0]}" if len(scenes) == 1 else f"scenes {', '.join(scenes)}"
-    return (
-        f"{CHECK}no path under the law follows {names}, as they do in all others: left out of the "
-        "fit; a close pass, or something that acts there alone",
-    )
 
 
 def training_part(dataset, scenes, said):

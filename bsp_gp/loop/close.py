@@ -20,13 +20,12 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.followed import about_lost, followed
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
 from bsp_gp.fitting.law_fit import (
-    about_lost,
     about_noise,
     about_outliers,
     constant_estimates,
-    followed,
     training_part,
     unset,
 )
@@ -285,7 +284,7 @@ class _Ready:
         self._learn_from(choose_split(self.dataset, rng))
 
     def _learn_from(self, split):
-        self.split, self._refitted, self.lost = split, {}, ()
+        self.split, self._refitted = split, {}
         self.train, self.far_off = training_part(self.dataset, split.learned, self.noise)
         self.is_weeded = self.train.scenes is not split.learned
         self.before_cut = None
@@ -330,14 +329,10 @@ class _Ready:
         return other
 
     def begin(self, starts, bounds, clock):
-        """The fit of what is declared; scenes that it cannot follow are not learned from."""
-        found, self.lost = followed(
-            self._declared, self.train, starts=starts, bounds=bounds, deadline=clock.left
+        """The fit of what is declared, to tracks as far as it can follow them."""
+        found, self.hypothesis = followed(
+            self.hypothesis, self.train, starts=starts, bounds=bounds, deadline=clock.left
         )
-        if self.lost:
-            kept = tuple(s for s in self.train.scenes if s.name not in self.lost)
-            self.train = replace(self.train, scenes=kept)
-            self.hypothesis = self._declared(self.train)
         return found
 
     def refitted(self, found, hypothesis, bounds, clock):
@@ -365,10 +360,10 @@ class _Ready:
         except FAULTS:
             return nothing
 
-    def notes(self, found):
-        """What is known of the data beside a law that was fitted to them."""
+    def notes(self, found, hypothesis):
+        """What is known of the data beside a hypothesis that was fitted to them."""
         return (
-            *self.noise.notes, *about_lost(self.lost),
+            *self.noise.notes, *about_lost(hypothesis),
             *about_outliers(found, self.is_weeded, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
@@ -460,9 +455,10 @@ def _written(
     for done in rounds:
         constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
+    notes = ready.notes(last, pruned.hypothesis)
     bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
     return {
-        "dataset": writing_up.about_data(ready.dataset, ready.split, ready.notes(last)),
+        "dataset": writing_up.about_data(ready.dataset, ready.split, notes),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
         "rounds": records, "law": last.law, "law_text": without_unseen(last.law).text(units=units),
         "law_latex": without_unseen(last.law).latex(units=units), "constants": constants,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.followed import cut_short
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
@@ -391,9 +392,10 @@ class _Turn:
             self.run.says(f"fit {n_fits} of {most}: {proposal.text}")
             row = self._fitted(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
-            if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
+            is_cut = is_open and bool(self.fits[row.id].lost)
+            if (is_cut or is_open and not is_again) and len(queue) < n_first + MOST_AGAIN:
                 left[len(queue)] = row
-                queue.append((source, replace(proposal, patience=PATIENT)))
+                queue.append((source, self._gone_on_with(proposal, self.fits[row.id])))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
@@ -543,14 +545,24 @@ class _Turn:
         others = (self._left(f) for k, f in self.fits.items() if k != row.id and not f.is_failed)
         return self._left(self.fits[row.id]) < min(others, default=math.inf)
 
+    @staticmethod
+    def _gone_on_with(proposal, found):
+        """The proposal of a fit that did not converge, with patience or on what it can follow."""
+        if found.lost:
+            values = zip(found.parameters, found.values.tolist(), strict=True)
+            more = cut_short(proposal.hypothesis, found)
+            return replace(proposal, hypothesis=more, starts=dict(values))
+        return replace(proposal, patience=PATIENT)
+
     def _is_most(self, row):
         """Whether a fit takes off most of what was unexplained, and is likelier for it."""
         left = self._left(self.fits[row.id]) / self._left(self.fits[0])
         return left < MOST_LEFT and row.log_posterior > self.rows[0].log_posterior
 
     def _left(self, found):
-        """Reduced chi-squared under the noise by which promises are made."""
-        return float(np.nanmax(np.array(found.noise.levels) / self.levels)) ** 2 * found.chi2_red
+        """Reduced chi-squared of what is followed under the noise by which promises are made."""
+        chi2 = found.chi2_others if found.lost else found.chi2_red
+        return float(np.nanmax(np.array(found.noise.levels) / self.levels)) ** 2 * chi2
 
     def _note_gain(self, row, proposal, measure):
         """Remember what a fit has gained of what it promised."""

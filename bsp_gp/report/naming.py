@@ -88,6 +88,8 @@ _WHOLE = (
      "spring along {0} that hardens or softens, cubic in its stretch"),
     (r"^(?:m_i \* )?abs\(([xyz])_i - \w+\) \* \(\1_i - \w+\) (?:\* m_i )?\* e_\1$",
      "spring along {0} that hardens or softens, quadratic in its stretch"),
+    (r"^(?:\w+ \* )?abs\(([xyz])_i\)\^w\d* \* sign\(\1_i\) \* e_\1$",
+     "force along {0}, to a fitted power of {0}"),
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),

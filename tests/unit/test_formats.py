@@ -172,7 +172,17 @@ def test_times_as_dates_are_seconds(tmp_path, cells):
     steps = np.diff(dataset.scenes[0].times)
     assert steps == pytest.approx([2.0, 2.0])
     assert dataset.units.declared["time"] == "s"
-    assert any("seconds since" in note for note in dataset.notes)
+    assert any("times count from" in note for note in dataset.notes)
+
+
+def test_dates_are_put_into_the_unit_that_is_declared(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = "".join(f"2024-03-0{k + 1}T06:00:00Z,{x},0\n" for k, x in enumerate(X))
+    path.write_text("epoch_utc,x,y\n" + rows, encoding="utf-8")
+    dataset = load_dataset(path, columns={"t": "epoch_utc"}, units={"length": "km", "time": "d"})
+    assert np.diff(dataset.scenes[0].times) == pytest.approx([86400.0, 86400.0])
+    assert dataset.units.declared["time"] == "d"
+    assert not any("as declared" in note for note in dataset.notes)
 
 
 @pytest.mark.parametrize("cell", ["3/4/2024", "noon", "2024-13-01"])
@@ -252,3 +262,15 @@ def test_a_column_that_is_called_by_a_unit_of_time_is_the_time(tmp_path, name, s
     np.testing.assert_allclose(times, np.array([0.0, 500.0, 1000.0]) * second)
     path.write_text(f"t,{name},x (m),y (m)\n0,9,0,1\n1,8,1.5,2\n2,7,4.25,3\n", encoding="utf-8")
     assert load_dataset(path, units={"time": "s"}).scenes[0].times.tolist() == [0.0, 1.0, 2.0]
+
+
+def test_a_first_name_may_be_said_with_its_mark(tmp_path):
+    path = tmp_path / "bag.csv"
+    rows = "".join(f"{9 * k},{k},{x}\n" for k, x in enumerate(X))
+    path.write_text("%time,stamp,pos\n" + rows, encoding="utf-8")
+    columns = {"t": "stamp", "x": "pos", "%time": "ignore"}
+    dataset = load_dataset(path, columns=columns, units={"length": "m", "time": "s"})
+    assert dataset.scenes[0].times.tolist() == [0.0, 1.0, 2.0]
+    columns = {"t": "%time", "x": "pos", "stamp": "ignore"}
+    dataset = load_dataset(path, columns=columns, units={"length": "m", "time": "s"})
+    assert dataset.scenes[0].times.tolist() == [0.0, 9.0, 18.0]

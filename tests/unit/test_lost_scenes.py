@@ -1,12 +1,14 @@
-"""Scenes that no path under a law follows, among others that it does."""
+"""Tracks that no path under a law follows, among others that it does."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.followed import about_lost, followed
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.law_fit import about_lost, followed
+from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.physics.engine.chains import build_chains
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 GRAVITY = "1 [m^3/(kg s^2)] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
@@ -38,26 +40,53 @@ def orbits(drag, odd=None, count=8, sigma=0.003):
 
 
 @pytest.mark.slow
-def test_a_scene_that_no_path_follows_is_named():
+def test_a_track_that_no_path_follows_is_named():
     dataset = orbits(0.3, odd=5)
     found = fit(Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY])), dataset)
-    assert (found.status, found.lost) == ("unconverged", ("s5",))
+    assert found.status == "unconverged"
+    ((scene, bodies, row),) = [(cut.scene, cut.bodies, cut.row) for cut in found.lost]
+    assert (scene, bodies) == ("s5", ("planet",)) and 8 <= row <= 10
     alone = orbits(0.3)
     found = fit(Hypothesis.from_laws(alone, read_law(alone, [GRAVITY])), alone)
     assert (found.status, found.lost) == ("refuted", ())
 
 
 @pytest.mark.slow
-def test_such_a_scene_hides_nothing_of_what_acts_in_the_others():
-    def declared(dataset):
-        return Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY, "-c * v_i"]))
-
-    found, lost = followed(declared, orbits(0.3, odd=5))
-    assert lost == ("s5",) and found.status == "converged"
+def test_such_a_track_hides_nothing_of_what_acts_in_the_others():
+    dataset = orbits(0.3, odd=5)
+    declared = Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY, "-c * v_i"]))
+    found, hypothesis = followed(declared, dataset)
+    (note,) = about_lost(hypothesis)
+    assert "planet in scene s5 before row" in note and found.status == "converged"
     assert abs(found.values[0] - 0.3) < 3 * found.errors[0] < 0.02
+    # What came before tells the law as well.
+    k = found.channels.scene_names.index("s5")
+    seen = np.isfinite(found.residual[:, found.channels.scene == k]).all(axis=1)
+    assert seen[:8].all() and not seen[10:].any()
+    assert hypothesis.log_density < declared.log_density == 0.0
 
 
-def test_such_scenes_are_told():
-    assert about_lost(()) == ()
-    (one,), (two,) = about_lost(("s5",)), about_lost(("s5", "s6"))
-    assert "follows scene s5," in one and "follows scenes s5, s6," in two
+def test_such_tracks_are_told():
+    dataset = orbits(0.3)
+    declared = Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY]))
+    assert about_lost(declared) == ()
+    cuts = CutShort("s5", 9, bodies=("planet",)), CutShort("s6", 4, bodies=("a", "b"))
+    (note,) = about_lost(declared + Hypothesis(cuts))
+    assert "planet in scene s5 before row 9; a, b in scene s6 before row 4;" in note
+
+
+def test_a_track_is_cut_where_it_turns_and_leads_as_before():
+    dataset = orbits(0.3, odd=5)
+    law = read_law(dataset, [GRAVITY])
+    groups = tuple(build_chains(law, dataset.scenes))
+    chain = groups[0].scenes.index("s5")
+    cut = CutShort.at_turn(groups[0], chain)
+    assert (cut.scene, cut.bodies) == ("s5", ("planet",)) and 8 <= cut.row <= 10
+    assert cut.n_left_out == 2 * (31 - cut.row)
+    (after,) = cut.followed(groups)
+    lengths = np.full(8, 31)
+    lengths[chain] = cut.row
+    assert after.lengths.tolist() == lengths.tolist()
+    assert np.array_equal(after.driven, groups[0].driven)
+    others = np.arange(8) != chain
+    assert np.array_equal(after.observed[:, others], groups[0].observed[:, others])

@@ -13,11 +13,11 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Part
 
-__all__ = ["LeftOut", "Resting", "Shifted", "Swapped"]
+__all__ = ["Edit", "LeftOut", "Resting", "Shifted", "Swapped"]
 
 
 @dataclass(frozen=True)
-class _Edit(Part):
+class Edit(Part):
     """A change of the rows of one scene.
 
     Attributes
@@ -56,7 +56,7 @@ class _Edit(Part):
 
 
 @dataclass(frozen=True)
-class Swapped(_Edit):
+class Swapped(Edit):
     """From a row on, two bodies bear each other's names."""
 
     first: str
@@ -77,7 +77,7 @@ class Swapped(_Edit):
 
 
 @dataclass(frozen=True)
-class LeftOut(_Edit):
+class LeftOut(Edit):
     """Rows of a body, or of all, that show something else.
 
     Attributes
@@ -128,7 +128,7 @@ class Resting(LeftOut):
 
 
 @dataclass(frozen=True)
-class Shifted(_Edit):
+class Shifted(Edit):
     """From a row on, frames are missing or too many, and time stamps are off by that."""
 
     seconds: float

@@ -1,0 +1,76 @@
+"""Laws fitted to all tracks that they can follow, and to the others as far as they can."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from bsp_gp.data.scene import CHECK
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.parts.cut_short import CutShort
+
+__all__ = ["about_lost", "cut_short", "followed"]
+
+PASSES = 3
+"""Times that tracks are cut, at the most."""
+NEAR = 10.0
+"""Reduced chi-squared of the other tracks below which a fit goes on from where it was left."""
+
+
+def followed(hypothesis, dataset, *, deadline=None, **settings):
+    """The fit of a hypothesis to tracks as far as it can follow them.
+
+    A track that it cannot follow at all, where it does all others - the close pass of two bodies, a
+    collision - would hide what these tell.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    dataset : Dataset
+    deadline : float, optional
+        Seconds for all together.
+    **settings
+        Of `fit`.
+
+    Returns
+    -------
+    found : Fit
+    hypothesis : Hypothesis
+        With what is left out.
+    """
+    end = math.inf if deadline is None else time.monotonic() + deadline
+    found = fit(hypothesis, dataset, deadline=deadline, **settings)
+    for _ in range(PASSES):
+        left = end - time.monotonic()
+        if not found.lost or left <= 0:
+            break
+        hypothesis = cut_short(hypothesis, found)
+        if found.chi2_others < NEAR:
+            settings |= {"near": found, "starts": _values(found)}
+        found = fit(hypothesis, dataset, deadline=left, **settings)
+    return found, hypothesis
+
+
+def _values(found):
+    return dict(zip(found.parameters, found.values.tolist(), strict=True))
+
+
+def cut_short(hypothesis, found):
+    """The hypothesis with the tracks that its fit did not follow cut short."""
+    return hypothesis + Hypothesis(found.lost)
+
+
+def about_lost(hypothesis):
+    """Which tracks are followed up to a row only, a note or none."""
+    cut = {(p.scene, p.bodies): p for p in hypothesis.parts if isinstance(p, CutShort)}
+    if not cut:
+        return ()
+    told = "; ".join(
+        f"{', '.join(part.bodies)} in scene {part.scene} before row {part.row}"
+        for part in cut.values()
+    )
+    return (
+        f"{CHECK}no path under the law follows all of some tracks, as they do all others: used are "
+        f"{told}; after it comes a close pass, or something that acts there alone",
+    )
