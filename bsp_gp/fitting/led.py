@@ -73,6 +73,8 @@ def _tracks(found, seen):
             continue
         for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
             n = int(chains.lengths[s])
+            if n < np.isfinite(chains.driven_times[:, s]).sum():  # others are led for longer
+                continue
             for r, body in enumerate(bodies):
                 times, places = seen.get((scene, body), (None, None))
                 states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)

@@ -128,17 +128,28 @@ class Pieces:
             if n_groups > 1 else apart[:, :, g, :, :0]
             for g in range(n_groups)
         ]  # fmt: skip
-        parts = [own, np.concatenate(others, axis=2)]
+        parts = [own, np.concatenate(others, axis=2)]  # (2, n, W, .., d)
         driven = Driven(chains)
         if driven.count:
             n, w = times.shape
             chain = np.broadcast_to(np.arange(w), (n, w)).ravel()
             places = driven.at(times.ravel(), chain)  # (2, D, d, n W)
             places = np.moveaxis(places.reshape(*places.shape[:3], n, w), (3, 4), (1, 2))
+            self._as_they_lead(chains, parts[1], places)
             parts.append(places[:, :, np.arange(w)[:, None], self._still(chains)])
         whole = np.concatenate(parts, axis=3)
         return whole[0], whole[1]
 
+    def _as_they_lead(self, chains, others, places):
+        """Where others are not followed, they are where they lead: of tracks that are cut short."""
+        for w in np.flatnonzero(np.isnan(others).any(axis=(0, 1, 3, 4))):
+            members = range(w % self.count, len(chains.bodies), self.count)
+            names = [name for k in members if k != w for name in chains.bodies[k]]
+            for r, name in enumerate(names):
+                if name in chains.fixed[w]:
+                    lead = places[:, :, w, chains.fixed[w].index(name)]
+                    mine = others[:, :, w, r]
+                    others[:, :, w, r] = np.where(np.isfinite(mine), mine, lead)
 
     def _still(self, chains):
         """Which of the bodies beside each chain no force moves, (W, D): others lead it as well."""
@@ -170,7 +181,8 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     n_groups = chains.n_chains // n_scenes
     n_own = chains.n_moving * chains.n_dims
     rows = max(MOST_COORDINATES // max(n_own - n_held, 1), LEAST_ROWS)
-    windows = cut_windows(chains.lengths[:n_scenes], rows)
+    lengths = chains.lengths.reshape(n_groups, n_scenes).max(axis=0)  # but for what is cut short
+    windows = cut_windows(lengths, rows)
     if hits:
         windows = _between_hits(windows, {(chain % n_scenes, row) for chain, row in hits})
     chosen = np.arange(len(windows.chain))

@@ -103,6 +103,10 @@ _WHOLE = (
      "force round a point (a vortex), to a fitted power of distance"),
     (r"norm\(.*centre_.*\)\^n\d* \* normalize",
      "force to a point, to a fitted power of distance"),
+    (r"^(?:\w+ \* )?\(norm\(.*centre_.*\^-\d\.5 \* \(",
+     "force to a point, softened within a length (as of a place beneath)"),
+    (r"^(?:\w+ \* )?exp\(-\(norm\(.*centre_.* \* \(",
+     "force to a point, gone a length away (a dip or a bump)"),
     (r"exp\(-\(?norm\(.*centre_.* \* normalize",
      "force to a point, fading with distance (exponential)"),
 )  # fmt: skip

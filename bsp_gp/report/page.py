@@ -192,7 +192,9 @@ def _parts(effect, law, other):
     if effect.formula is not None or not effect.law or len(terms) < 2:
         return ()
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
-    return tuple(describe(t.formula, v, other) for t, v in zip(terms, values, strict=True))
+    own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
+    every = zip(terms, values, own, strict=True)
+    return tuple(describe(t.formula, v, other, exponents) for t, v, exponents in every)
 
 
 def _name(effect, parts, other):
