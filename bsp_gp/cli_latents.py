@@ -10,18 +10,12 @@ from bsp_gp.data.declaration import PRIOR_FORMS, split_prior
 from bsp_gp.errors import SettingsError
 
 __all__ = [
-    "INFER_FILES",
-    "LEARN_FILES",
     "read_priors",
     "run_infer",
     "run_learn",
     "with_declared_latents",
 ]
 
-INFER_FILES = ("infer.json", "infer.txt", "posterior.csv", "draws.csv", "trace.png", "corner.png",
-               "rollout.png")  # fmt: skip
-LEARN_FILES = ("learn.json", "learn.txt", "posterior.csv", "draws.csv", "trace.csv", "laws.csv",
-               "trace.png", "corner.png", "rollout.png")  # fmt: skip
 MOST_TOGETHER = 30
 """Unknowns up to this number are sampled together with the constants of a law."""
 PRIOR_HELP = (

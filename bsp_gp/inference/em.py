@@ -27,8 +27,6 @@ CLASS_NATS = 3.0
 """Laws within this many nats of the best fit as well: the class that the data do not separate."""
 NOTHING_TO_GAIN = 1e-3
 """A loss (nats) below which no other law can be better by anything that matters."""
-AGREED = 1e-6
-"""Relative difference of two losses that counts as the same optimum."""
 
 
 @dataclass(frozen=True)

@@ -122,9 +122,7 @@ def _directions(profile, latents, names, k):
     for i, item in enumerate(latents.items):
         if item.prior.is_logarithmic:
             slope[i] = 1.0
-    widths = np.array(
-        [item.prior.spread for item in latents.items] + [0.0] * (len(names) - k), dtype=float
-    )
+    widths = np.concatenate([latents.of_priors("spread"), np.zeros(len(names) - k)])
     width = np.where(np.arange(len(names)) < k, np.minimum(widths / np.abs(slope), 3.0), FLAT_PRIOR)
     jacobian = profile.jacobian * slope * width
     information, vectors = np.linalg.eigh(jacobian.T @ jacobian)

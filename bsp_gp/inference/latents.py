@@ -80,6 +80,16 @@ class Latents:
         """Mask of the discrete ones, shape (k,)."""
         return np.array([item.prior.is_discrete for item in self.items], dtype=bool)
 
+    def of_priors(self, name):
+        """A number of every prior, shape (k,), or two, (k, 2): its spread, bounds or pull."""
+        found = np.array([getattr(item.prior, name) for item in self.items], dtype=float)
+        return found if len(found) or name == "spread" else found.reshape(0, 2)
+
+    @property
+    def medians(self):
+        """Of the priors, shape (k,)."""
+        return np.array([float(item.prior.ppf(0.5)) for item in self.items])
+
     def of_scenes(self, names):
         """The latents that occur in these scenes, with memberships cut to them.
 

@@ -167,17 +167,15 @@ class _Problem:
     def __init__(self, misfit):
         self.misfit = misfit
         self.latents = misfit.latents
-        items = self.latents.items
-        self.k = len(items)
-        self.unit = np.array([item.prior.spread for item in items])
-        bounds = np.array([item.prior.bounds for item in items]).reshape(-1, 2)
-        self.low, self.high = (bounds / self.unit[:, None]).T if self.k else (np.zeros(0),) * 2
-        pull = np.array([item.prior.pull for item in items]).reshape(-1, 2)
-        self.center = pull[:, 0] / self.unit
-        self.weight = self.unit / pull[:, 1]  # of the prior residual, 0 where flat
+        self.k = len(self.latents)
+        self.unit = self.latents.of_priors("spread")
+        self.low, self.high = (self.latents.of_priors("bounds") / self.unit[:, None]).T
+        mean, sd = self.latents.of_priors("pull").T
+        self.center = mean / self.unit
+        self.weight = self.unit / sd  # of the prior residual, 0 where flat
         self.constant_unit = np.ones(len(misfit.constants))
         self.colours = self._colours()
-        self.is_discrete = np.array([item.prior.is_discrete for item in items], dtype=bool)
+        self.is_discrete = self.latents.is_discrete
         self.holds_discrete = False
 
     def _colours(self):

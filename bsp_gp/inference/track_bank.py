@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bsp_gp.inference.misfit import DirectMisfit, MotionBank
-from bsp_gp.inference.propagation import compressed
+from bsp_gp.inference.propagation import compressed, together
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.regression import Regression, RegressionBatch
 
@@ -48,11 +48,7 @@ class TrackBank(MotionBank):
         key = (parts, index)
         if key not in self._factors:
             columns = np.concatenate([self.field(k, m, index) for k, m in parts], axis=3)
-            n, _, r, p, d = columns.shape
-            spread = np.zeros((n, r, d, r, p))
-            for k in range(r):
-                spread[:, k, :, k] = np.swapaxes(columns[:, 0, k], 1, 2)
-            matrix = self.paths[index].apply(spread.reshape(n, r * d, r * p))
+            matrix = self.paths[index].apply(together(columns[:, 0]))
             triangle, target, rest = compressed(matrix, self.offsets[index])
             self._factors[key] = (triangle[None, None], target[None, None], np.array([rest]))
         return self._factors[key]
@@ -69,9 +65,8 @@ class _DirectTracks(DirectMisfit):
         self.row_scene = np.repeat(np.arange(len(sizes)), sizes)
         self._starts = np.searchsorted(self.row_scene, np.arange(len(sizes)))
 
-    def residual(self, values, constants=None):
-        """Whitened residual (W, m)."""
-        raw = super().residual(values, constants)  # reference less law, at every point
+    def _residual(self, values, constants):
+        raw = super()._residual(values, constants)  # reference less law, at every point
         parts, first = [], 0
         for path, batch, size in zip(
             self._bank.paths, self.regression.batches, self._sizes, strict=True

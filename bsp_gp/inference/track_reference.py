@@ -254,8 +254,8 @@ class _Climb:
 
     def _pull(self, values):
         coordinates = self.world.latents.to_coordinate(values)
-        pull = np.array([item.prior.pull for item in self.world.latents.items]).reshape(-1, 2)
-        return float(np.square((coordinates - pull[:, 0]) / pull[:, 1]).sum())
+        mean, sd = self.world.latents.of_priors("pull").T
+        return float(np.square((coordinates - mean) / sd).sum())
 
     def _level(self, reference):
         """Levels per axis that the optimum leaves, degrees of freedom counted."""

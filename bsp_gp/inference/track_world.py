@@ -65,7 +65,7 @@ class Tracks:
         law = world.law
         self.names = tuple(n for n in law.names if not hasattr(law.constants[n], "items"))
         parameters = tuple((name, "") for name in self.names)
-        self.groups = self.chains(_medians(world.latents)[None])
+        self.groups = self.chains(world.latents.medians[None])
         self.motions = [Motion(law, chains, parameters) for chains in self.groups]
 
     @property
@@ -136,10 +136,6 @@ def squares_of(shooting, condensed):
         squares = np.square(part.factor[:, n:, -1]).sum(axis=1)
         np.add.at(out, shooting.windows.chain[group], squares)
     return out
-
-
-def _medians(latents):
-    return np.array([float(item.prior.ppf(0.5)) for item in latents.items])
 
 
 def _tolerance(chains, noise):

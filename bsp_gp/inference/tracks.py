@@ -191,7 +191,7 @@ def _coordinates(latents, profile):
 def _widths(profile, latents):
     """Standard deviations by the information at an optimum, the width of the priors included."""
     information = np.array(profile.information)
-    spread = np.array([item.prior.spread for item in latents.items])
+    spread = latents.of_priors("spread")
     index = np.arange(len(spread))
     information[index, index] += 1 / np.square(spread)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -228,7 +228,7 @@ class Softened:
 
 def is_point(profile, latents):
     """Whether a joint optimum is so sharp that no sampler need move in it."""
-    spread = np.array([item.prior.spread for item in latents.items])
+    spread = latents.of_priors("spread")
     widths = _widths(profile, latents)
     sizes = np.concatenate([spread, np.abs(profile.constants)])
     return bool(np.all(widths <= POINT * sizes))
