@@ -426,22 +426,20 @@ def select_scenes(patterns, names, *, what="split", file=None):
 
 def toml_text(tables):
     """Write nested mappings of texts, numbers and lists as TOML; None and {} are left out."""
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in tables.items() if not _is_table(v)]
+    lines = _lines({k: v for k, v in tables.items() if not isinstance(v, Mapping)})
     for name, table in tables.items():
-        if not _is_table(table) or not table:
+        if not isinstance(table, Mapping) or not table:
             continue
-        if all(_is_table(value) for value in table.values()):
+        if all(isinstance(value, Mapping) for value in table.values()):
             for inner, values in table.items():
-                lines += ["", f"[{_key(name)}.{_key(inner)}]"]
-                lines += [f"{_key(k)} = {_value(v)}" for k, v in values.items()]
+                lines += ["", f"[{_key(name)}.{_key(inner)}]", *_lines(values)]
         else:
-            lines += ["", f"[{_key(name)}]"]
-            lines += [f"{_key(k)} = {_value(v)}" for k, v in table.items()]
+            lines += ["", f"[{_key(name)}]", *_lines(table)]
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
-def _is_table(value):
-    return isinstance(value, Mapping)
+def _lines(table):
+    return [f"{_key(k)} = {_value(v)}" for k, v in table.items()]
 
 
 def _key(name):

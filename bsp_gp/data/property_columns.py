@@ -10,7 +10,7 @@ import re
 from dataclasses import replace
 
 from bsp_gp.data.headings import property_of_words
-from bsp_gp.data.roster import WITHIN
+from bsp_gp.data.roster import WITHIN, tracks_of
 from bsp_gp.errors import in_python
 
 __all__ = ["quoted", "unread_masses", "with_properties_by_words"]
@@ -54,9 +54,7 @@ def _renamed(table, column, name):
 
 
 def _is_constant(frame, column):
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    groups = frame.groupby(keys, sort=False)[column] if keys else [("", frame[column])]
-    return all(part.nunique(dropna=False) <= 1 for _, part in groups)
+    return all(part.nunique(dropna=False) <= 1 for part in tracks_of(frame, column))
 
 
 def unread_masses(table):

@@ -238,11 +238,10 @@ def _workbook(path):
     out = io.StringIO()
     csv.writer(out, delimiter="\t", lineterminator="\n").writerows(sheets[filled[0]])
     text = out.getvalue()
-    counts = {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
     unread = ", ".join(map(repr, filled[1:5]))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {unread}",) if unread else ()
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Source(path, digest, counts, text=text, notes=notes)
+    return Source(path, digest, _counts(text), text=text, notes=notes)
 
 
 def _rows(path, cells):
