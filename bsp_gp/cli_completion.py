@@ -32,14 +32,9 @@ def completion_script(parser, shell, names=()):
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
     shell : {"bash", "zsh"}
     names : mapping of str to sequence of str
         Command -> what its first argument may be, where its parser does not say so.
-
-    Returns
-    -------
-    str
     """
     commands, cases, choices = _commands(parser), [], []
     for name, each in commands.items():

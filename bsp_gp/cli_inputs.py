@@ -167,7 +167,6 @@ def read_fit_settings(args, factors=None):
 
     Parameters
     ----------
-    args : Namespace
     factors : mapping of str to float, optional
         Constant -> what a unit of it, as it is told, is in SI.
     """

@@ -34,7 +34,6 @@ def run_again(folder, quiet=False):
     ----------
     folder : path
         Of the report.
-    quiet : bool
 
     Returns
     -------

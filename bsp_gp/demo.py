@@ -73,7 +73,6 @@ def solar_system(receivers=("mercury",), years=(TRAIN_YEAR, *TEST_YEARS)):
     ----------
     receivers : tuple of str
         Bodies whose motion is to be explained; the others move as the ephemeris says.
-    years : tuple of int
     """
     scenes = tuple(
         load_ephemeris(
@@ -111,11 +110,8 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
     ----------
     out : path
         Folder of the report.
-    overwrite : bool
-    seed : int
     progress : callable, optional
         ``progress(text)``.
-    workers : concurrent.futures.Executor, optional
     run_info : dict, optional
         For the report's ``run.json``.
 

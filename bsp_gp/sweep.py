@@ -44,10 +44,6 @@ _TRACKS = ("trajectories.csv", "trajectories.parquet")
 def find_datasets(words):
     """Data sets of folders, folders of folders, globs, lone tables and tables of paths.
 
-    Parameters
-    ----------
-    words : sequence of path
-
     Returns
     -------
     dict of str to Path
@@ -130,17 +126,14 @@ def sweep(
     ----------
     datasets : dict of str to path
         See `find_datasets`.
-    declared : sequence of str
     out : path
         Folder of the table, the page, and the rows as they come.
-    workers : concurrent.futures.Executor or distributed.Client, optional
     resume : bool
         Go on with what is in the folder; a sweep with other laws or settings is refused.
     overwrite : bool
         Begin anew in the folder of an older sweep.
     read : callable
         ``read(path) -> Dataset``.
-    progress : callable, optional
     **settings
         Of `close_loop`; `seed` seeds each data set alike.
 

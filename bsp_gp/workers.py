@@ -63,7 +63,6 @@ class Crew:
         ----------
         call : callable
             A function of a module, and a pure one.
-        value : object
         jobs : list
             May grow.
         is_wanted : callable, optional
@@ -203,7 +202,6 @@ def hands(n_workers=1, cluster=None):
 
     Parameters
     ----------
-    n_workers : int
     cluster : str, optional
         Address of a scheduler, ``tcp://HOST:PORT``.
 
@@ -257,7 +255,6 @@ def worker_pool(n_workers, *, own_process=False):
 
     Parameters
     ----------
-    n_workers : int
     own_process : bool
         A process even where one is enough; by default one worker is this process itself.
 

@@ -22,7 +22,6 @@ def recordings_apart(rows, roster, has_scenes):
 
     Parameters
     ----------
-    rows : Rows
     roster : Roster or None
         Where it holds bodies that do not move, or speaks of scenes, nothing is taken apart: a wall
         is there though it is seen once.

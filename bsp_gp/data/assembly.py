@@ -100,9 +100,6 @@ def build_rows(table, declaration, conversion, *, scene_name):
 
     Parameters
     ----------
-    table : Table
-    declaration : Declaration
-    conversion : Conversion
     scene_name : str
         Name of the scene where the table has no such column.
     """
@@ -213,13 +210,8 @@ def along_named_axis(table, declaration):
 
     Parameters
     ----------
-    table : Table
     declaration : Declaration
         ``uses`` has the names in laws.
-
-    Returns
-    -------
-    Table
     """
     own = [axis for axis in "xyz" if axis in table.frame.columns]
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
@@ -458,7 +450,6 @@ def build_scenes(rows, roster, *, without_track=()):
 
     Parameters
     ----------
-    rows : Rows
     roster : Roster or None
         None: every entity is a point of unknown mass.
     without_track : sequence of str

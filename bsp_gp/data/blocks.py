@@ -38,7 +38,6 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
 
     Parameters
     ----------
-    dataset : Dataset
     most_rows : int
         Rows that are left of a longer scene, about.
 

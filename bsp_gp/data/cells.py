@@ -41,10 +41,6 @@ def plain_cell(value):
 def safe_table(frame):
     """A DataFrame ready for `to_csv`: texts of its cells, header and index as `safe_cell` has them.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-
     Returns
     -------
     pandas.DataFrame

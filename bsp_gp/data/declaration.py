@@ -63,10 +63,8 @@ class Declaration:
         Names in laws: columns of these names are inputs, if their headings tell their units.
     first_position, first_velocity : str
         What is known of the first row of every scene, of `FIRST_PLACES` and `FIRST_VELOCITIES`.
-    latents : tuple of LatentDeclaration
     train, test : tuple of str
         Patterns as declared, see `select_scenes`.
-    evaluation : Evaluation
     provenance : mapping of str to str
     file : str or None
         Where all this was read from.

@@ -46,10 +46,6 @@ def load_ephemeris(
     name : str
         Name of the scene.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
     MissingDependencyError

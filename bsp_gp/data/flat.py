@@ -34,7 +34,6 @@ def held_flat(dataset, spoken=()):
 
     Parameters
     ----------
-    dataset : Dataset
     spoken : collection of str
         Axes of which a declared law speaks: there bodies are free.
 

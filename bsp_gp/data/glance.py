@@ -16,7 +16,6 @@ def columns_of(path, rename=None):
 
     Parameters
     ----------
-    path : path-like
     rename : mapping of str to str, optional
         Our name of a column -> its name in the file.
 

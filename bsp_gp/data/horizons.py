@@ -23,10 +23,6 @@ def is_horizons(text):
 def plain_table(text):
     """Header and rows of a vector table, with units, the body, and without what is no number.
 
-    Parameters
-    ----------
-    text : str
-
     Returns
     -------
     str

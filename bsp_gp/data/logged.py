@@ -51,7 +51,6 @@ def logged_columns(table, taken):
 
     Parameters
     ----------
-    table : Table
     taken : collection of str
         Columns that mean something.
 
@@ -110,7 +109,6 @@ def asked_of(dataset, taken=(), exclude=()):
 
     Parameters
     ----------
-    dataset : Dataset
     taken : collection of str
         Names in laws, which mean something else.
     exclude : collection of str
@@ -147,7 +145,6 @@ def named_of(dataset, uses):
 
     Parameters
     ----------
-    dataset : Dataset
     uses : collection of str
         Names in laws. A name that is the heading itself is a constant, unless a unit is declared.
     """

@@ -35,7 +35,6 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         ``[units]``; that of the angle must be there or in the header.
     start : {"x", "y"}

@@ -28,7 +28,6 @@ def _long(rows, time, owners, unit, path):
 
     Parameters
     ----------
-    rows : iterable of list of str
     time : callable
         The time of a row, as a text.
     owners : sequence of (int, str)

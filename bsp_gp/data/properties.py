@@ -79,7 +79,6 @@ def with_properties(dataset, said):
 
     Parameters
     ----------
-    dataset : Dataset
     said : mapping
         See `read_properties`.
 

@@ -21,7 +21,6 @@ def with_properties_by_words(table, units):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         That are declared; a column with a unit under its own name is an input of laws.
     """

@@ -39,7 +39,6 @@ class Roster:
     units : dict of str to Unit
         Of the properties.
     file : str or None
-    notes : tuple of str
     """
 
     entities: tuple[Entity, ...] = ()
@@ -97,7 +96,6 @@ def roster_within(table, units):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         That are declared.
 
@@ -147,7 +145,6 @@ def read_roster(table, conversion, *, coded=()):
     ----------
     table : Table
         Read with ``as_text=True``.
-    conversion : Conversion
     coded : iterable of str
         Text columns to keep, as numbers 0, 1, … in order of appearance (``share = COLUMN``).
     """

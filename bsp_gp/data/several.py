@@ -28,12 +28,7 @@ def name_of_several(paths):
 
 
 def tables_of(path):
-    """The tables of a folder that holds nothing else, as people count; () of all others.
-
-    Parameters
-    ----------
-    path : path-like
-    """
+    """The tables of a folder that holds nothing else, as people count; () of all others."""
     path = Path(path)
     if not path.is_dir():
         return ()
@@ -55,7 +50,6 @@ def joined(datasets, paths):
 
     Parameters
     ----------
-    datasets : sequence of Dataset
     paths : sequence of path-like
         Where each comes from.
 

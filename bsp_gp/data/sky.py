@@ -41,7 +41,6 @@ def from_sky(table, units, about=None):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         ``[units]``. Without ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and
         degrees); errors without ``sra`` and ``sdec`` are milliarcseconds, that of a right

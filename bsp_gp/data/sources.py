@@ -38,15 +38,12 @@ class Source:
 
     Attributes
     ----------
-    path : Path
     digest : str
         SHA-256 of the file.
     counts : dict of bytes to int
         How often delimiters occur.
-    encoding : str
     text : str or None
         The whole text, where the file is not text itself.
-    notes : tuple of str
     """
 
     path: Path
@@ -72,7 +69,6 @@ def open_source(path, names=()):
 
     Parameters
     ----------
-    path : path-like
     names : collection of str
         Columns that the caller knows. Where only the file's own header has them, what a program
         wrote is not turned into a plain table.

@@ -69,13 +69,8 @@ def choose_split(dataset, rng):
 
     Parameters
     ----------
-    dataset : Dataset
     rng : numpy.random.Generator
         Used only for the random quarter.
-
-    Returns
-    -------
-    Split
     """
     if dataset.train or dataset.test:
         return _declared(dataset)

@@ -25,10 +25,6 @@ LITTLE = 0.01
 def held_still(scenes):
     """Scenes whose bodies that never move are static, at their mean place, and what was done.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-
     Returns
     -------
     scenes : tuple of Scene

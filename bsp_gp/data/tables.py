@@ -234,10 +234,6 @@ def dataset_from_frames(
         As for `load_dataset`. Where headings do not say which column is the place of which body,
         ``columns`` does, as ``BODY_x`` and ``BODY_y`` with names of your own.
 
-    Returns
-    -------
-    Dataset
-
     Examples
     --------
     >>> import pandas as pd

@@ -35,10 +35,6 @@ SCALES = ("xscale", "yscale")
 def read_trk(path):
     """Read the point masses of a .trk file.
 
-    Parameters
-    ----------
-    path : path
-
     Returns
     -------
     frame : DataFrame

@@ -29,7 +29,6 @@ def rows_as_frames(frame, found):
     ----------
     frame : DataFrame
         Its columns are called by their positions; its index counts lines.
-    found : sequence of Heading
 
     Returns
     -------

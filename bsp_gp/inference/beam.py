@@ -47,10 +47,8 @@ class Contender:
         Laws equal on the data whatever the latents.
     complexity : float
         nats.
-    profile : Profile
     cost : float
         loss + beta * complexity.
-    has_latent : bool
     """
 
     law: ForceLaw
@@ -134,7 +132,6 @@ class Beam:
 
         Parameters
         ----------
-        candidates : sequence of Candidate
         starts : ndarray, shape (B, k)
             Values of the latents.
 

@@ -90,8 +90,6 @@ class EmIteration:
     ----------
     start, iteration : int
         Iteration 0 is the prior under zero force.
-    law : ForceLaw
-    law_text : str
     loss : float
         Of the joint refit (or, for EM alone, the averaged loss of the M-step), nats.
     expected_log_joint : float
@@ -119,18 +117,13 @@ class EmResult:
 
     Attributes
     ----------
-    law : ForceLaw
-    best : Contender
     contenders : tuple of Contender
         All laws that were refitted, lowest cost first.
     posterior : Posterior
         Of the latents given the law.
     joint : Posterior or None
         Of latents and constants together.
-    trace : tuple of EmIteration
-    n_scored : int
     seconds : float
-    notes : tuple of str
     """
 
     law: ForceLaw

@@ -46,14 +46,12 @@ def sample_ensemble(
     names : tuple of str, length k
     start : ndarray, shape (n, k)
         Places to start from (last walkers, Laplace or prior draws); more are made if needed.
-    rng : numpy.random.Generator
     n_eff : float
         Effective sample size of the worst parameter to stop at.
     max_steps : int
         Bound; a chain that has not got there is returned, with the reason.
     n_walkers : int, optional
         Even, at least 2k + 2; by default 32 or 4k.
-    keep_chain : bool
     low, high : ndarray, shape (k,), optional
         Bounds of the support, to keep start places inside.
 

@@ -32,12 +32,10 @@ class FreeDirection:
 
     Attributes
     ----------
-    names : tuple of str
     powers : tuple of float
         Multiply every name by t to its power: the fit does not change.
     information : float
         Of the data along the direction, in units of the prior's; below 1 they add nothing.
-    text, remedy : str
     """
 
     names: tuple[str, ...]
@@ -53,7 +51,6 @@ class Identifiability:
 
     Attributes
     ----------
-    names : tuple of str
     gain : ndarray
         1 - (posterior sd / prior sd)^2 of every latent: 0 nothing learnt, 1 all; nan for constants.
     directions : tuple of FreeDirection

@@ -41,9 +41,6 @@ def sample_importance(
     ----------
     log_likelihood : callable
         ``log_likelihood(values) -> (W,)`` for values (W, k), nats.
-    latents : Latents
-    rng : numpy.random.Generator
-    n_draws : int
     proposal : str
         One of `PROPOSALS`.
     mode, covariance : ndarray, (k,) and (k, k), optional

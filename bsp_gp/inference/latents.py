@@ -30,7 +30,6 @@ class Latent:
         all share it.
     column : str
         The property.
-    prior : Prior
     members : tuple of (str, str)
         Scene and entity names that have this value; "" for a scene is every one.
     truth : float
@@ -46,12 +45,7 @@ class Latent:
 
 @dataclass(frozen=True)
 class Latents:
-    """All unknowns of some scenes, in a fixed order.
-
-    Attributes
-    ----------
-    items : tuple of Latent
-    """
+    """All unknowns of some scenes, in a fixed order."""
 
     items: tuple[Latent, ...] = ()
     names: tuple[str, ...] = field(init=False)

@@ -264,7 +264,6 @@ def averaged(values, batch):
     Parameters
     ----------
     values : ndarray, shape (n, S, R, ..., d)
-    batch : RegressionBatch
     """
     if len(values) < 3:
         return values
@@ -330,7 +329,6 @@ def misfit_of(law, latents, bank):
     ----------
     law : ForceLaw
         Constants with one value per receiver stay as they are; the others are free.
-    latents : Latents
     bank : MotionBank
         Of the regression; shares motion parts between laws.
 

@@ -33,9 +33,6 @@ class LatentProblem:
     train, test : tuple of Scene
     latents : Latents
         Of the training scenes.
-    test_latents : Latents
-    likelihood : Likelihood
-    notes : tuple of str
     """
 
     dataset: object

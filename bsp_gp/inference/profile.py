@@ -51,7 +51,6 @@ class Profile:
     at_bound : ndarray of bool, shape (k,)
     losses : ndarray, shape (B,)
         From every start, sorted: several near the least mean that it was found repeatedly.
-    n_rows : int
     """
 
     law: object
@@ -79,10 +78,8 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
 
     Parameters
     ----------
-    misfit : ReducedMisfit or DirectMisfit
     starts : ndarray, shape (B, k)
         Values of the latents to start from.
-    max_iterations : int
     give_up : float
         Losses above this are not worth finishing: the fit ends after a third of its iterations.
 

@@ -47,7 +47,6 @@ def separate(term, columns):
 
     Parameters
     ----------
-    term : Term
     columns : collection of str
         Properties that are unknown.
     """
@@ -130,7 +129,6 @@ def coefficient(separated, lookup):
 
     Parameters
     ----------
-    separated : Separated
     lookup : callable
         As `PropertyTable.inputs` gives it.
 

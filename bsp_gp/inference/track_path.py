@@ -147,7 +147,6 @@ def paths_of(shooting, nodes, mesh, receivers):
     shooting : Shooting
         Whose chains are whole scenes; its motion has the reference's properties and constants.
     nodes : ndarray, shape (2, R, d, T, S)
-    mesh : Mesh
     receivers : ndarray of int
         Places of the moving bodies among those of a scene.
 

@@ -49,8 +49,6 @@ class Reference:
     ----------
     world : TrackWorld
         With the level of the noise as it was found.
-    profile : Profile
-    bank : TrackBank
     nodes : tuple of ndarray, shape (2, R, d, T, S)
         Per group of like-built scenes.
     is_settled : bool
@@ -90,7 +88,6 @@ def find_reference(world, starts, constants=None):
 
     Parameters
     ----------
-    world : TrackWorld
     starts : ndarray, shape (B, k)
         Values of the latents to start from, the likeliest first.
     constants : ndarray, shape (n_c,), optional

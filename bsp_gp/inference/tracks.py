@@ -45,14 +45,6 @@ def track_misfit(likelihood, law, latents, scenes, holds_constants):
     Where no joint optimum is found on whole tracks, that of the propagated one-step form, with a
     note.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-    law : ForceLaw
-    latents : Latents
-    scenes : sequence of Scene
-    holds_constants : bool
-
     Returns
     -------
     ReducedMisfit or DirectMisfit
@@ -248,12 +240,6 @@ def reweighted(posterior, misfit, latents, *, rng):
         Latents first, constants after them.
     misfit : misfit of the law
         With the reference that the draws were made with.
-    latents : Latents
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Posterior
     """
     reference = misfit.reference
     if reference is None:

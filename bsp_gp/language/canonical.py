@@ -27,11 +27,6 @@ def canonical_key(formula, n_dims=2):
     The value of a constant that multiplies the whole law does not matter, nor do the names of
     others, which are told apart by the order in which they appear.
 
-    Parameters
-    ----------
-    formula : Formula
-    n_dims : int
-
     Returns
     -------
     str

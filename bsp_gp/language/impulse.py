@@ -40,12 +40,7 @@ def impulse(since, duration):
 
 
 def impulse_of(node):
-    """What an impulse was made of, (since, duration in s); None if a node is none.
-
-    Parameters
-    ----------
-    node : Formula
-    """
+    """What an impulse was made of, (since, duration in s); None if a node is none."""
     match node:
         case Call(
             operator="div",

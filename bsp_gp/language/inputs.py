@@ -65,10 +65,6 @@ def input_types(property_units, *, vectors=(), n_dims=2, up=None, has_contact=Tr
         Declared vertical axis; without one ``up`` and ``down`` do not exist.
     has_contact : bool
         Whether contact points exist (some entity has an extent).
-
-    Returns
-    -------
-    dict of str to Type
     """
     types = dict(STATE_INPUTS)
     if n_dims == 2:

@@ -44,8 +44,6 @@ class Operator:
 
     Attributes
     ----------
-    name : str
-    arity : int
     infer : callable
         ``infer(*types) -> Type``; raises UnitError with a fact ("adds kg to m").
     evaluate : callable

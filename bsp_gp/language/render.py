@@ -46,7 +46,6 @@ def to_text(formula, values=None, units=None):
 
     Parameters
     ----------
-    formula : Formula
     values : mapping of str to float, optional
         Constants to write as numbers.
     units : mapping of str to str, optional

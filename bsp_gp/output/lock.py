@@ -43,10 +43,6 @@ def take_lock(path, target):
     target : Path
         What it guards, for the message.
 
-    Returns
-    -------
-    Lock
-
     Raises
     ------
     OutputError

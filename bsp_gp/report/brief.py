@@ -22,10 +22,6 @@ LONGEST = 150
 def brief_lines(report):
     """Lines on what was found, its constants and what is not told apart from it.
 
-    Parameters
-    ----------
-    report : LoopReport
-
     Returns
     -------
     found, constants, rivals : list of str

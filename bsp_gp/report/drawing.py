@@ -75,12 +75,7 @@ _TIMES = ((3 * _YEAR_S, _YEAR_S, "years"), (3 * _DAY_S, _DAY_S, "days"))
 
 
 def new_figure(draw, height, width=WIDTH):
-    """Make a figure, with `draw(figure)` called in the style of the report.
-
-    Returns
-    -------
-    Figure
-    """
+    """Make a figure, with `draw(figure)` called in the style of the report."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)

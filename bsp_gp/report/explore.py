@@ -41,7 +41,6 @@ def exploration(report, units, has_after):
 
     Parameters
     ----------
-    report : LoopReport, or what `page_of` made of it
     units : (str, str, str)
         Of lengths, accelerations and times.
     has_after : bool

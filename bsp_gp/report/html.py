@@ -66,7 +66,6 @@ def render_html(report, run_info=None, figures=None):
 
     Parameters
     ----------
-    report : LoopReport
     run_info : mapping, optional
         ``argv`` (list of str) is shown as the command that makes the report again.
     figures : dict of str to ReportFigure, optional

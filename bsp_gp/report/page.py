@@ -47,10 +47,6 @@ _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 def page_of(report):
     """A report as pages read it.
 
-    Parameters
-    ----------
-    report : LoopReport, or what this function gave
-
     Returns
     -------
     SimpleNamespace

@@ -66,8 +66,6 @@ def draw_plan(plan, means, path):
 
     Parameters
     ----------
-    plan : Plan
-    means : Means
     path : path-like
         Of the PNG.
     """

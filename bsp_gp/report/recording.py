@@ -24,10 +24,6 @@ _LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 def data_text(dataset):
     """Say what was understood of a data set.
 
-    Parameters
-    ----------
-    dataset : Dataset
-
     Returns
     -------
     str
@@ -53,7 +49,6 @@ def columns_text(name, columns):
 
     Parameters
     ----------
-    name : str
     columns : list of dict
         See `bsp_gp.data.glance.columns_of`.
     """
@@ -183,12 +178,7 @@ def _motion(dataset):
 
 
 def data_figure(dataset):
-    """Draw the tracks of the first scenes, a panel each.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the tracks of the first scenes, a panel each."""
     scenes = dataset.scenes[:MAX_PANELS]
     n_rows = math.ceil(len(scenes) / 3)
 

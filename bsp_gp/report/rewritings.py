@@ -20,7 +20,6 @@ def told_once(law, others, dataset):
 
     Parameters
     ----------
-    law : str
     others : sequence of str
         Laws in order of likelihood.
     dataset : mapping

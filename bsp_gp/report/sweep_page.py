@@ -21,7 +21,6 @@ def sweep_page(rows, declared):
     ----------
     rows : sequence of dict
         Of `bsp_gp.sweep.COLUMNS`.
-    declared : sequence of str
 
     Returns
     -------

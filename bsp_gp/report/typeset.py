@@ -53,10 +53,6 @@ def split_terms(latex):
 def to_svg(latex):
     """Typeset an equation as a run of inline SVG drawings, one per term so that lines can break.
 
-    Parameters
-    ----------
-    latex : str
-
     Returns
     -------
     str or None

@@ -37,7 +37,6 @@ class Entry:
     expression : Expression
     complexity : float
         -log p under the uniform PCFG, nats.
-    levels : int
     value : ndarray
         On the rows, flat: (P,) or (P, d).
     operator : str

@@ -40,12 +40,6 @@ def searches_for(search, grammar, kinds, max_levels):
         One of `SEARCHES`.
     grammar : Grammar
         Masked to the data.
-    kinds : sequence of str
-    max_levels : int
-
-    Returns
-    -------
-    dict of str to int
 
     Raises
     ------
@@ -109,10 +103,6 @@ class Searching:
 
         Parameters
         ----------
-        name : str
-        regression : Regression
-        kind : str
-        rng : numpy.random.Generator
         target, nuisance, null, max_ties, progress
             As of `search_exhaustive`.
         inner : InnerSearch, optional

@@ -80,10 +80,8 @@ class Axis:
 
     Attributes
     ----------
-    name : str
     low, high : float
         In that coordinate.
-    is_log : bool
     cauchy : tuple of float or None
         Centre and scale of where a place is likely, whose range has no end.
     """
@@ -116,9 +114,7 @@ class Scan:
 
     Attributes
     ----------
-    form : Form
     axes : tuple of Axis
-    n_points : int
     gain : float
         Greatest on the first grid.
     null : ndarray, shape (B,)
@@ -162,16 +158,10 @@ def read_forms(grammar, dataset, properties, available):
 
     Parameters
     ----------
-    grammar : Grammar
-    dataset : Dataset
     properties : sequence of str
         Short names of properties that may stand for ``{0}``.
     available : set of str
         Inputs that laws may use.
-
-    Returns
-    -------
-    list of Form
 
     Raises
     ------

@@ -171,16 +171,7 @@ class Objective:
     # --- scores ----------------------------------------------------------------------------------
 
     def score(self, expressions):
-        """Scores of expressions, in order; equal laws share theirs.
-
-        Parameters
-        ----------
-        expressions : sequence of Expression
-
-        Returns
-        -------
-        list of Score
-        """
+        """Scores of expressions, in order; equal laws share theirs."""
         self.n_trees += len(expressions)
         scores, law_of = self._scores, self.recogniser.law
         new = {}

@@ -99,8 +99,6 @@ def run_search(
 
     Parameters
     ----------
-    strategy : Search
-    objective : Objective
     budget : Budget
         Of every trial.
     rng : numpy.random.Generator

@@ -93,7 +93,6 @@ class Effect:
 
     Attributes
     ----------
-    name : str
     parameters : tuple of (str, value)
         What it was built with.
     is_declared : bool
@@ -195,13 +194,8 @@ def effect(name, value, *, is_declared=True, **options):
         One of `EFFECTS`.
     value : float
         Its main number; see `EFFECTS`.
-    is_declared : bool
     **options
         Further numbers of that effect.
-
-    Returns
-    -------
-    Effect
 
     Raises
     ------

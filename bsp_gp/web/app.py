@@ -329,10 +329,8 @@ def serve(folder, port=0, n_at_once=1, tell=None):
 
     Parameters
     ----------
-    folder : path-like
     port : int
         0: any that is free.
-    n_at_once : int
     tell : callable, optional
         Given the address once the server listens.
 

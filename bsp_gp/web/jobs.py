@@ -86,7 +86,6 @@ class Jobs:
         ----------
         words : sequence of str
             The command and its options.
-        data : path-like
         out : path-like, optional
             Where the result goes; by default the folder ``report`` of the job.
 
