@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import tempfile
-from pathlib import Path
+from io import BytesIO
 
 from bsp_gp.data.declaration import PRIOR_FORMS, split_prior
 from bsp_gp.errors import SettingsError
@@ -299,14 +298,18 @@ def _figures(law, problem, posterior, rng, args):
     from bsp_gp.inference.prediction import predictive_bands
     from bsp_gp.report.posterior import corner_figure, rollout_figure, trace_figure
 
-    with tempfile.TemporaryDirectory() as folder:
-        paths = {n: Path(folder) / n for n in ("trace.png", "corner.png", "rollout.png")}
-        trace_figure(posterior, paths["trace.png"])
-        corner_figure(posterior, paths["corner.png"])
-        euler = not problem.likelihood.is_gls or problem.likelihood.velocities == "backward"
-        bands = predictive_bands(
-            law, problem.train[0], problem.latents, posterior, rng=rng, up=problem.dataset.up,
-            integrator="euler" if euler else "rk4",
-        )  # fmt: skip
-        rollout_figure(bands, paths["rollout.png"])
-        return {name: path.read_bytes() for name, path in paths.items()}
+    euler = not problem.likelihood.is_gls or problem.likelihood.velocities == "backward"
+    bands = predictive_bands(
+        law, problem.train[0], problem.latents, posterior, rng=rng, up=problem.dataset.up,
+        integrator="euler" if euler else "rk4",
+    )  # fmt: skip
+    return {
+        "trace.png": _png(trace_figure, posterior), "corner.png": _png(corner_figure, posterior),
+        "rollout.png": _png(rollout_figure, bands),
+    }  # fmt: skip
+
+
+def _png(draw, what):
+    out = BytesIO()
+    draw(what, out)
+    return out.getvalue()

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.priors import Prior, prior_of
 from bsp_gp.physics.force import key_of
@@ -186,10 +185,7 @@ class Latents:
             return with_properties(entity, changes.get(key_of((scene.name, entity.name), changes)))
 
         return tuple(
-            replace(
-                scene,
-                entities=tuple(changed(scene, entity) for entity in scene.entities),
-            )
+            replace(scene, entities=tuple(changed(scene, entity) for entity in scene.entities))
             for scene in scenes
         )
 
@@ -199,15 +195,8 @@ def with_properties(entity, changes):
     if not changes:
         return entity
     rest = {k: v for k, v in changes.items() if k != "radius"}
-    return Entity(
-        entity.name,
-        entity.shape,
-        changes.get("radius", entity.radius),
-        entity.width,
-        entity.height,
-        entity.is_static,
-        {**entity.properties, **rest},
-    )
+    radius = changes.get("radius", entity.radius)
+    return replace(entity, radius=radius, properties={**entity.properties, **rest})
 
 
 class PropertyTable:

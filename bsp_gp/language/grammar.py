@@ -16,7 +16,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -213,18 +213,7 @@ class Grammar:
         return self.masked(set(self.inputs) - set(names))[0]
 
     def _with_enabled(self, enabled):
-        return Grammar(
-            self.name,
-            self.start,
-            self.types,
-            self.inputs,
-            self.constants,
-            self.rules,
-            self.operators,
-            self.fingerprint,
-            self.source,
-            tuple(enabled),
-        )
+        return replace(self, enabled=tuple(enabled))
 
     def for_properties(self, columns, inputs=None, angles=(), signed=(), alone=()):
         """Repeat rules for further property columns of a data set.

@@ -10,7 +10,7 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
 from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
-from bsp_gp.report.drawing import new_figure, tidy
+from bsp_gp.report.drawing import new_figure, panels_of, tidy
 from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
 
@@ -183,11 +183,8 @@ def data_figure(dataset):
     n_rows = math.ceil(len(scenes) / 3)
 
     def draw(figure):
-        grid = figure.subplots(n_rows, min(3, len(scenes)), squeeze=False)
-        for axes, scene in zip(grid.flat, scenes, strict=False):
+        for axes, scene in zip(panels_of(figure, len(scenes)), scenes, strict=True):
             dataset.plot(axes, scene=scene.name)
             tidy(axes)
-        for axes in grid.flat[len(scenes) :]:
-            axes.set_visible(False)
 
     return new_figure(draw, 2.6 * n_rows)

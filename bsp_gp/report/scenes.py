@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle, Rectangle
 
-from bsp_gp.report.drawing import WIDTH, axis_label, new_figure
+from bsp_gp.report.drawing import WIDTH, axis_label, new_figure, panels_of
 
 __all__ = ["draw_scenes"]
 
 # Okabe and Ito's colours, in the order of the films.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WALL, _MAT, _ANCHOR = "#969696", "#DEDEDE", "#5A5A5A"
-_MOST = _PER_ROW = 3
+_MOST = 3
 _LEAST_DISC = 0.012  # of the width of a panel
 
 
@@ -26,19 +24,13 @@ def draw_scenes(scenes):
     A track fades towards its beginning; a body is drawn where it is at last.
     """
     scenes = scenes[:_MOST]
-    n_columns = min(_PER_ROW, len(scenes))
-    n_rows = math.ceil(len(scenes) / n_columns)
-    width = WIDTH * n_columns / _PER_ROW
 
     def draw(figure):
-        grid = figure.subplots(n_rows, n_columns, squeeze=False)
-        for axes, scene in zip(grid.flat, scenes, strict=False):
+        for axes, scene in zip(panels_of(figure, len(scenes)), scenes, strict=True):
             _draw_scene(axes, scene)
             axes.set_title(f"scene {scene.name}")
-        for axes in grid.flat[len(scenes) :]:
-            axes.set_visible(False)
 
-    return new_figure(draw, n_rows * width / n_columns, width)
+    return new_figure(draw, WIDTH / _MOST, WIDTH * len(scenes) / _MOST)
 
 
 def _draw_scene(axes, scene):

@@ -31,7 +31,7 @@ class Smoothed:
     positions, velocities : ndarray, shape (T, 2)
         px, px/frame. In a gap they are the smoother's bridge, with a covariance to match; whoever
         wants gaps marked looks at the measured track.
-    covariances, velocity_covariances : ndarray, shape (T, 2, 2)
+    covariances : ndarray, shape (T, 2, 2)
     q : float
         Power of the white force, px²/frame³.
     """
@@ -39,7 +39,6 @@ class Smoothed:
     positions: np.ndarray
     velocities: np.ndarray
     covariances: np.ndarray
-    velocity_covariances: np.ndarray
     q: float
 
 
@@ -156,15 +155,14 @@ def calibrated(track):
     return replace(track, covariances=covariances)
 
 
-def smooth_track(track, name, q=None):
+def smooth_track(track, name):
     """Rauch-Tung-Striebel smoother of one object; see `Smoothed`.
 
     Contacts are smeared over a few frames: for finding forces use the measured positions.
     """
     k = track.of(name)
     z, r = track.positions[:, k], _regular(track.covariances[:, k])
-    if q is None:
-        q = process_power(z, r)
+    q = process_power(z, r)
     _, passes = _filter(z, r, q, keep=True)
     x, p = passes[-1][1]
     states, spreads = [x], [p]
@@ -175,7 +173,7 @@ def smooth_track(track, name, q=None):
         states.append(x)
         spreads.append(0.5 * (p + p.T))
     x, p = np.array(states[::-1]), np.array(spreads[::-1])
-    return Smoothed(x[:, :2], x[:, 2:], p[:, :2, :2], p[:, 2:, 2:], float(q))
+    return Smoothed(x[:, :2], x[:, 2:], p[:, :2, :2], float(q))
 
 
 def _backwards(passes):
