@@ -1,7 +1,5 @@
 """The command ``bsp-gp``: parse, call, print. Results go to stdout, the rest to stderr."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

@@ -1,7 +1,5 @@
 """Completion of commands, options and their values in a shell, from what the parser knows."""
 
-from __future__ import annotations
-
 import argparse
 
 __all__ = ["completion_script"]

@@ -1,7 +1,5 @@
 """From the arguments of the command line to data sets, laws and values."""
 
-from __future__ import annotations
-
 import math
 import re
 

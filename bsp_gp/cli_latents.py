@@ -1,7 +1,5 @@
 """The commands with unknown properties: ``infer`` and ``fit --latent``."""
 
-from __future__ import annotations
-
 import json
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """The work of ``bsp-gp make``: made-up data, its truth, its model, pictures and films."""
 
-from __future__ import annotations
-
 from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine, undeclared_of
 from bsp_gp.errors import SettingsError
 

@@ -1,7 +1,5 @@
 """What the command line takes: commands, options, checks of single values. Nothing heavy here."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import re

@@ -1,7 +1,5 @@
 """Reports that there are already: shown again, and run again."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The command ``bsp-gp sweep``: the loop on many data sets."""
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from functools import partial

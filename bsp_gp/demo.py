@@ -6,8 +6,6 @@ grammar `physics`. What follows the loop (the speed of light that the found law 
 perihelion, the rivals) is computed from whatever law was found.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

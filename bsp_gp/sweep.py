@@ -4,8 +4,6 @@ Every data set is closed as `close_loop` closes it alone, with the same seed, so
 not depend on its neighbours, on how many work, or on how often the sweep was stopped and taken up.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

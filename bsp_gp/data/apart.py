@@ -5,8 +5,6 @@ throw would exist from the first row on, long before it is seen, and a law that 
 together in the past (drag, run backwards) could not be fitted at all.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

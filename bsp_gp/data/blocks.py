@@ -5,8 +5,6 @@ What they cannot tell, events and noise within a block, is looked for first, and
 the rows are left as they are.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

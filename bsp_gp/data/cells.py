@@ -5,8 +5,6 @@ stands beside it elsewhere. An apostrophe before it makes it a text; our own rea
 again. So that every name survives, names that have such an apostrophe get one more.
 """
 
-from __future__ import annotations
-
 import re
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """Whether the times of a table can be right: against a declared rate, and against the motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.data.scene import CHECK

@@ -1,7 +1,5 @@
 """Quick looks: tracks and constants drawn into axes of matplotlib that come in and go out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["new_axes", "plot_constants", "plot_models", "plot_tracks"]

@@ -4,8 +4,6 @@ There a track tells nothing but noise, and places that are off by as much would 
 bodies push aside what a track or a table holds.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

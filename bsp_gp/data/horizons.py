@@ -4,8 +4,6 @@ The layout is that of the Horizons manual (JPL, "Horizons on-line ephemeris syst
 in CSV form): a preamble, a line of names, rows between ``$$SOE`` and ``$$EOE``.
 """
 
-from __future__ import annotations
-
 import re
 
 __all__ = ["is_horizons", "plain_table"]

@@ -5,8 +5,6 @@ follow from what is there already: counts of rows, speeds, places in pixels, how
 Whatever follows from the times and the places of a track says nothing of what moves it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Tables that give a distance and an angle in the place of x and y, as of double stars."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

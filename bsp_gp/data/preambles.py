@@ -6,8 +6,6 @@ loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, and vect
 Horizons.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 

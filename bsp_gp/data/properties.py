@@ -1,7 +1,5 @@
 """Properties of bodies that are said beside the data: ``--property mass=0.3058[kg]``."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ A column is taken for one where its word and its unit agree and it does not chan
 what only may be one is named where a mass turns out to be needed.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

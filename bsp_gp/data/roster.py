@@ -159,7 +159,8 @@ def read_roster(table, conversion, *, coded=()):
     is_dynamic = reader.dynamic()
     sizes = {c: reader.sizes(c) for c in ("radius", "width", "height")}
     shapes = reader.shapes(sizes)
-    is_dynamic = np.where(np.isnan(is_dynamic), ~_is_rect(shapes), is_dynamic == 1)
+    is_free = np.array([not shape.startswith("rect") for shape in shapes], dtype=bool)
+    is_dynamic = np.where(np.isnan(is_dynamic), is_free, is_dynamic == 1)
     properties, units = reader.properties(coded)
     mass = properties.get("mass", np.full(len(names), math.nan))
     bad = is_dynamic & (mass <= 0)
@@ -184,10 +185,6 @@ def read_roster(table, conversion, *, coded=()):
         for k in range(len(names))
     )
     return Roster(entities, rows, units, table.file, (*table.notes, *reader.notes))
-
-
-def _is_rect(shapes):
-    return np.array([shape.startswith("rect") for shape in shapes], dtype=bool)
 
 
 class _RosterReader:

@@ -1,7 +1,5 @@
 """Several files of one motion as one data set: every file is a scene, or keeps its own."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

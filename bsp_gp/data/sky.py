@@ -4,8 +4,6 @@ Places become offsets in the tangent plane, x to the east and y to the north. Wi
 parallax they are lengths; without one they stay angles, and lengths are not calibrated.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -4,8 +4,6 @@ The table gives the place of a companion as seen from the primary. That one is a
 the origin, so that laws between two bodies can name it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

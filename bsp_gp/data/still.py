@@ -4,8 +4,6 @@ Under gravity a mark on a tripod would have to fall. Whether a body is held is a
 only where nobody has said it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -11,8 +11,6 @@ Tracks of other classes (particle models, centres of mass, tapes) are no measure
 Steps outside of the clip are kept by Tracker, but are no part of its own tables: left out too.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Tables without a column of times: their rows as frames, where nothing speaks against it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

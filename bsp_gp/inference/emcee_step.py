@@ -4,8 +4,6 @@ Foreman-Mackey et al. 2013 (PASP 125, 306); moves mixed of stretches and differe
 Runs until the effective sample size asked for is reached, judged by the autocorrelation time.
 """
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a reader of a posterior must be told: nothing learnt, at the edge, contradicted."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["findings", "silent_latents"]

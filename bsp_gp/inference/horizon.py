@@ -5,8 +5,6 @@ backward velocity; the K squared errors are averaged, and the log-likelihood is 
 divided by the noise *level* (a Gaussian of variance level / 2, without its normaliser).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError

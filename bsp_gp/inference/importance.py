@@ -5,8 +5,6 @@ prior draws, so that weights stay bounded); a tempered one, where draws of a fla
 shape the next proposal (population Monte Carlo; Cappe et al. 2004, JCGS 13, 907).
 """
 
-from __future__ import annotations
-
 import logging
 import math
 

@@ -1,7 +1,5 @@
 """Gaussian posteriors about a joint optimum: where ensembles start, and what exact data leave."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.inference.posterior import Posterior

@@ -6,8 +6,6 @@ becomes J numbers, whatever the number of instants, and its sum of squares is ex
 cancellation. Other laws are evaluated at all instants.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

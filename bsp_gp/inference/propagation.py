@@ -7,8 +7,6 @@ whitened by the covariance sigma^2 M M^T. That is the likelihood of the noise-fr
 initial states free, linearised about the data.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motion parts of laws on linearised tracks: products compressed, other laws evaluated."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.inference.misfit import DirectMisfit, MotionBank
@@ -35,7 +33,7 @@ class TrackBank(MotionBank):
         self.paths = [by_name[scene.name] for scene in scenes]
         # What the reference leaves, and what the law put into it.
         self.offsets = [
-            path.residual + path.apply(_flat(batch.target))[:, 0]
+            path.residual + path.apply(batch.target.reshape(len(batch.target), -1, 1))[:, 0]
             for path, batch in zip(self.paths, batches, strict=True)
         ]
 
@@ -91,8 +89,3 @@ def _batch_of(path, bodies, law):
         bodies, times, positions, velocities, target, valid, valid.astype(float), (path.scene,),
         kept=np.ones(n_counted, dtype=bool),
     )  # fmt: skip
-
-
-def _flat(target):
-    """Accelerations (n, 1, R, d) as one column (n, R * d, 1)."""
-    return target.reshape(len(target), -1, 1)

@@ -7,8 +7,6 @@ projection. So the whitened residual of a whole track is an affine function of t
 fixed points of the reference, whichever way they hang on masses and constants.
 """
 
-from __future__ import annotations
-
 from copy import copy
 
 import numpy as np

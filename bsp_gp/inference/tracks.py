@@ -1,7 +1,5 @@
 """The whole-track likelihood: misfits about a joint optimum, and how far they can be trusted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

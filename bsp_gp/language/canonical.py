@@ -4,8 +4,6 @@ Two formulas are the same law if they take the same values, up to one factor, wh
 evaluated; points at random settle that to as many digits as are compared (Schwartz 1980).
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

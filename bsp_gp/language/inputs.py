@@ -4,8 +4,6 @@ A property is ``<column>_i`` (of the receiver) or ``<column>_j`` (of the source)
 aliases below; positions, velocities, the contact point, lab axes and time have fixed names.
 """
 
-from __future__ import annotations
-
 from bsp_gp.language.operators import Type
 from bsp_gp.units import DIMENSIONLESS, Unit
 

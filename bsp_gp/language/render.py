@@ -1,7 +1,5 @@
 """Formulas for people and programs: text that parses back, and LaTeX."""
 
-from __future__ import annotations
-
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 from bsp_gp.language.impulse import impulse_of
 from bsp_gp.language.inputs import property_of

@@ -1,7 +1,5 @@
 """A lock per result, held by one process and gone with it, however it ends."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

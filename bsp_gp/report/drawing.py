@@ -1,7 +1,5 @@
 """How figures look and how they become files: one style, the same bytes every time."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

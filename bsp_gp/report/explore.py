@@ -1,7 +1,5 @@
 """What the page's one script shows: tracks to step through, and what is left against anything."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The report as one page: every word escaped, every figure inside, nothing fetched."""
 
-from __future__ import annotations
-
 import base64
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Numbers as people read them: as many digits as the interval supports, powers of ten, units."""
 
-from __future__ import annotations
-
 import math
 import re
 

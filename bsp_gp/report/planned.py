@@ -1,7 +1,5 @@
 """Plans and discoveries for people: a table, and a picture of what rivals foresee."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["discovery_text", "draw_plan", "plan_text"]

@@ -1,7 +1,5 @@
 """Figures of posteriors: traces, corners, and predicted tracks with bands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["corner_figure", "rollout_figure", "trace_figure"]

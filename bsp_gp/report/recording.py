@@ -1,7 +1,5 @@
 """A data set as it was understood, before anything is run: in lines, and as a picture."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws that are the same on the data at hand are told once: one body, one mass, one direction."""
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.language.inputs import SHORT

@@ -1,7 +1,5 @@
 """A picture of scenes: where bodies go, and in grey what does not move (paper, figure 3)."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba

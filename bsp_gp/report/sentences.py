@@ -1,7 +1,5 @@
 """What a report says in words; the page and the terminal say the same."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The page of a sweep: what was found how often, and a row for every data set."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from jinja2 import Environment, PackageLoader, StrictUndefined

@@ -1,7 +1,5 @@
 """Held-out tracks drawn over each other: what was observed and what the models say."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

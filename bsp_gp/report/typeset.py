@@ -1,7 +1,5 @@
 """Laws typeset: LaTeX to SVG by matplotlib's mathtext, and a LaTeX document to go on with."""
 
-from __future__ import annotations
-
 import re
 from html import escape
 

@@ -4,8 +4,6 @@ The exhaustive search takes grammars whose laws are products, up to its bound. C
 genetic programming take any grammar, and go deeper, for as many laws as they are allowed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

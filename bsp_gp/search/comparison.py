@@ -1,7 +1,5 @@
 """Searches compared on a user's data: for what the declared model leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise

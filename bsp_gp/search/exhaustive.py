@@ -7,8 +7,6 @@ missed. Terms already in the law are projected out of the target and of every ca
 and Waugh 1933), which is a joint refit of their free constants.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import replace

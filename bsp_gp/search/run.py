@@ -57,16 +57,14 @@ class Budget:
             raise SettingsError("a budget needs n_scored, seconds or n_steps")
 
     def is_spent(self, objective, started, steps, idle=0):
+        """Whether a run is to end."""
+        spent = objective.n_scored + (GRID - 1) * objective.n_grids
         return (
             idle >= self.n_idle
-            or (self.n_scored is not None and _spent(objective) >= self.n_scored)
+            or (self.n_scored is not None and spent >= self.n_scored)
             or (self.seconds is not None and time.perf_counter() - started >= self.seconds)
             or (self.n_steps is not None and steps >= self.n_steps)
         )
-
-
-def _spent(objective):
-    return objective.n_scored + (GRID - 1) * objective.n_grids
 
 
 def run_search(

@@ -118,15 +118,11 @@ class Effect:
 
 
 def _wind(value, angle=0.0):
-    return {"forces": (UniformField(value, angle, per_mass=False),)}
+    return UniformField(value, angle, per_mass=False)
 
 
 def _field(value, angle=0.0):
-    return {"forces": (UniformField(value, angle),)}
-
-
-def _perpendicular(value):
-    return {"forces": (Perpendicular(value),)}
+    return UniformField(value, angle)
 
 
 def _magnetic(value, column="charge", low=0.5, high=2.0, positive=0.5):
@@ -135,7 +131,7 @@ def _magnetic(value, column="charge", low=0.5, high=2.0, positive=0.5):
 
 
 def _push(value, period=1.0, angle=0.0, phase=0.0):
-    return {"forces": (PeriodicPush(value, period, angle, phase),)}
+    return PeriodicPush(value, period, angle, phase)
 
 
 def _mat(value, width=1.0, height=1.0, x=0.0, y=0.0, grip=1.0, hidden=False):
@@ -148,10 +144,6 @@ def _pair(value, column="charge", power=2.0, low=0.5, high=2.0, positive=0.5):
     return {"forces": (PairForce(value, column, power),), "new_property": new}
 
 
-def _exponent(value):
-    return {"power": value}
-
-
 def _hidden(value, x=None, y=None, near=1.0, far=2.0, moves=False, speed=0.0, column="mass"):
     if (x is None) != (y is None):
         raise SettingsError("a hidden body needs both x and y, or neither")
@@ -161,26 +153,24 @@ def _hidden(value, x=None, y=None, near=1.0, far=2.0, moves=False, speed=0.0, co
     return {"body": ExtraBody(entity, place, (near, far), (speed, speed))}
 
 
-def _inelastic(value):
-    return {"restitution": value}
-
-
 EFFECTS = {
     "drag": (Drag, "linear drag -c v, c in kg/s; wind=, angle= of the air"),
     "quadratic_drag": (QuadraticDrag, "drag -c |v| v, c in kg/m; wind=, angle= of the air"),
     "wind": (_wind, "a push in N, the same on every body; angle= in degrees from x"),
     "field": (_field, "a uniform acceleration in m/s^2; angle="),
-    "perpendicular": (_perpendicular, "b times v turned by +90 degrees (Magnus), b in kg/s"),
+    "perpendicular": (
+        lambda value: Perpendicular(value), "b times v turned by +90 degrees (Magnus), b in kg/s",
+    ),
     "magnetic": (_magnetic, "the same times a charge; column=, low=, high=, positive= share"),
     "push": (_push, "a periodic push in N; period= in s, angle=, phase="),
     "friction": (DryFriction, "Coulomb friction everywhere, mu g in m/s^2"),
     "mat": (_mat, "a mat of that friction; width=, height=, x=, y=, grip=, hidden=1"),
     "spring": (PointSpring, "a spring to an unseen point, in N/m; x=, y=, rest="),
     "pair": (_pair, "a pair force of a new property; column=, power=, low=, high=, positive="),
-    "exponent": (_exponent, "another exponent of the pair force"),
+    "exponent": (lambda value: {"power": value}, "another exponent of the pair force"),
     "hidden": (_hidden, "an unseen body of that mass; x=, y= or near=, far=; moves=1, speed="),
     "dashpot": (ContactDamping, "loss of speed between discs that overlap, in kg/s"),
-    "inelastic": (_inelastic, "another restitution of contacts, 0 to 1"),
+    "inelastic": (lambda value: {"restitution": value}, "another restitution of contacts, 0 to 1"),
 }
 """Name -> builder, of a force or of fields of `Effect`, and what its value and options are."""
 

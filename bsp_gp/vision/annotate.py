@@ -1,7 +1,5 @@
 """A film in which a tracked video shows what was tracked: outlines, names, tails, gaps."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Colour models: how much of each pixel is of an object's colour, and the background behind it."""
 
-from __future__ import annotations
-
 import re
 
 import cv2

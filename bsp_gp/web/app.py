@@ -1,7 +1,5 @@
 """The server behind the page: one token in every address, this machine alone."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io
