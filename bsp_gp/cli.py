@@ -217,8 +217,7 @@ def _close(args):
             args.kept.clear()
     declared = [term.formula for term in report.law.terms if term.is_declared]
     _tell_constants(args, dict.fromkeys(name for law in declared for name in law.constants))
-    _summary(args, report)
-    _finish(args, out)
+    _finish(args, report, out)
 
 
 def _run_loop(args, progress):
@@ -601,8 +600,7 @@ def _demo(args):
             run_info=run_info,
         )
         args.written.append(folder)
-    _summary(args, report)
-    _finish(args, out)
+    _finish(args, report, out)
 
 
 def _plan(args):
@@ -695,17 +693,14 @@ def _width():
     return min(shutil.get_terminal_size((100, 24)).columns, 100) if sys.stdout.isatty() else 100
 
 
-def _summary(args, report):
-    if not args.json:
-        from bsp_gp.report.summary import summary_text
+def _finish(args, report, out):
+    """A summary, or report.json where asked, and the last line: where the report is."""
+    from bsp_gp.report.summary import summary_text
 
-        print(summary_text(report, _width()))
-
-
-def _finish(args, out):
-    """The last line: where the report is; report.json before it where asked."""
     if args.json:
         print((out / "report.json").read_text(encoding="utf-8"), end="")
+    else:
+        print(summary_text(report, _width()))
     print(f"Report: {out / 'report.html'}", file=sys.stderr if args.json else sys.stdout)
 
 

@@ -9,7 +9,7 @@ from bsp_gp.errors import DataError
 from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
 from bsp_gp.report.drawing import new_figure, panels_of, tidy
-from bsp_gp.report.numbers import format_number, with_unit
+from bsp_gp.report.numbers import format_number, listed, with_unit
 from bsp_gp.units import Unit
 
 __all__ = ["columns_text", "data_figure", "data_text"]
@@ -35,7 +35,7 @@ def data_text(dataset):
     ]
     columns = dataset.provenance.get("columns")
     lines += [f"Columns: {columns}"] if columns else []
-    lines += [_units(dataset), *_scenes(dataset), f"Bodies: {_listed(names)}"]
+    lines += [_units(dataset), *_scenes(dataset), f"Bodies: {listed(names, _MAX_NAMES)}"]
     lines += _properties(dataset)
     lines += [*_first(dataset), _up(dataset), *_motion(dataset)]
     lines += [f"Note: {note}" for note in dataset.notes]
@@ -61,11 +61,6 @@ def columns_text(name, columns):
 
 def _counted(n, one, many=None):
     return f"{n:,} {one if n == 1 else many or one + 's'}"
-
-
-def _listed(names):
-    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return ", ".join(names[:_MAX_NAMES]) + more
 
 
 def _units(dataset):
@@ -122,7 +117,7 @@ def _properties(dataset):
 
 
 def _of(names):
-    return f" of {_listed(names)}" if names else ""
+    return f" of {listed(names, _MAX_NAMES)}" if names else ""
 
 
 def _first(dataset):

@@ -9,6 +9,7 @@ track's own third differences, q from the likelihood of the innovations (Harvey 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -166,7 +167,7 @@ def smooth_track(track, name):
     _, passes = _filter(z, r, q, keep=True)
     x, p = passes[-1][1]
     states, spreads = [x], [p]
-    for (_, _), (x_now, p_now), (x_next, p_next) in _backwards(passes):
+    for (_, (x_now, p_now)), ((x_next, p_next), _) in reversed(list(pairwise(passes))):
         gain = p_now @ STEP.T @ np.linalg.inv(p_next)
         x = x_now + gain @ (states[-1] - x_next)
         p = p_now + gain @ (spreads[-1] - p_next) @ gain.T
@@ -174,8 +175,3 @@ def smooth_track(track, name):
         spreads.append(0.5 * (p + p.T))
     x, p = np.array(states[::-1]), np.array(spreads[::-1])
     return Smoothed(x[:, :2], x[:, 2:], p[:, :2, :2], float(q))
-
-
-def _backwards(passes):
-    for k in range(len(passes) - 2, -1, -1):
-        yield passes[k][0], passes[k][1], passes[k + 1][0]
