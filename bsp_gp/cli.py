@@ -1,11 +1,10 @@
 """The command ``bsp-gp``: parse, call, print. Results go to stdout, the rest to stderr."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os
 import sys
+from pathlib import Path
 
 from bsp_gp.cli_inputs import (
     excluded_inputs,
@@ -14,6 +13,7 @@ from bsp_gp.cli_inputs import (
     read_dataset,
     read_fit_settings,
     read_laws,
+    read_loop_settings,
     refuse_fit_settings,
     unit_of_length,
 )
@@ -191,8 +191,6 @@ def _check(args):
 
 def _tell_columns(args):
     """How the headings of tables are read that are refused, as far as they can be."""
-    from pathlib import Path
-
     from bsp_gp.cli_inputs import columns_said
     from bsp_gp.data.folder import TRAJECTORIES
     from bsp_gp.data.glance import columns_of
@@ -219,8 +217,7 @@ def _close(args):
             args.kept.clear()
     declared = [term.formula for term in report.law.terms if term.is_declared]
     _tell_constants(args, dict.fromkeys(name for law in declared for name in law.constants))
-    _summary(args, report)
-    _finish(args, out)
+    _finish(args, report, out)
 
 
 def _run_loop(args, progress):
@@ -241,14 +238,8 @@ def _run_loop(args, progress):
         from bsp_gp.cli_latents import with_declared_latents
 
         dataset = with_declared_latents(args, dataset)
-    settings = {
-        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "search": args.search, "search_budget": args.search_budget,
-        "exclude": excluded_inputs(args, grammar, dataset),
-        "seed": args.seed, "all_rows": args.all_rows, **read_fit_settings(args),
-    }  # fmt: skip
-    if args.bootstrap is not None:
-        settings["n_bootstrap"] = args.bootstrap
+    settings = read_loop_settings(args)
+    settings["exclude"] = excluded_inputs(args, grammar, dataset)
     law = laws if dataset.latents else read_law(dataset, laws)
     if not dataset.latents:
         if law.names:  # a slip shows before the work
@@ -324,9 +315,7 @@ def _fit(args):
     data = json.dumps({**fit.to_dict(), "seed": args.seed}, indent=1, ensure_ascii=False)
     if out is not None:
         _write_folder(args, "fit", out, {"fit.json": f"{data}\n", "fit.txt": f"{text}\n"})
-    print(data if args.json else text)
-    if out is not None:
-        print(f"Fit: {out}", file=sys.stderr if args.json else sys.stdout)
+    _tell_result(args, text, data, "Fit", out)
 
 
 def _tell_constants(args, names):
@@ -346,6 +335,13 @@ def _tell_masses(args, dataset, law):
             _say(f"note: {note}")
 
 
+def _tell_result(args, text, data, what, out):
+    """A result as text, or as JSON, and where it is."""
+    print(data if args.json else text)
+    if out is not None:
+        print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
+
+
 def _infer(args):
     _with_latents(args, "run_infer", "Posterior")
 
@@ -362,9 +358,8 @@ def _with_latents(args, command, what):
         text, data, files = getattr(cli_latents, command)(args, dataset, laws, progress)
     if out is not None:
         _write_folder(args, what.lower(), out, files)
-    print(json.dumps(data, indent=1, ensure_ascii=False) if args.json else text)
-    if out is not None:
-        print(f"{what}: {out}", file=sys.stderr if args.json else sys.stdout)
+    data = json.dumps(data, indent=1, ensure_ascii=False)
+    _tell_result(args, text, data, what, out)
 
 
 def _simulate(args):
@@ -543,8 +538,6 @@ def _count_text(count):
 
 
 def _track(args):
-    from pathlib import Path
-
     from bsp_gp.vision.calibration import Calibration
     from bsp_gp.vision.recording import RECORDING, parse_object, write_recording
 
@@ -607,8 +600,7 @@ def _demo(args):
             run_info=run_info,
         )
         args.written.append(folder)
-    _summary(args, report)
-    _finish(args, out)
+    _finish(args, report, out)
 
 
 def _plan(args):
@@ -642,8 +634,6 @@ def _discover(args):
 
 
 def _show(args):
-    from pathlib import Path
-
     from bsp_gp.loop.stored import load_report
     from bsp_gp.report.summary import summary_text
 
@@ -651,10 +641,15 @@ def _show(args):
     folder = Path(args.report)
     page = (folder if folder.is_dir() else folder.parent).resolve() / "report.html"
     print(f"Report: {page}")
+    _open(args, page.as_uri())
+
+
+def _open(args, address):
+    """Show a page in the browser, where somebody sits before it."""
     if not args.no_open and sys.stdout.isatty():
         import webbrowser
 
-        webbrowser.open(page.as_uri())
+        webbrowser.open(address)
 
 
 def _rerun(args):
@@ -675,10 +670,7 @@ def _serve(args):
 
     def tell(address):
         print(f"Page: {address}\nCtrl-C ends it and deletes what was dropped.", flush=True)
-        if not args.no_open and sys.stdout.isatty():
-            import webbrowser
-
-            webbrowser.open(address)
+        _open(args, address)
 
     with tempfile.TemporaryDirectory(prefix="bsp-gp-") as folder:
         serve(os.path.realpath(folder), args.port, args.at_once, tell)
@@ -701,17 +693,14 @@ def _width():
     return min(shutil.get_terminal_size((100, 24)).columns, 100) if sys.stdout.isatty() else 100
 
 
-def _summary(args, report):
-    if not args.json:
-        from bsp_gp.report.summary import summary_text
+def _finish(args, report, out):
+    """A summary, or report.json where asked, and the last line: where the report is."""
+    from bsp_gp.report.summary import summary_text
 
-        print(summary_text(report, _width()))
-
-
-def _finish(args, out):
-    """The last line: where the report is; report.json before it where asked."""
     if args.json:
         print((out / "report.json").read_text(encoding="utf-8"), end="")
+    else:
+        print(summary_text(report, _width()))
     print(f"Report: {out / 'report.html'}", file=sys.stderr if args.json else sys.stdout)
 
 
@@ -740,8 +729,6 @@ _COMMANDS = {
 
 
 def _data_name(data):
-    from pathlib import Path
-
     if len(data) > 1:
         from bsp_gp.data.several import name_of_several
 

@@ -1,7 +1,5 @@
 """Completion of commands, options and their values in a shell, from what the parser knows."""
 
-from __future__ import annotations
-
 import argparse
 
 __all__ = ["completion_script"]
@@ -32,14 +30,9 @@ def completion_script(parser, shell, names=()):
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
     shell : {"bash", "zsh"}
     names : mapping of str to sequence of str
         Command -> what its first argument may be, where its parser does not say so.
-
-    Returns
-    -------
-    str
     """
     commands, cases, choices = _commands(parser), [], []
     for name, each in commands.items():

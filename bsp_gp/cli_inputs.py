@@ -1,7 +1,5 @@
 """From the arguments of the command line to data sets, laws and values."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -15,6 +13,7 @@ __all__ = [
     "read_dataset",
     "read_fit_settings",
     "read_laws",
+    "read_loop_settings",
     "refuse_fit_settings",
     "unit_of_length",
 ]
@@ -166,7 +165,6 @@ def read_fit_settings(args, factors=None):
 
     Parameters
     ----------
-    args : Namespace
     factors : mapping of str to float, optional
         Constant -> what a unit of it, as it is told, is in SI.
     """
@@ -175,6 +173,13 @@ def read_fit_settings(args, factors=None):
         "bounds": _read_bounds(args.bounds, factors) or None,
         "time_limit": args.time_limit,
     }
+
+
+def read_loop_settings(args):
+    """The settings of `close_loop` but for what depends on the data."""
+    names = ("alpha", "max_rounds", "max_levels", "search", "search_budget", "seed", "all_rows")
+    settings = {name: getattr(args, name) for name in names} | read_fit_settings(args)
+    return settings if args.bootstrap is None else {**settings, "n_bootstrap": args.bootstrap}
 
 
 def refuse_fit_settings(args, *, is_loop):

@@ -1,27 +1,18 @@
 """The commands with unknown properties: ``infer`` and ``fit --latent``."""
 
-from __future__ import annotations
-
 import json
-import tempfile
-from pathlib import Path
+from io import BytesIO
 
 from bsp_gp.data.declaration import PRIOR_FORMS, split_prior
 from bsp_gp.errors import SettingsError
 
 __all__ = [
-    "INFER_FILES",
-    "LEARN_FILES",
     "read_priors",
     "run_infer",
     "run_learn",
     "with_declared_latents",
 ]
 
-INFER_FILES = ("infer.json", "infer.txt", "posterior.csv", "draws.csv", "trace.png", "corner.png",
-               "rollout.png")  # fmt: skip
-LEARN_FILES = ("learn.json", "learn.txt", "posterior.csv", "draws.csv", "trace.csv", "laws.csv",
-               "trace.png", "corner.png", "rollout.png")  # fmt: skip
 MOST_TOGETHER = 30
 """Unknowns up to this number are sampled together with the constants of a law."""
 PRIOR_HELP = (
@@ -305,14 +296,18 @@ def _figures(law, problem, posterior, rng, args):
     from bsp_gp.inference.prediction import predictive_bands
     from bsp_gp.report.posterior import corner_figure, rollout_figure, trace_figure
 
-    with tempfile.TemporaryDirectory() as folder:
-        paths = {n: Path(folder) / n for n in ("trace.png", "corner.png", "rollout.png")}
-        trace_figure(posterior, paths["trace.png"])
-        corner_figure(posterior, paths["corner.png"])
-        euler = not problem.likelihood.is_gls or problem.likelihood.velocities == "backward"
-        bands = predictive_bands(
-            law, problem.train[0], problem.latents, posterior, rng=rng, up=problem.dataset.up,
-            integrator="euler" if euler else "rk4",
-        )  # fmt: skip
-        rollout_figure(bands, paths["rollout.png"])
-        return {name: path.read_bytes() for name, path in paths.items()}
+    euler = not problem.likelihood.is_gls or problem.likelihood.velocities == "backward"
+    bands = predictive_bands(
+        law, problem.train[0], problem.latents, posterior, rng=rng, up=problem.dataset.up,
+        integrator="euler" if euler else "rk4",
+    )  # fmt: skip
+    return {
+        "trace.png": _png(trace_figure, posterior), "corner.png": _png(corner_figure, posterior),
+        "rollout.png": _png(rollout_figure, bands),
+    }  # fmt: skip
+
+
+def _png(draw, what):
+    out = BytesIO()
+    draw(what, out)
+    return out.getvalue()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["MachineSettings", "make_machine", "read_machine"]
+__all__ = ["MachineSettings", "make_machine", "read_machine", "undeclared_of"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,8 @@ def read_machine(args):
     SettingsError
         Naming what is not there, or not allowed.
     """
+    from bsp_gp.simulate.effects import read_number
+
     if args.film or args.substeps:
         raise SettingsError(f"{args.preset} is a table: --film and --substeps are for discs")
     effects = {}
@@ -34,39 +35,29 @@ def read_machine(args):
         name, sign, value = (part.strip() for part in text.partition("="))
         if name in effects:
             raise SettingsError(f"effect {name} is given twice")
-        effects[name] = _number(name, value) if sign else None
-    undeclared = args.undeclared
-    if undeclared is not None and not effects:
-        raise SettingsError("--undeclared needs an --effect that the declared model is to lack")
-    for name in undeclared or ():
-        if name not in effects:
-            raise SettingsError(f"--undeclared {name}: there is no --effect of that name")
+        effects[name] = read_number(name, value) if sign else None
     return MachineSettings(args.preset, {
         "n_scenes": args.scenes, "n_frames": args.frames, "noise": args.noise,
         "dt": 1 / args.fps if args.fps else args.dt, "effects": effects,
-        "numbers": {name: _number(name, text) for name, text in args.set},
-        "undeclared": set(undeclared or effects) if undeclared is not None else set(),
+        "numbers": {name: read_number(name, text) for name, text in args.set},
+        "undeclared": undeclared_of(args, effects),
     })  # fmt: skip
 
 
-def _number(name, text):
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise SettingsError(f"{name} must be a number, got {text[:40]!r}")
-    return value
+def undeclared_of(args, names):
+    """Names of the effects that the declared model is to lack, a set; of these there are."""
+    if args.undeclared is None:
+        return set()
+    if not names:
+        raise SettingsError("--undeclared needs an --effect that the declared model is to lack")
+    for name in args.undeclared:
+        if name not in names:
+            raise SettingsError(f"--undeclared {name}: there is no --effect of that name")
+    return set(args.undeclared or names)
 
 
-def make_machine(args, settings, group, paths_of, progress):
-    """Make the data and write all that was asked for.
-
-    Returns
-    -------
-    list of str
-        What to tell the user.
-    """
+def make_machine(args, settings, group, suffixes, progress):
+    """Make the data and write all that was asked for, at the endings of truth, model, picture."""
     import numpy as np
     import pandas as pd
 
@@ -77,12 +68,12 @@ def make_machine(args, settings, group, paths_of, progress):
     from bsp_gp.report.scenes import draw_scenes
     from bsp_gp.simulate.machines import made_machine
 
-    truth_suffix, model_suffix, picture_suffix = paths_of
     progress(f"making {settings.options['n_scenes']} scene(s) of {settings.name}")
     made = made_machine(settings.name, np.random.default_rng(args.seed), **settings.options)
     progress("writing")
     with group.fill() as paths:
-        folder, truth = paths[""], paths[truth_suffix]
+        folder = paths[""]
+        truth, model, picture = (paths[suffix] for suffix in suffixes)
         made.table.to_csv(folder / TRAJECTORIES, index=False, lineterminator="\n")
         if np.isfinite(made.mass):
             entities = pd.DataFrame({"entity": ["object"], "mass": [made.mass]})
@@ -97,13 +88,6 @@ def make_machine(args, settings, group, paths_of, progress):
             "numbers": made.numbers, "seed": args.seed,
         }  # fmt: skip
         (truth / "truth.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-        model = toml_text({"declare": list(made.declared)})
-        paths[model_suffix].write_text(model, encoding="utf-8")
+        model.write_text(toml_text({"declare": list(made.declared)}), encoding="utf-8")
         progress("drawing")
-        scenes = load_dataset(folder).scenes
-        paths[picture_suffix].write_bytes(png_bytes(draw_scenes(scenes, 3)))
-    return [
-        f"Data set: {group.path}", f"Truth: {group.beside(truth_suffix)}",
-        f"Declared model: {group.beside(model_suffix)}",
-        f"Picture: {group.beside(picture_suffix)}",
-    ]  # fmt: skip
+        picture.write_bytes(png_bytes(draw_scenes(load_dataset(folder).scenes)))

@@ -1,15 +1,12 @@
 """The work of ``bsp-gp make``: made-up data, its truth, its model, pictures and films."""
 
-from __future__ import annotations
-
-from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine
+from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine, undeclared_of
 from bsp_gp.errors import SettingsError
 
 __all__ = ["claim_places", "make_data", "read_settings"]
 
 _TRUTH, _FILM, _MODEL, _PICTURE = "-truth", "-film", "-model.toml", "-scenes.png"
 _CAMERA = "camera.toml"
-_N_DRAWN = 3
 _NO_MODEL = "none (bsp-gp fit looks from no force at all)"
 
 
@@ -40,13 +37,7 @@ def read_settings(args):
             raise SettingsError(f"{name} is given twice")
         texts[name] = text
     names = [text.partition("=")[0].strip() for text in args.effect]
-    undeclared = args.undeclared
-    if undeclared is not None and not names:
-        raise SettingsError("--undeclared needs an --effect that the declared model is to lack")
-    for name in undeclared or ():
-        if name not in names:
-            raise SettingsError(f"--undeclared {name}: there is no --effect of that name")
-    hidden = set(undeclared or names) if undeclared is not None else set()
+    hidden = undeclared_of(args, names)
     effects = [
         parse_effect(text, is_declared=name not in hidden)
         for name, text in zip(names, args.effect, strict=True)
@@ -77,7 +68,20 @@ def make_data(args, settings, group, progress):
         What to tell the user.
     """
     if isinstance(settings, MachineSettings):
-        return make_machine(args, settings, group, (_TRUTH, _MODEL, _PICTURE), progress)
+        make_machine(args, settings, group, (_TRUTH, _MODEL, _PICTURE), progress)
+        model, notes = group.beside(_MODEL), []
+    else:
+        _make_worlds(args, settings, group, progress)
+        model = group.beside(_MODEL) if settings.declared else _NO_MODEL
+        notes = _contacts_note(settings)
+    return [
+        f"Data set: {group.path}", *([f"Film: {group.beside(_FILM)}"] if args.film else []),
+        f"Truth: {group.beside(_TRUTH)}", f"Declared model: {model}",
+        f"Picture: {group.beside(_PICTURE)}", *notes,
+    ]  # fmt: skip
+
+
+def _make_worlds(args, settings, group, progress):
     import numpy as np
 
     from bsp_gp.data.declaration import toml_text
@@ -103,16 +107,7 @@ def make_data(args, settings, group, progress):
             model = toml_text({"declare": list(settings.declared)})
             paths[_MODEL].write_text(model, encoding="utf-8")
         progress("drawing")
-        paths[_PICTURE].write_bytes(png_bytes(draw_scenes(dataset.scenes, _N_DRAWN)))
-    lines = [f"Data set: {group.path}"]
-    lines += [f"Film: {group.beside(_FILM)}"] if args.film else []
-    return [
-        *lines,
-        f"Truth: {group.beside(_TRUTH)}",
-        f"Declared model: {group.beside(_MODEL) if settings.declared else _NO_MODEL}",
-        f"Picture: {group.beside(_PICTURE)}",
-        *_contacts_note(settings),
-    ]
+        paths[_PICTURE].write_bytes(png_bytes(draw_scenes(dataset.scenes)))
 
 
 def _contacts_note(settings):

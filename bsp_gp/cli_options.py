@@ -1,7 +1,5 @@
 """What the command line takes: commands, options, checks of single values. Nothing heavy here."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import re
@@ -112,6 +110,9 @@ def _number(low, high, ends="()"):
     return read
 
 
+_NOT_NEGATIVE = _number(0, math.inf, "[)")
+
+
 def _pair(text):
     key, equals, value = text.partition("=")
     if not (equals and key.strip() and value.strip()):
@@ -129,21 +130,12 @@ def build_parser():
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    _add_check(commands)
-    _add_close(commands)
-    _add_sweep(commands)
-    _add_fit(commands)
-    _add_infer(commands)
-    _add_simulate(commands)
-    _add_make(commands)
-    _add_compare(commands)
-    _add_grammar(commands)
-    _add_track(commands)
-    _add_plan(commands)
-    _add_discover(commands)
-    _add_reports(commands)
-    _add_serve(commands)
-    _add_demo(commands)
+    for add in (
+        _add_check, _add_close, _add_sweep, _add_fit, _add_infer, _add_simulate, _add_make,
+        _add_compare, _add_grammar, _add_track, _add_plan, _add_discover, _add_reports, _add_serve,
+        _add_demo,
+    ):  # fmt: skip
+        add(commands)
     complete = _add(
         commands, "completion", "print what a shell needs to complete commands and options",
         'bash: eval "$(bsp-gp completion bash)" in ~/.bashrc; zsh the same in ~/.zshrc',
@@ -154,6 +146,12 @@ def build_parser():
 
 def _add(commands, name, help_, epilog=None):
     return commands.add_parser(name, help=help_, description=f"{help_}.", epilog=epilog)
+
+
+def _several(group, option, metavar, help_, default=None, type_=_pair):
+    """An option with several values, which may come again."""
+    group.add_argument(option, action="extend", nargs="+", type=type_, default=default,
+                       metavar=metavar, help=help_)  # fmt: skip
 
 
 def _add_check(commands):
@@ -245,10 +243,7 @@ def _add_compare(commands):
         help_="a force that is there already; repeat for more (default: none)",
     )  # fmt: skip
     group = parser.add_argument_group("search")
-    group.add_argument(
-        "--grammar", default="physics", metavar="NAME",
-        help="what may be said: a name or a .toml file (default physics)",
-    )  # fmt: skip
+    _grammar(group, "what may be said: a name or a .toml file")
     group.add_argument(
         "--kind", choices=("pair", "field"),
         help="forces of bodies on each other, or on each alone (default: the grammar's first that "
@@ -263,13 +258,9 @@ def _add_compare(commands):
     )
     group.add_argument(
         "--laws", type=_integer(1, 10**9), default=5_000, metavar="N",
-        help="budget of a run, in scored laws (default 20000)",
+        help="budget of a run, in scored laws (default 5000)",
     )  # fmt: skip
-    group.add_argument(
-        "--exclude", action="extend", nargs="+", default=[], metavar="INPUT",
-        help="inputs that laws may not use, such as v_i (t is always one)",
-    )  # fmt: skip
-    group.add_argument("--allow-time", action="store_true", help="let laws use t")
+    _inputs(group, "laws")
     group.add_argument(
         "--likelihood", choices=("gls", "weak"),
         help="accelerations from noisy positions: differences with their covariance (the default), "
@@ -306,29 +297,19 @@ def _add_simulate(commands):
     )  # fmt: skip
     _data(parser, with_noise=False)
     _model(parser, "--law", "--declare", help_="a force; repeat for more", required=True)
+    _several(
+        parser, "--set", "NAME=VALUE",
+        'values of named constants, SI or with a [unit]: c1=0.2 "c2=3 [g/s]"', [],
+    )  # fmt: skip
     parser.add_argument(
-        "--set",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        default=[],
-        metavar="NAME=VALUE",
-        help='values of named constants, SI or with a [unit]: c1=0.2 "c2=3 [g/s]"',
-    )
+        "--noise", nargs="+", type=_NOT_NEGATIVE, default=[0.0], metavar="SIGMA",
+        help="noise to add to positions, one or one per axis, in the data's unit of length "
+        "(default 0)",
+    )  # fmt: skip
     parser.add_argument(
-        "--noise",
-        nargs="+",
-        type=_number(0, math.inf, "[)"),
-        default=[0.0],
-        metavar="SIGMA",
-        help="noise to add to positions, one or one per axis, in "
-        "the data's unit of length (default 0)",
-    )
-    parser.add_argument(
-        "--integrator",
-        choices=("euler", "leapfrog", "rk4"),
+        "--integrator", choices=("euler", "leapfrog", "rk4"),
         help="default: rk4, or euler for laws with contacts",
-    )
+    )  # fmt: skip
     parser.add_argument("--substeps", type=_integer(1, 1000), help="steps per row (default: many)")
     _seed(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the new data set")
@@ -349,48 +330,29 @@ def _add_make(commands):
     _count = _integer(1, MAX_SCENES)
     parser.add_argument("--scenes", type=_count, default=1, metavar="N", help="(default 1)")
     parser.add_argument("--frames", type=_integer(3, 10**6), metavar="T", help="frames a scene")
-    clock = parser.add_mutually_exclusive_group()
-    clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
-    clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help="seconds per frame")
+    _clock(parser, "seconds per frame")
     parser.add_argument(
         "--substeps", type=_integer(1, 10_000), metavar="N", help="steps of the engine per frame"
     )
+    _several(
+        parser, "--effect", "NAME=VALUE",
+        "what is different from the preset: drag=0.1, push=2,period=0.5, ...; repeat for more", [],
+        None,
+    )  # fmt: skip
     parser.add_argument(
-        "--effect",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="NAME=VALUE",
-        help="what is different from the preset: drag=0.1, push=2,period=0.5, ...; repeat for more",
-    )
-    parser.add_argument(
-        "--undeclared",
-        nargs="*",
-        metavar="NAME",
+        "--undeclared", nargs="*", metavar="NAME",
         help="effects that the declared model lacks (without names: all)",
-    )
-    parser.add_argument(
-        "--set",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        default=[],
-        metavar="NAME=VALUE",
-        help="any number of the preset: n_bodies=6 mass=0.1..2 restitution=0.9 memory=0.5 ...",
-    )
-    parser.add_argument(
-        "--noise", type=_number(0, math.inf, "[)"), metavar="SIGMA", help="of positions, metres"
-    )
+    )  # fmt: skip
+    _several(
+        parser, "--set", "NAME=VALUE",
+        "any number of the preset: n_bodies=6 mass=0.1..2 restitution=0.9 memory=0.5 ...", [],
+    )  # fmt: skip
+    parser.add_argument("--noise", type=_NOT_NEGATIVE, metavar="SIGMA", help="of positions, metres")
     film = parser.add_argument_group("film")
     film.add_argument(
-        "--film",
-        nargs="?",
-        type=_integer(1, MAX_SCENES),
-        const=1,
-        default=0,
-        metavar="N",
+        "--film", nargs="?", type=_integer(1, MAX_SCENES), const=1, default=0, metavar="N",
         help="film the first N scenes (default 1), with where bodies are in the truth",
-    )
+    )  # fmt: skip
     film.add_argument("--png", action="store_true", help="single frames as PNG files as well")
     film.add_argument("--size", type=_size, default=(640, 480), metavar="WxH", help="pixels")
     film.add_argument(
@@ -431,12 +393,9 @@ def _add_grammar(commands):
     count = _add(actions, "count", "print the number of derivations, level by level")
     count.add_argument("name", metavar="NAME", help="newtonian, physics, ... or a .toml file")
     count.add_argument(
-        "--levels",
-        type=_integer(1, MAX_COUNTED_LEVELS),
-        default=6,
-        metavar="N",
+        "--levels", type=_integer(1, MAX_COUNTED_LEVELS), default=6, metavar="N",
         help="up to this many levels (default 6)",
-    )
+    )  # fmt: skip
     check = _add(
         actions, "check",
         "check a grammar: which searches take it, how much it says, ten of its laws with units",
@@ -509,9 +468,7 @@ def _add_discover(commands):
     parser.add_argument(
         "--declare", action="append", metavar="LAW", help="a force that is believed beforehand"
     )
-    parser.add_argument(
-        "--grammar", default="physics", metavar="NAME", help="what laws may say (default physics)"
-    )
+    _grammar(parser, "what laws may say")
     group = parser.add_argument_group("time")
     _time_limit(group, "of every closing of the loop")
     parser.add_argument("--resume", action="store_true", help="go on from the rounds in --out")
@@ -576,55 +533,34 @@ def _data(parser, with_noise=True):
 
 def _reading(parser, with_noise=True):
     group = parser.add_argument_group("data (in place of dataset.toml)")
-    group.add_argument(
-        "--units",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        metavar="KIND=UNIT",
-        help="units of the numbers: length=m time=s mass=kg, or with commas",
-    )
-    group.add_argument(
-        "--columns",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        metavar="OURS=THEIRS",
-        help="names of columns: x=X_cm",
-    )
-    group.add_argument(
-        "--property", action="extend", nargs="+", type=_pair, metavar="NAME=VALUE",
-        help="what is known of bodies: mass=0.3, mass=305.8[g], mass=star1:1.2,star2:0.8; without "
-        "a [unit] in that of --units",
-    )  # fmt: skip
-    group.add_argument(
-        "--sky", action="extend", nargs="+", type=_pair, metavar="WHAT=HOW_FAR",
-        help='how far away it is, so that angles are lengths: distance="8.2 kpc", '
-        'parallax="379.2 mas"',
-    )  # fmt: skip
+    for option, metavar, help_ in (
+        ("units", "KIND=UNIT", "units of the numbers: length=m time=s mass=kg, or with commas"),
+        ("columns", "OURS=THEIRS", "names of columns: x=X_cm"),
+        ("property", "NAME=VALUE", "what is known of bodies: mass=0.3, mass=305.8[g], "
+         "mass=star1:1.2,star2:0.8; without a [unit] in that of --units"),
+        ("sky", "WHAT=HOW_FAR", 'how far away it is, so that angles are lengths: '
+         'distance="8.2 kpc", parallax="379.2 mas"'),
+    ):  # fmt: skip
+        _several(group, f"--{option}", metavar, help_)
     group.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"), help="axis that points up"
     )
-    clock = group.add_mutually_exclusive_group()
-    clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
-    clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help="time per frame")
+    _clock(group, "time per frame")
     for side, what in (("train", "scenes to train on"), ("test", "scenes held out")):
-        group.add_argument(
-            f"--{side}",
-            action="extend",
-            nargs="+",
-            metavar="SCENES",
-            help=f"{what}: names, globs, ranges a..b",
-        )
+        told = f"{what}: names, globs, ranges a..b"
+        _several(group, f"--{side}", "SCENES", told, type_=None)
     if with_noise:
         group.add_argument(
-            "--noise",
-            nargs="+",
-            type=_number(0, math.inf, "[)"),
-            metavar="SIGMA",
-            help="standard deviation of positions, one or one per axis, in the "
-            "data's unit of length; 0 = exact (default: estimated)",
-        )
+            "--noise", nargs="+", type=_NOT_NEGATIVE, metavar="SIGMA",
+            help="standard deviation of positions, one or one per axis, in the data's unit of "
+            "length; 0 = exact (default: estimated)",
+        )  # fmt: skip
+
+
+def _clock(parser, per_frame):
+    clock = parser.add_mutually_exclusive_group()
+    clock.add_argument("--fps", type=_number(0, math.inf), metavar="RATE", help="frames a second")
+    clock.add_argument("--dt", type=_number(0, math.inf), metavar="T", help=per_frame)
 
 
 def _model(parser, *names, help_, required):
@@ -650,71 +586,58 @@ def _time(text):
 
 def _descent(parser, title):
     group = parser.add_argument_group(title)
-    group.add_argument(
-        "--start", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=VALUE",
-        help='where constants begin, in the units they are told in or with a [unit]: n=-2 "c1=3 '
-        '[g/s]" (default: found from the data)',
+    _several(
+        group, "--start", "NAME=VALUE",
+        'where constants begin, in the units they are told in or with a [unit]: n=-2 "c1=3 [g/s]" '
+        "(default: found from the data)", [],
     )  # fmt: skip
-    group.add_argument(
-        "--bounds", action="extend", nargs="+", type=_pair, default=[], metavar="NAME=LOW..HIGH",
-        help="between which constants stay, in the same units: n=-4..0 c1=0..",
+    _several(
+        group, "--bounds", "NAME=LOW..HIGH",
+        "between which constants stay, in the same units: n=-4..0 c1=0..", [],
     )  # fmt: skip
     return group
 
 
+def _grammar(group, what):
+    group.add_argument("--grammar", default="physics", metavar="NAME",
+                       help=f"{what} (default physics)")  # fmt: skip
+
+
+def _inputs(group, who):
+    told = f"inputs that {who} may not use, such as v_i (t is always one)"
+    _several(group, "--exclude", "INPUT", told, [], None)
+    group.add_argument("--allow-time", action="store_true", help=f"let {who} use t")
+
+
 def _loop(parser):
     group = parser.add_argument_group("search")
+    _grammar(group, "what may be missing: a name or a .toml file")
     group.add_argument(
-        "--grammar",
-        default="physics",
-        metavar="NAME",
-        help="what may be missing: a name or a .toml file (default physics)",
-    )
-    group.add_argument(
-        "--search",
-        choices=("exhaustive", "cross_entropy", "genetic", "auto"),
+        "--search", choices=("exhaustive", "cross_entropy", "genetic", "auto"),
         default="exhaustive",
         help="how it is searched (default exhaustive; auto: the others beyond its bound as well)",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--search-budget",
-        type=_integer(1, MAX_SCORED),
-        default=5_000,
-        metavar="N",
+        "--search-budget", type=_integer(1, MAX_SCORED), default=5_000, metavar="N",
         help="laws of a kind that each of the others may score in a round (default 5000)",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--max-levels",
-        type=_integer(1, MAX_LEVELS),
-        default=8,
-        metavar="N",
+        "--max-levels", type=_integer(1, MAX_LEVELS), default=8, metavar="N",
         help="bound of the search, in levels of a derivation (default 8)",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--max-rounds", type=_integer(1, MAX_ROUNDS), default=5, metavar="N", help="(default 5)"
     )
     group.add_argument(
-        "--alpha",
-        type=_number(MIN_ALPHA, 1, "[)"),
-        default=0.01,
+        "--alpha", type=_number(MIN_ALPHA, 1, "[)"), default=0.01,
         help="level of the tests (default 0.01)",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--bootstrap",
-        type=_integer(0, 9999),
-        metavar="N",
+        "--bootstrap", type=_integer(0, 9999), metavar="N",
         help="copies of the held-out data that are simulated for the noise floor and the intervals "
         "of errors; 0 = none (default 40)",
-    )
-    group.add_argument(
-        "--exclude",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="INPUT",
-        help="inputs that the search may not use, such as v_i (t is always one)",
-    )
-    group.add_argument("--allow-time", action="store_true", help="let the search use t")
+    )  # fmt: skip
+    _inputs(group, "the search")
     group.add_argument(
         "--all-rows", action="store_true",
         help="take every row of long tracks as it is (default: dense rows are averaged over short "
@@ -759,86 +682,48 @@ def _time_limit(group, what):
 
 def _unknowns(parser):
     group = parser.add_argument_group("unknown properties")
-    group.add_argument(
-        "--latent",
-        action="extend",
-        nargs="+",
-        metavar="PROPERTY",
-        help="properties that are unknown, such as mass (default: those of [latent.*])",
-    )
-    group.add_argument(
-        "--prior",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        metavar="PROPERTY=PRIOR",
-        help="mass=uniform:LOW:HIGH, log-uniform:LOW:HIGH, normal:MEAN:SD[:LOW:HIGH] or "
-        "values:A,B,C (default: that of [latent.PROPERTY])",
-    )
-    group.add_argument(
-        "--entities",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        metavar="PROPERTY=E1,E2",
-        help="entities whose property is unknown (default: those without a value)",
-    )
-    group.add_argument(
-        "--share",
-        action="extend",
-        nargs="+",
-        type=_pair,
-        metavar="PROPERTY=HOW",
-        help="entity (default), all, or a column of entities.csv",
-    )
+    _several(
+        group, "--latent", "PROPERTY",
+        "properties that are unknown, such as mass (default: those of [latent.*])", type_=None,
+    )  # fmt: skip
+    for option, metavar, help_ in (
+        ("prior", "PROPERTY=PRIOR", "mass=uniform:LOW:HIGH, log-uniform:LOW:HIGH, "
+         "normal:MEAN:SD[:LOW:HIGH] or values:A,B,C (default: that of [latent.PROPERTY])"),
+        ("entities", "PROPERTY=E1,E2",
+         "entities whose property is unknown (default: those without a value)"),
+        ("share", "PROPERTY=HOW", "entity (default), all, or a column of entities.csv"),
+    ):  # fmt: skip
+        _several(group, f"--{option}", metavar, help_)
 
 
 def _latents(parser):
     _unknowns(parser)
     group = parser.add_argument_group("inference")
     group.add_argument(
-        "--likelihood",
-        choices=("auto", "one-step", "gls", "propagated", "track", "ahead"),
+        "--likelihood", choices=("auto", "one-step", "gls", "propagated", "track", "ahead"),
         default="auto",
         help="auto: whole tracks for posteriors, single steps for searches; ahead: five steps",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--e-step",
         choices=("auto", "emcee", "importance", "laplace", "tempered", "enumeration"),
-        default="auto",
-        help="auto: emcee, and enumeration of discrete unknowns",
-    )
-    group.add_argument(
-        "--n-eff",
-        type=_integer(10, 10**6),
-        default=1000,
-        metavar="N",
-        help="effective sample size to stop at (default 1000)",
-    )
-    group.add_argument(
-        "--max-steps",
-        type=_integer(100, 10**7),
-        default=5_000,
-        metavar="N",
-        help="bound of a chain (default 20000)",
-    )
-    group.add_argument(
-        "--starts",
-        type=_integer(1, 100),
-        default=3,
-        metavar="N",
-        help="starts of EM (default 3)",
-    )
+        default="auto", help="auto: emcee, and enumeration of discrete unknowns",
+    )  # fmt: skip
+    for option, low, high, default, help_ in (
+        ("n-eff", 10, 10**6, 1000, "effective sample size to stop at (default 1000)"),
+        ("max-steps", 100, 10**7, 5_000, "bound of a chain (default 5000)"),
+        ("starts", 1, 100, 3, "starts of EM (default 3)"),
+    ):
+        group.add_argument(
+            f"--{option}", type=_integer(low, high), default=default, metavar="N", help=help_
+        )
 
 
 def _workers(parser):
     parser.add_argument(
-        "--workers",
-        type=_integer(1, MAX_WORKERS),
-        default=1,
-        metavar="N",
+        "--workers", type=_integer(1, MAX_WORKERS), default=1, metavar="N",
         help="processes; the answer does not depend on it (default 1)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--cluster", metavar="tcp://HOST:PORT",
         help="scheduler of a Dask cluster that works as well (needs the extra [cluster])",

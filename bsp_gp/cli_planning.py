@@ -1,7 +1,5 @@
 """The work of ``bsp-gp plan`` and ``bsp-gp discover``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

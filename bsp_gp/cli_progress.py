@@ -1,7 +1,5 @@
 """Stages of long work on stderr, with what is done of a stage and the time that it may yet take."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

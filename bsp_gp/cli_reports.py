@@ -1,7 +1,5 @@
 """Reports that there are already: shown again, and run again."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -11,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.workers import python_path
 
 __all__ = ["first_difference", "run_again", "run_record"]
 
@@ -34,7 +33,6 @@ def run_again(folder, quiet=False):
     ----------
     folder : path
         Of the report.
-    quiet : bool
 
     Returns
     -------
@@ -62,7 +60,7 @@ def run_again(folder, quiet=False):
         words = [*_kept(argv[1:]), "--out", str(out), *(["--quiet"] if quiet else [])]
         done = subprocess.run(
             [sys.executable, "-m", "bsp_gp", *words], cwd=start, stdout=subprocess.DEVNULL,
-            check=False, env={**os.environ, "PYTHONPATH": _own_path()},
+            check=False, env={**os.environ, "PYTHONPATH": python_path()},
         )  # fmt: skip
         if done.returncode == 130:
             raise KeyboardInterrupt
@@ -76,12 +74,6 @@ def run_again(folder, quiet=False):
     if "--time-limit" in argv:
         notes.append("it had a time limit, which no two runs meet alike")
     return first_difference(old, new), notes
-
-
-def _own_path():
-    """Where Python looks for packages, first of all where this one is."""
-    here = str(Path(__file__).resolve().parent.parent)
-    return os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
 
 
 def _kept(argv):

@@ -1,12 +1,10 @@
 """The command ``bsp-gp sweep``: the loop on many data sets."""
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from functools import partial
 
-from bsp_gp.cli_inputs import excluded_inputs, read_dataset, read_fit_settings
+from bsp_gp.cli_inputs import excluded_inputs, read_dataset, read_loop_settings
 from bsp_gp.errors import BspError
 
 __all__ = ["run_sweep"]
@@ -39,13 +37,7 @@ def run_sweep(args, laws, workers, progress):
     datasets = find_datasets(args.datasets)
     read = partial(read_as, {name: getattr(args, name) for name in READING})
     grammar = load_grammar(args.grammar)
-    settings = {
-        "alpha": args.alpha, "max_rounds": args.max_rounds, "max_levels": args.max_levels,
-        "search": args.search, "search_budget": args.search_budget, "seed": args.seed,
-        "all_rows": args.all_rows, "grammar": args.grammar, **read_fit_settings(args),
-    }  # fmt: skip
-    if args.bootstrap is not None:
-        settings["n_bootstrap"] = args.bootstrap
+    settings = {"grammar": args.grammar, **read_loop_settings(args)}
     for path in datasets.values():  # slips in what is common to all show at the first that is read
         try:
             first = read(path)

@@ -6,8 +6,6 @@ grammar `physics`. What follows the loop (the speed of light that the found law 
 perihelion, the rivals) is computed from whatever law was found.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -45,23 +43,23 @@ KNOWN_ADVANCE = 42.98
 ORBITS = 12
 
 # Motion of the three terms of the post-Newtonian acceleration of a test body, for comparison
-# with what was found: name, text of the motion, and the speed of light that its coefficient a
-# (acceleration = a * motion) implies, given GM.
+# with what was found: name, the motion, and what its coefficient (acceleration = coefficient *
+# motion) is times the square of the speed of light, given GM.
 _KNOWN_FORMS = (
     (
         "1/r^3 along the line to the Sun",
         lambda r, v: r / np.linalg.norm(r) ** 4,
-        lambda a, gm: np.sqrt(4 * gm**2 / a),
+        lambda gm: 4 * gm**2,
     ),
     (
         "v^2/r^2 along the line to the Sun",
         lambda r, v: r * (v @ v) / np.linalg.norm(r) ** 3,
-        lambda a, gm: np.sqrt(-gm / a),
+        lambda gm: -gm,
     ),
     (
         "v_r v/r^2 along the velocity",
         lambda r, v: v * (v @ r) / np.linalg.norm(r) ** 3,
-        lambda a, gm: np.sqrt(4 * gm / a),
+        lambda gm: 4 * gm,
     ),
 )
 
@@ -73,7 +71,6 @@ def solar_system(receivers=("mercury",), years=(TRAIN_YEAR, *TEST_YEARS)):
     ----------
     receivers : tuple of str
         Bodies whose motion is to be explained; the others move as the ephemeris says.
-    years : tuple of int
     """
     scenes = tuple(
         load_ephemeris(
@@ -111,11 +108,8 @@ def run_demo(out, *, overwrite=False, seed=0, progress=None, workers=None, run_i
     ----------
     out : path
         Folder of the report.
-    overwrite : bool
-    seed : int
     progress : callable, optional
         ``progress(text)``.
-    workers : concurrent.futures.Executor, optional
     run_info : dict, optional
         For the report's ``run.json``.
 
@@ -214,23 +208,13 @@ def _implied(dataset, report, progress):
         if hit is None:
             rows.append(["not a term of general relativity", "", "", "", ""])
             continue
-        (name, _, speed), coefficient = hit
+        (name, _, strength), coefficient = hit
         matched.add(name)
         with np.errstate(invalid="ignore"):
-            light = float(speed(coefficient, gm))
+            light = float(np.sqrt(strength(gm) / coefficient))
         lights.append(light)
-        expected = {0: 4 * gm**2, 1: -gm, 2: 4 * gm}[
-            [f[0] for f in _KNOWN_FORMS].index(name)
-        ] / LIGHT**2
-        rows.append(
-            [
-                name,
-                f"{coefficient:.5e}",
-                f"{expected:.5e}",
-                f"{light:.5e}",
-                f"{light / LIGHT - 1:+.3%}",
-            ]
-        )
+        numbers = (coefficient, strength(gm) / LIGHT**2, light)
+        rows.append([name, *(f"{x:.5e}" for x in numbers), f"{light / LIGHT - 1:+.3%}"])
     text = (
         "General relativity adds three terms to the acceleration of a light body near the Sun: "
         "4 G²M²/c² over r³ and −GM/c² times v²/r² along the line to the Sun, and 4 GM/c² times "

@@ -20,10 +20,6 @@ def generator(rng: Random = None) -> np.random.Generator:
     Parameters
     ----------
     rng : numpy.random.Generator, int or None
-
-    Returns
-    -------
-    numpy.random.Generator
     """
     if isinstance(rng, np.random.Generator):
         return rng

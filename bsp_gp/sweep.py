@@ -4,8 +4,6 @@ Every data set is closed as `close_loop` closes it alone, with the same seed, so
 not depend on its neighbours, on how many work, or on how often the sweep was stopped and taken up.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io
@@ -43,10 +41,6 @@ _TRACKS = ("trajectories.csv", "trajectories.parquet")
 
 def find_datasets(words):
     """Data sets of folders, folders of folders, globs, lone tables and tables of paths.
-
-    Parameters
-    ----------
-    words : sequence of path
 
     Returns
     -------
@@ -130,17 +124,14 @@ def sweep(
     ----------
     datasets : dict of str to path
         See `find_datasets`.
-    declared : sequence of str
     out : path
         Folder of the table, the page, and the rows as they come.
-    workers : concurrent.futures.Executor or distributed.Client, optional
     resume : bool
         Go on with what is in the folder; a sweep with other laws or settings is refused.
     overwrite : bool
         Begin anew in the folder of an older sweep.
     read : callable
         ``read(path) -> Dataset``.
-    progress : callable, optional
     **settings
         Of `close_loop`; `seed` seeds each data set alike.
 

@@ -7,6 +7,7 @@ of the grammar.
 
 from __future__ import annotations
 
+import copyreg
 import functools
 import math
 import re
@@ -21,6 +22,13 @@ __all__ = [
     "UNCALIBRATED", "Unit", "UnitSystem", "parse_unit",
 ]  # fmt: skip
 
+
+def _frozen(mapping):
+    return MappingProxyType(mapping)
+
+
+# They do not travel to worker processes by themselves.
+copyreg.pickle(MappingProxyType, lambda mapping: (_frozen, (dict(mapping),)))
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 _DIMENSION = {
     "[mass]": 0,
@@ -292,9 +300,6 @@ class UnitSystem:
     remedies: MappingProxyType = field(
         default_factory=lambda: MappingProxyType({}), compare=False, repr=False
     )
-
-    def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
-        return (UnitSystem.from_declared, (dict(self.declared),))
 
     @classmethod
     def from_declared(cls, declared):

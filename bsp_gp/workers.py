@@ -8,10 +8,11 @@ import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 from bsp_gp.errors import ResourceError, SettingsError
 
-__all__ = ["Crew", "Work", "hands", "worker_pool"]
+__all__ = ["Crew", "Work", "hands", "python_path", "worker_pool"]
 
 WORTH_S = 3.0
 """Seconds that parts have taken here before others are handed out: starting a process costs one."""
@@ -63,7 +64,6 @@ class Crew:
         ----------
         call : callable
             A function of a module, and a pure one.
-        value : object
         jobs : list
             May grow.
         is_wanted : callable, optional
@@ -203,7 +203,6 @@ def hands(n_workers=1, cluster=None):
 
     Parameters
     ----------
-    n_workers : int
     cluster : str, optional
         Address of a scheduler, ``tcp://HOST:PORT``.
 
@@ -257,7 +256,6 @@ def worker_pool(n_workers, *, own_process=False):
 
     Parameters
     ----------
-    n_workers : int
     own_process : bool
         A process even where one is enough; by default one worker is this process itself.
 
@@ -298,6 +296,12 @@ def worker_pool(n_workers, *, own_process=False):
             ) from error
         raise
     pool.shutdown()
+
+
+def python_path():
+    """Where a process looks for packages, first of all where this one is."""
+    here = str(Path(__file__).resolve().parent.parent)
+    return os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
 
 
 def _begin(parent, by_system):

@@ -17,10 +17,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 from common import options, save_figure, write_table, write_text
+from ranks import coverage, rank_of, simultaneous_band
 from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unknowns
 
 from bsp_gp.inference.e_step import EStep, infer
-from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
 from bsp_gp.physics.bodies import stack
 from bsp_gp.workers import worker_pool
 

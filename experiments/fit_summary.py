@@ -2,9 +2,8 @@
 
 import numpy as np
 import pandas as pd
+from ranks import simultaneous_band
 from scipy.stats import chisquare, kstest
-
-from bsp_gp.inference.ranks import simultaneous_band
 
 __all__ = ["rank_lines", "summary"]
 

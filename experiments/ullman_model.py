@@ -1,4 +1,4 @@
-"""The physics of the movies as features and contacts for `bsp_gp.inference.impulses`.
+"""The physics of the movies as features and contacts for `impulses`.
 
 Lengths are px and times are frames here; the coefficients of the features are
   drag  (colour of disc, colour of mat): -v |v|^(power - 1) while the centre is on the mat,
@@ -9,9 +9,8 @@ Lengths are px and times are frames here; the coefficients of the features are
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from impulses import Contacts, Evidence, MotionNoise, motion_evidence
 from ullman_movies import COLOURS
-
-from bsp_gp.inference.impulses import Contacts, Evidence, MotionNoise, motion_evidence
 
 CLASSES = {"mass": (1.0, 3.0, 9.0), "friction": (0.0, 5.0, 20.0)}
 SLACK = 3.0  # px within which a contact is possible

@@ -44,12 +44,12 @@ def video_path(name):
 def track_movie(name):
     """Track one movie from its mp4."""
     from bsp_gp.vision.colour import parse_colour
-    from bsp_gp.vision.disc_tracker import track_discs
+    from bsp_gp.vision.disc_tracker import DiscTracker
     from bsp_gp.vision.regions import arena, mats, still_background
     from bsp_gp.vision.video import open_video
 
     video = open_video(video_path(name))
-    track = track_discs(video, {c: parse_colour(c) for c in COLOURS})
+    track = DiscTracker(video, {c: parse_colour(c) for c in COLOURS}).run()
     picture, seen = still_background(video, track)
     walls = arena(picture)
     regions = mats(picture, seen, {c: parse_colour(h) for c, h in MATS.items()}, walls)

@@ -1,6 +1,6 @@
 """What a report tells, compared by code and by law and not by words."""
 
-from bsp_gp.language.canonical import same_law
+from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 
@@ -10,7 +10,8 @@ def is_law(effect, text, data):
     if effect is None or effect.formula is None:
         return False
     law = parse_formula(text, dataset_types(data), units=data.units)
-    return same_law(effect.formula, law, data.n_dims)
+    one, other = (canonical_key(each, data.n_dims) for each in (effect.formula, law))
+    return one == other
 
 
 def adopted(report):

@@ -5,8 +5,6 @@ throw would exist from the first row on, long before it is seen, and a law that 
 together in the past (drag, run backwards) could not be fitted at all.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,6 @@ def recordings_apart(rows, roster, has_scenes):
 
     Parameters
     ----------
-    rows : Rows
     roster : Roster or None
         Where it holds bodies that do not move, or speaks of scenes, nothing is taken apart: a wall
         is there though it is seen once.

@@ -20,7 +20,16 @@ from bsp_gp.data.headings import (
     is_rate,
 )
 from bsp_gp.data.logged import logged_columns
-from bsp_gp.data.roster import ABSURD, WITHIN, require_columns, vector_stems
+from bsp_gp.data.property_columns import quoted
+from bsp_gp.data.roster import (
+    ABSURD,
+    GAP,
+    WITHIN,
+    fail_at,
+    numbers_of,
+    require_columns,
+    vector_stems,
+)
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
@@ -28,7 +37,6 @@ from bsp_gp.units import ACCELERATION, Unit
 __all__ = ["Rows", "along_named_axis", "axes_of", "build_rows", "build_scenes", "inputs_of"]
 
 MAX_CELLS = 100_000_000
-_GAP = "leave the whole row out to mark a gap in the track"
 
 
 @dataclass(frozen=True)
@@ -92,9 +100,6 @@ def build_rows(table, declaration, conversion, *, scene_name):
 
     Parameters
     ----------
-    table : Table
-    declaration : Declaration
-    conversion : Conversion
     scene_name : str
         Name of the scene where the table has no such column.
     """
@@ -166,10 +171,8 @@ def _first(table, declaration, conversion, axes):
         parts.append(np.where(np.isfinite(parts[0]), 0.0, np.nan))
     elif (parts[1] <= 0).any():
         at = int((parts[1] <= 0).any(axis=1).argmax())
-        raise DataError(
-            "a standard error of a velocity must be positive", file=table.file,
-            row=int(table.frame.index[at]), column="svx", remedy='exact: velocity = "exact"',
-        )  # fmt: skip
+        problem = "a standard error of a velocity must be positive"
+        fail_at(table, problem, at, "svx", 'exact: velocity = "exact"')
     return tuple(parts)
 
 
@@ -207,13 +210,8 @@ def along_named_axis(table, declaration):
 
     Parameters
     ----------
-    table : Table
     declaration : Declaration
         ``uses`` has the names in laws.
-
-    Returns
-    -------
-    Table
     """
     own = [axis for axis in "xyz" if axis in table.frame.columns]
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
@@ -259,7 +257,7 @@ def axes_of(table, declaration):
     doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]
     if doubtful:
         theirs = [table.unused.get(column, column) for column in doubtful]
-        names = [name if re.fullmatch(r"\w+", name) else f'"{name}"' for name in theirs]
+        names = list(map(quoted, theirs))
         ignored = " ".join(f"{name}=ignore" for name in names)
         raise DataError(
             f"the header has no column {other!r}; present are {', '.join(columns)}",
@@ -335,24 +333,17 @@ def _without_gaps(table):
 
 
 def _numbers(table, column, can_be_blank=False):
-    cells = table.frame[column]
-    try:
-        values = cells.to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError) as error:
-        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
+    values = numbers_of(table, column)
     bad = np.isinf(values) | (np.abs(values) > ABSURD)
     if not can_be_blank:
         bad |= np.isnan(values)
     if not bad.any():
         return values
     k = int(bad.argmax())
-    line = int(table.frame.index[k])
+    problem = f"{values[k]:g} is not a usable number (finite, at most {ABSURD:g} in size)"
     if np.isnan(values[k]):
-        problem, remedy = "empty cell or NaN where a number is needed", _GAP
-    else:
-        problem = f"{values[k]:g} is not a usable number (finite, at most {ABSURD:g} in size)"
-        remedy = _GAP
-    raise DataError(problem, file=table.file, row=line, column=column, remedy=remedy)
+        problem = "empty cell or NaN where a number is needed"
+    fail_at(table, problem, k, column, GAP)
 
 
 def _times(table, declaration, conversion):
@@ -385,12 +376,7 @@ def _sigma(table, axes, conversion):
         values = _numbers(table, column, can_be_blank=True) * conversion.length(column)
         if (values < 0).any():
             k = int((values < 0).argmax())
-            raise DataError(
-                f"a standard error must not be negative, got {values[k]:g}",
-                file=table.file,
-                row=int(table.frame.index[k]),
-                column=column,
-            )
+            fail_at(table, f"a standard error must not be negative, got {values[k]:g}", k, column)
         columns.append(values)
     return np.stack(columns, axis=1)
 
@@ -405,12 +391,7 @@ def _codes(table, column, default):
     if "" in names:
         blank |= codes == names.index("")
     if blank.any():
-        raise DataError(
-            "empty cell where a name is needed",
-            file=table.file,
-            row=int(table.frame.index[int(blank.argmax())]),
-            column=column,
-        )
+        fail_at(table, "empty cell where a name is needed", int(blank.argmax()), column)
     unique = tuple(dict.fromkeys(names))
     if len(unique) < len(names):
         place = {name: k for k, name in enumerate(unique)}
@@ -469,7 +450,6 @@ def build_scenes(rows, roster, *, without_track=()):
 
     Parameters
     ----------
-    rows : Rows
     roster : Roster or None
         None: every entity is a point of unknown mass.
     without_track : sequence of str

@@ -5,8 +5,6 @@ What they cannot tell, events and noise within a block, is looked for first, and
 the rows are left as they are.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +36,6 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
 
     Parameters
     ----------
-    dataset : Dataset
     most_rows : int
         Rows that are left of a longer scene, about.
 

@@ -5,8 +5,6 @@ stands beside it elsewhere. An apostrophe before it makes it a text; our own rea
 again. So that every name survives, names that have such an apostrophe get one more.
 """
 
-from __future__ import annotations
-
 import re
 
 import pandas as pd
@@ -40,10 +38,6 @@ def plain_cell(value):
 
 def safe_table(frame):
     """A DataFrame ready for `to_csv`: texts of its cells, header and index as `safe_cell` has them.
-
-    Parameters
-    ----------
-    frame : pandas.DataFrame
 
     Returns
     -------

@@ -1,7 +1,5 @@
 """Whether the times of a table can be right: against a declared rate, and against the motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.data.scene import CHECK
@@ -40,7 +38,6 @@ def check_declared_rate(rows, declaration, second):
     ----------
     rows : Rows
         With times of the column t, increasing for every entity of a scene.
-    declaration : Declaration
     second : float
         Of the unit of the column t, how many seconds it is.
 
@@ -104,13 +101,8 @@ def clock_jumps(rows, scenes, second):
     ----------
     rows : Rows
         Those that the scenes were made of.
-    scenes : tuple of Scene
     second : float
         Of the unit of the column t, how many seconds it is.
-
-    Returns
-    -------
-    tuple of str
     """
     notes = []
     for code, scene in enumerate(scenes):

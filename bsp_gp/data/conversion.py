@@ -1,7 +1,5 @@
 """From the units of a file to SI, column by column."""
 
-from __future__ import annotations
-
 import re
 import tokenize
 

@@ -1,7 +1,5 @@
 """Times that are written as dates or as times of the day, in seconds."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -63,10 +63,8 @@ class Declaration:
         Names in laws: columns of these names are inputs, if their headings tell their units.
     first_position, first_velocity : str
         What is known of the first row of every scene, of `FIRST_PLACES` and `FIRST_VELOCITIES`.
-    latents : tuple of LatentDeclaration
     train, test : tuple of str
         Patterns as declared, see `select_scenes`.
-    evaluation : Evaluation
     provenance : mapping of str to str
     file : str or None
         Where all this was read from.
@@ -426,22 +424,20 @@ def select_scenes(patterns, names, *, what="split", file=None):
 
 def toml_text(tables):
     """Write nested mappings of texts, numbers and lists as TOML; None and {} are left out."""
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in tables.items() if not _is_table(v)]
+    lines = _lines({k: v for k, v in tables.items() if not isinstance(v, Mapping)})
     for name, table in tables.items():
-        if not _is_table(table) or not table:
+        if not isinstance(table, Mapping) or not table:
             continue
-        if all(_is_table(value) for value in table.values()):
+        if all(isinstance(value, Mapping) for value in table.values()):
             for inner, values in table.items():
-                lines += ["", f"[{_key(name)}.{_key(inner)}]"]
-                lines += [f"{_key(k)} = {_value(v)}" for k, v in values.items()]
+                lines += ["", f"[{_key(name)}.{_key(inner)}]", *_lines(values)]
         else:
-            lines += ["", f"[{_key(name)}]"]
-            lines += [f"{_key(k)} = {_value(v)}" for k, v in table.items()]
+            lines += ["", f"[{_key(name)}]", *_lines(table)]
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
-def _is_table(value):
-    return isinstance(value, Mapping)
+def _lines(table):
+    return [f"{_key(k)} = {_value(v)}" for k, v in table.items()]
 
 
 def _key(name):

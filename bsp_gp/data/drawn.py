@@ -1,7 +1,5 @@
 """Quick looks: tracks and constants drawn into axes of matplotlib that come in and go out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["new_axes", "plot_constants", "plot_models", "plot_tracks"]
@@ -34,15 +32,10 @@ def plot_tracks(scene, axes=None, *, length="m", time="s"):
 
     Parameters
     ----------
-    scene : Scene
     axes : matplotlib.axes.Axes, optional
         Where to draw; by default new ones.
     length, time : str
         Units, as they are told.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
     """
     axes = new_axes(axes)
     moving = _moving(scene.positions)
@@ -76,10 +69,6 @@ def plot_models(times, observed, models, axes=None, *, length="m", time="s"):
     models : mapping of str to ndarray, shape (T, d)
     axes, length, time
         As for `plot_tracks`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
     """
     axes = new_axes(axes)
     moving = _moving(observed)
@@ -96,17 +85,7 @@ def plot_models(times, observed, models, axes=None, *, length="m", time="s"):
 
 
 def plot_constants(constants, axes=None):
-    """Draw constants with their 90 % intervals, each in per cent of its value.
-
-    Parameters
-    ----------
-    constants : sequence of ConstantEstimate
-    axes : matplotlib.axes.Axes, optional
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
+    """Draw constants with their 90 % intervals, each in per cent of its value."""
     axes = new_axes(axes)
     for k, c in enumerate(constants):
         size = abs(c.value) or 1.0

@@ -1,7 +1,5 @@
 """Tracks of the planets from a JPL ephemeris: the only importer of `jplephem`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.data.scene import Entity, Scene
@@ -45,10 +43,6 @@ def load_ephemeris(
         Length and sampling.
     name : str
         Name of the scene.
-
-    Returns
-    -------
-    Scene
 
     Raises
     ------

@@ -1,7 +1,5 @@
 """How large the recordings of a data set are, and whether they are of the sky."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.units import OF_THE_SKY, Unit

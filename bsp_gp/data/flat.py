@@ -4,8 +4,6 @@ There a track tells nothing but noise, and places that are off by as much would 
 bodies push aside what a track or a table holds.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +32,6 @@ def held_flat(dataset, spoken=()):
 
     Parameters
     ----------
-    dataset : Dataset
     spoken : collection of str
         Axes of which a declared law speaks: there bodies are free.
 

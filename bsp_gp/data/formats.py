@@ -53,13 +53,10 @@ class Table:
         Units found in the header.
     renamed : frozenset of str
         The renames of the caller that applied.
-    file : str
     digest : str
         SHA-256 of the file.
     title : str or None
         The single title line above the header (Tracker writes the name of the mass there).
-    decimal : str
-    notes : tuple of str
     theirs : dict of str to str
         Our name of a column -> what the file calls it, of every one that is used.
     present : tuple of str
@@ -95,7 +92,6 @@ def read_table(path, *, rename=None, as_text=False):
 
     Parameters
     ----------
-    path : path-like
     rename : mapping of str to str, optional
         Our name of a column -> its name in the file.
     as_text : bool
@@ -143,16 +139,10 @@ def long_table(
     ----------
     frame : DataFrame
         Its index counts lines.
-    found : sequence of Heading
     units : sequence of str
         Of every column.
-    groups : sequence of Group
     file, title, line, as_text, digest, decimal, notes
         What else is known of the file; `line` is that of the header, `title` all that is above.
-
-    Returns
-    -------
-    Table
     """
     if frame.empty:
         raise DataError(

@@ -1,7 +1,5 @@
 """A first look at a table: its columns as they stand there, and as they are understood."""
 
-from __future__ import annotations
-
 from bsp_gp.data.headings import UNKNOWN
 from bsp_gp.data.sniffing import sniff, split_line
 from bsp_gp.data.sources import open_source
@@ -16,7 +14,6 @@ def columns_of(path, rename=None):
 
     Parameters
     ----------
-    path : path-like
     rename : mapping of str to str, optional
         Our name of a column -> its name in the file.
 

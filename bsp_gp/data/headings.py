@@ -315,7 +315,6 @@ def headings(cells, rename=None, *, is_track=True):
 
     Parameters
     ----------
-    cells : sequence of str
     rename : mapping of str to str, optional
         Our name -> the file's name, which may or may not occur. ``NAME_x`` is the x of body NAME.
     is_track : bool

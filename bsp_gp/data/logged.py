@@ -5,8 +5,6 @@ follow from what is there already: counts of rows, speeds, places in pixels, how
 Whatever follows from the times and the places of a track says nothing of what moves it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from functools import cached_property
@@ -51,7 +49,6 @@ def logged_columns(table, taken):
 
     Parameters
     ----------
-    table : Table
     taken : collection of str
         Columns that mean something.
 
@@ -110,7 +107,6 @@ def asked_of(dataset, taken=(), exclude=()):
 
     Parameters
     ----------
-    dataset : Dataset
     taken : collection of str
         Names in laws, which mean something else.
     exclude : collection of str
@@ -147,7 +143,6 @@ def named_of(dataset, uses):
 
     Parameters
     ----------
-    dataset : Dataset
     uses : collection of str
         Names in laws. A name that is the heading itself is a constant, unless a unit is declared.
     """

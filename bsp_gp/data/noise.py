@@ -78,13 +78,8 @@ def declare_noise(dataset, sigma):
 
     Parameters
     ----------
-    dataset : Dataset
     sigma : tuple of float, metres
         One for all axes, or one per axis.
-
-    Returns
-    -------
-    Dataset
 
     Raises
     ------
@@ -175,10 +170,6 @@ def estimate_noise(data):
 
 def finest_noise(data):
     """Per axis, the step of the grid that positions lie on (0.0: none) and the least sigma, metres.
-
-    Parameters
-    ----------
-    data : Dataset or sequence of Scene
 
     Returns
     -------
@@ -328,7 +319,6 @@ def _differences(times, x, order):
     times : ndarray, shape (n,)
     x : ndarray, shape (k, n)
         Tracks at the same times.
-    order : int
 
     Returns
     -------

@@ -3,8 +3,6 @@
 No law can profit from what is left out.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,13 +1,11 @@
 """Tables that give a distance and an angle in the place of x and y, as of double stars."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from bsp_gp.data.conversion import ratio_of
-from bsp_gp.data.roster import require_columns
+from bsp_gp.data.roster import GAP, fail_at, numbers_of, require_columns
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import parse_unit
 
@@ -35,7 +33,6 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         ``[units]``; that of the angle must be there or in the header.
     start : {"x", "y"}
@@ -60,8 +57,8 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
         return table, dict(units)
     found = {**table.units, **units}
     frame = table.frame
-    angle = _numbers(table, "angle") * _scale_of_angle(table, found, "angle")
-    distance = _numbers(table, "distance")
+    angle = numbers_of(table, "angle") * _scale_of_angle(table, found, "angle")
+    distance = numbers_of(table, "distance")
     _check(table, distance < 0, "distance", "a distance must not be negative", distance)
     half = np.isnan(distance) != np.isnan(angle)
     _check(table, half, "angle", "a distance without an angle, or an angle without a distance")
@@ -72,8 +69,8 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
     if {"sdistance", "sangle"} & set(frame.columns):
         require_columns(table, ["sdistance", "sangle"])
         key = "sangle" if "sangle" in found else "angle"
-        across = distance * _numbers(table, "sangle") * _scale_of_angle(table, found, key)
-        along = _numbers(table, "sdistance") * _ratio_of_errors(table, found)
+        across = distance * numbers_of(table, "sangle") * _scale_of_angle(table, found, key)
+        along = numbers_of(table, "sdistance") * _ratio_of_errors(table, found)
         for name, error in (("sdistance", along), ("sangle", across)):
             _check(table, error < 0, name, "a standard error must not be negative", error)
         new["sx"] = np.hypot(cosine * along, sine * across)
@@ -94,21 +91,11 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
     )  # fmt: skip
 
 
-def _numbers(table, column):
-    try:
-        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError) as error:
-        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
-
-
 def _check(table, bad, column, problem, values=None):
     if bad.any():
         k = int(bad.argmax())
         got = "" if values is None else f", got {values[k]:g}"
-        raise DataError(
-            problem + got, file=table.file, row=int(table.frame.index[k]), column=column,
-            remedy="leave the whole row out to mark a gap in the track",
-        )  # fmt: skip
+        fail_at(table, problem + got, k, column, GAP)
 
 
 def _ratio_of_errors(table, units):

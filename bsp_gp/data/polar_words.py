@@ -1,7 +1,5 @@
 """Words by which headings speak of a distance and an angle, of their errors, and of dates."""
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.units import OF_THE_SKY

@@ -3,15 +3,13 @@
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, and vector tables of JPL
-Horizons.
+Horizons (its manual: a preamble, a line of names, rows in CSV form between ``$$SOE`` and
+``$$EOE``).
 """
-
-from __future__ import annotations
 
 import csv
 import re
 
-from bsp_gp.data.horizons import is_horizons, plain_table
 from bsp_gp.errors import DataError
 
 __all__ = ["HEADS", "without_preamble"]
@@ -28,7 +26,6 @@ def _long(rows, time, owners, unit, path):
 
     Parameters
     ----------
-    rows : iterable of list of str
     time : callable
         The time of a row, as a text.
     owners : sequence of (int, str)
@@ -176,8 +173,35 @@ def _cassy(text, path):
     return f"{header}\n{text[found.end() :].lstrip()}"
 
 
+_BEGIN, _END = "$$SOE", "$$EOE"
+_NAMES = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
+_UNITS = {"AU-D": ("au", "day"), "KM-S": ("km", "s"), "KM-D": ("km", "day")}
+
+
 def _horizons(text, path):
-    return plain_table(text) if is_horizons(text) else text
+    """A vector table with units and the body; what has no names above its rows stays as it is."""
+    if not (f"\n{_BEGIN}" in text and f"\n{_END}" in text and "JDTDB" in text):
+        return text
+    above, rest = text.split(f"\n{_BEGIN}", 1)
+    names = next((line for line in reversed(above.splitlines()) if "JDTDB" in line), "")
+    names = [cell.strip() for cell in names.split(",")]
+    if len(names) < 3:
+        return text
+    units = re.search(r"Output units\s*:\s*(\S+)", above)
+    length, time = _UNITS.get(units[1].rstrip(",") if units else "", ("", ""))
+    body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", above, re.MULTILINE)
+    kept = [k for k, name in enumerate(names) if name in _NAMES]
+    own = {"J": "day", "V": f"{length}/{time}" if time else ""}
+    header = []
+    for name in (names[k] for k in kept):
+        unit = own.get(name[0], length)
+        header.append(f"{name} ({unit})" if unit else name)
+    lines = ["\t".join(["entity", *header])]
+    for line in rest.split(f"\n{_END}", 1)[0].splitlines()[1:]:
+        cells = [cell.strip() for cell in line.split(",")]
+        row = [cells[k] if k < len(cells) else "" for k in kept]
+        lines.append("\t".join([body[1] if body else "body", *row]))
+    return "\n".join(lines) + "\n"
 
 
 _KNOWN = {

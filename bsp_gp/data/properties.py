@@ -1,7 +1,5 @@
 """Properties of bodies that are said beside the data: ``--property mass=0.3058[kg]``."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
@@ -79,7 +77,6 @@ def with_properties(dataset, said):
 
     Parameters
     ----------
-    dataset : Dataset
     said : mapping
         See `read_properties`.
 

@@ -4,13 +4,11 @@ A column is taken for one where its word and its unit agree and it does not chan
 what only may be one is named where a mass turns out to be needed.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
 from bsp_gp.data.headings import property_of_words
-from bsp_gp.data.roster import WITHIN
+from bsp_gp.data.roster import WITHIN, tracks_of
 from bsp_gp.errors import in_python
 
 __all__ = ["quoted", "unread_masses", "with_properties_by_words"]
@@ -21,7 +19,6 @@ def with_properties_by_words(table, units):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         That are declared; a column with a unit under its own name is an input of laws.
     """
@@ -54,9 +51,7 @@ def _renamed(table, column, name):
 
 
 def _is_constant(frame, column):
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    groups = frame.groupby(keys, sort=False)[column] if keys else [("", frame[column])]
-    return all(part.nunique(dropna=False) <= 1 for _, part in groups)
+    return all(part.nunique(dropna=False) <= 1 for part in tracks_of(frame, column))
 
 
 def unread_masses(table):

@@ -12,12 +12,16 @@ import pandas as pd
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
 
-__all__ = ["WITHIN", "Roster", "read_roster", "require_columns", "roster_within"]
+__all__ = [
+    "WITHIN", "Roster", "fail_at", "numbers_of", "read_roster", "require_columns", "roster_within",
+    "tracks_of",
+]  # fmt: skip
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 WITHIN = ("mass", "charge")
 """Properties that a table of tracks may say itself, where it says their unit."""
 ABSURD = 1e150
+GAP = "leave the whole row out to mark a gap in the track"
 STATE_NAMES = {"p": "position", "v": "velocity", "s": "shape"}
 """What laws call so; a property of that name could not be told from it."""
 
@@ -35,7 +39,6 @@ class Roster:
     units : dict of str to Unit
         Of the properties.
     file : str or None
-    notes : tuple of str
     """
 
     entities: tuple[Entity, ...] = ()
@@ -50,7 +53,21 @@ class Roster:
         return self.rows.get((None, name)) if found is None else found
 
 
-def require_columns(table, needed, where="the header"):
+def numbers_of(table, column):
+    """A column as floats, nan where a cell is empty, shape (n,); DataError for texts."""
+    try:
+        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
+
+
+def fail_at(table, problem, k, column, remedy=None):
+    """Raise a DataError about the k-th row of a table."""
+    line = int(table.frame.index[k])
+    raise DataError(problem, file=table.file, row=line, column=column, remedy=remedy)
+
+
+def require_columns(table, needed):
     """Complain about the first column that is missing."""
     missing = [column for column in needed if column not in table.frame.columns]
     if missing:
@@ -59,11 +76,19 @@ def require_columns(table, needed, where="the header"):
         if "x" in missing:
             options += ' (of bodies side by side, BODY_x="..." OTHER_x="...")'
         raise DataError(
-            f"{where} has no column {missing[0]!r}; present are {', '.join(present)}",
+            f"the header has no column {missing[0]!r}; present are {', '.join(present)}",
             file=table.file,
             column=missing[0],
             remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
         )
+
+
+def tracks_of(frame, column):
+    """A column track by track."""
+    keys = [name for name in ("scene", "entity") if name in frame.columns]
+    if not keys:
+        return [frame[column]]
+    return [part for _, part in frame.groupby(keys, sort=False)[column]]
 
 
 def roster_within(table, units):
@@ -71,7 +96,6 @@ def roster_within(table, units):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         That are declared.
 
@@ -92,8 +116,7 @@ def roster_within(table, units):
     for column in (name for name in WITHIN if name in frame.columns):
         if not {column} & {*units, *table.units}:
             continue  # of trackpy a mass is a brightness
-        groups = frame.groupby(keys, sort=False)[column] if keys else [("", frame[column])]
-        moved = [part for _, part in groups if part.nunique(dropna=False) > 1]
+        moved = [part for part in tracks_of(frame, column) if part.nunique(dropna=False) > 1]
         if not moved:
             found.append(column)
         elif column in units:
@@ -122,7 +145,6 @@ def read_roster(table, conversion, *, coded=()):
     ----------
     table : Table
         Read with ``as_text=True``.
-    conversion : Conversion
     coded : iterable of str
         Text columns to keep, as numbers 0, 1, … in order of appearance (``share = COLUMN``).
     """
@@ -137,7 +159,8 @@ def read_roster(table, conversion, *, coded=()):
     is_dynamic = reader.dynamic()
     sizes = {c: reader.sizes(c) for c in ("radius", "width", "height")}
     shapes = reader.shapes(sizes)
-    is_dynamic = np.where(np.isnan(is_dynamic), ~_is_rect(shapes), is_dynamic == 1)
+    is_free = np.array([not shape.startswith("rect") for shape in shapes], dtype=bool)
+    is_dynamic = np.where(np.isnan(is_dynamic), is_free, is_dynamic == 1)
     properties, units = reader.properties(coded)
     mass = properties.get("mass", np.full(len(names), math.nan))
     bad = is_dynamic & (mass <= 0)
@@ -164,10 +187,6 @@ def read_roster(table, conversion, *, coded=()):
     return Roster(entities, rows, units, table.file, (*table.notes, *reader.notes))
 
 
-def _is_rect(shapes):
-    return np.array([shape.startswith("rect") for shape in shapes], dtype=bool)
-
-
 class _RosterReader:
     def __init__(self, table, conversion):
         self.frame = table.frame
@@ -176,8 +195,7 @@ class _RosterReader:
         self.notes = []
 
     def fail(self, problem, k, column, remedy=None):
-        line = int(self.frame.index[k])
-        raise DataError(problem, file=self.table.file, row=line, column=column, remedy=remedy)
+        fail_at(self.table, problem, k, column, remedy)
 
     def names(self, column, is_blank_allowed=False):
         if column not in self.frame:

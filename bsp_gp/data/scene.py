@@ -82,20 +82,6 @@ class Entity:
                 remedy="leave the cell empty if the mass is unknown, or set dynamic to 0",
             )
 
-    def __reduce__(self):  # mappingproxy does not travel to worker processes by itself
-        return (
-            Entity,
-            (
-                self.name,
-                self.shape,
-                self.radius,
-                self.width,
-                self.height,
-                self.is_static,
-                dict(self.properties),
-            ),
-        )
-
     @property
     def mass(self):
         """Mass in kg, nan if unknown."""
@@ -263,18 +249,13 @@ class Scene:
     def rows(self, start, stop):
         """The same scene cut to rows ``start:stop`` of time."""
         cut = slice(start, stop)
-        return Scene(
-            self.name,
-            self.times[cut],
-            self.positions[cut],
-            self.entities,
-            None if self.velocities is None else self.velocities[cut],
-            None if self.sigma is None else self.sigma[cut],
-            {name: values[cut] for name, values in self.inputs.items()},
-            self.first if start in (0, None) else None,
-            self.may_meet,
-            {name: values[cut] for name, values in self.logs.items()},
-        )
+        arrays = {n: getattr(self, n) for n in ("times", "positions", "velocities", "sigma")}
+        return replace(
+            self, **{n: None if values is None else values[cut] for n, values in arrays.items()},
+            inputs={name: values[cut] for name, values in self.inputs.items()},
+            logs={name: values[cut] for name, values in self.logs.items()},
+            first=self.first if start in (0, None) else None,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -384,28 +365,6 @@ class Dataset:
                 f"scenes {overlap[:5]} are both in train and in test",
                 remedy="a held-out scene must not be trained on",
             )
-
-    def __reduce__(self):  # mappingproxies do not travel to worker processes by themselves
-        return (
-            Dataset,
-            (
-                self.name,
-                self.scenes,
-                self.train,
-                self.test,
-                self.units,
-                dict(self.property_units),
-                self.up,
-                self.noise,
-                self.velocity,
-                self.latents,
-                self.evaluation,
-                dict(self.provenance),
-                self.notes,
-                self.noise_memory,
-                dict(self.logged),
-            ),
-        )
 
     def __repr__(self):
         bodies = list(dict.fromkeys(name for scene in self.scenes for name in scene.names))

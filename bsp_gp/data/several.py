@@ -1,7 +1,5 @@
 """Several files of one motion as one data set: every file is a scene, or keeps its own."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter
@@ -28,12 +26,7 @@ def name_of_several(paths):
 
 
 def tables_of(path):
-    """The tables of a folder that holds nothing else, as people count; () of all others.
-
-    Parameters
-    ----------
-    path : path-like
-    """
+    """The tables of a folder that holds nothing else, as people count; () of all others."""
     path = Path(path)
     if not path.is_dir():
         return ()
@@ -55,7 +48,6 @@ def joined(datasets, paths):
 
     Parameters
     ----------
-    datasets : sequence of Dataset
     paths : sequence of path-like
         Where each comes from.
 

@@ -4,15 +4,13 @@ Places become offsets in the tangent plane, x to the east and y to the north. Wi
 parallax they are lengths; without one they stay angles, and lengths are not calibrated.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.roster import require_columns
+from bsp_gp.data.roster import fail_at, numbers_of, require_columns
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
@@ -41,7 +39,6 @@ def from_sky(table, units, about=None):
 
     Parameters
     ----------
-    table : Table
     units : mapping of str to str
         ``[units]``. Without ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and
         degrees); errors without ``sra`` and ``sdec`` are milliarcseconds, that of a right
@@ -75,7 +72,7 @@ def from_sky(table, units, about=None):
             )  # fmt: skip
         return table, dict(units)
     au = parse_unit("au")[0]
-    lengths = {c: _numbers(table, c) * parse_unit(text)[0] * distance / au
+    lengths = {c: numbers_of(table, c) * parse_unit(text)[0] * distance / au
                for c, text in lengths.items()}  # fmt: skip
     own = {key: text for key, text in table.units.items() if key not in lengths}
     new = {key: text for key, text in units.items() if key not in lengths} | {"length": "au"}
@@ -94,10 +91,10 @@ def _offsets(table, found, units):
     away = np.arccos(np.clip(depth, -1, 1))
     if np.nanmax(away) > _WIDEST:
         k = int(np.nanargmax(away))
-        raise DataError(
-            f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is no "
-            "picture of so much of the sky", file=table.file, row=int(table.frame.index[k]),
-            column="ra", remedy="give offsets x and y, or places near each other",
+        fail_at(
+            table, f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is "
+            "no picture of so much of the sky", k, "ra",
+            "give offsets x and y, or places near each other",
         )  # fmt: skip
     arcsec = parse_unit("arcsec")[0]
     x = np.cos(dec) * np.sin(turn) / depth / arcsec
@@ -107,7 +104,7 @@ def _offsets(table, found, units):
         require_columns(table, ["sra", "sdec"])
         for ours, theirs in (("sx", "sra"), ("sy", "sdec")):
             scale = _scale(table, theirs, found.get(theirs, "mas"))
-            new[ours] = _numbers(table, theirs) * scale / arcsec
+            new[ours] = numbers_of(table, theirs) * scale / arcsec
     rest = table.frame.drop(columns=[c for c in SKY_COLUMNS if c in table.frame.columns])
     degrees = f"{math.degrees(middle[0]) % 360:.8f}, {math.degrees(middle[1]):+.8f}"
     note = f"right ascension and declination are offsets to the east and north of ({degrees}) deg"
@@ -134,19 +131,10 @@ def _angles(table, column, unit):
 def _degrees(table, column, k, cell):
     match = _SEXAGESIMAL.fullmatch(str(cell).strip())
     if match is None:
-        raise DataError(
-            f"{str(cell)!r:.40} is no angle", file=table.file, row=int(table.frame.index[k]),
-            column=column, remedy="write degrees, or 17:45:40.04 and -29:00:28.1",
-        )  # fmt: skip
+        remedy = "write degrees, or 17:45:40.04 and -29:00:28.1"
+        fail_at(table, f"{str(cell)!r:.40} is no angle", k, column, remedy)
     size = sum(float(part) / 60**n for n, part in enumerate(match.groups()[1:]))
     return -size if match[1] in ("-", "−") else size
-
-
-def _numbers(table, column):
-    try:
-        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError) as error:
-        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
 
 
 def _scale(table, column, text):

@@ -27,11 +27,8 @@ class Layout:
     ----------
     delimiter : str or None
         None is white space.
-    headings : tuple of Heading
     units : tuple of str
         Of every column; may be empty.
-    header_line, data_line : int
-    decimal : str
     title_cells : tuple of str
         Cells of the line above the header.
     notes : tuple of str
@@ -73,10 +70,6 @@ def sniff(head, rename, marks, path):
         distance and an angle).
     path : path-like
         For complaints.
-
-    Returns
-    -------
-    Layout
     """
     is_track = marks != ("entity",)
     bare = _without_header(head, rename) if is_track else None

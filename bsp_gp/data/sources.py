@@ -38,15 +38,12 @@ class Source:
 
     Attributes
     ----------
-    path : Path
     digest : str
         SHA-256 of the file.
     counts : dict of bytes to int
         How often delimiters occur.
-    encoding : str
     text : str or None
         The whole text, where the file is not text itself.
-    notes : tuple of str
     """
 
     path: Path
@@ -72,7 +69,6 @@ def open_source(path, names=()):
 
     Parameters
     ----------
-    path : path-like
     names : collection of str
         Columns that the caller knows. Where only the file's own header has them, what a program
         wrote is not turned into a plain table.
@@ -238,11 +234,10 @@ def _workbook(path):
     out = io.StringIO()
     csv.writer(out, delimiter="\t", lineterminator="\n").writerows(sheets[filled[0]])
     text = out.getvalue()
-    counts = {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
     unread = ", ".join(map(repr, filled[1:5]))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {unread}",) if unread else ()
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Source(path, digest, counts, text=text, notes=notes)
+    return Source(path, digest, _counts(text), text=text, notes=notes)
 
 
 def _rows(path, cells):

@@ -69,13 +69,8 @@ def choose_split(dataset, rng):
 
     Parameters
     ----------
-    dataset : Dataset
     rng : numpy.random.Generator
         Used only for the random quarter.
-
-    Returns
-    -------
-    Split
     """
     if dataset.train or dataset.test:
         return _declared(dataset)
@@ -130,7 +125,7 @@ def _in_time(dataset):
             train.append(scene)
             continue
         train.append(scene.rows(0, stop))
-        test.append(_held_out(scene.rows(start, None)))
+        test.append(replace(scene.rows(start, None), name=f"{scene.name} (held out)"))
         gaps.append(gap)
     if not test:
         return Split(tuple(train), (), "no split declared, and the scenes are too short for one")
@@ -139,10 +134,6 @@ def _in_time(dataset):
         f"the time held out after a gap of {max(gaps)} row(s)"
     )
     return Split(tuple(train), tuple(test), note, dataset.scenes)
-
-
-def _held_out(scene):
-    return replace(scene, name=f"{scene.name} (held out)")
 
 
 def _correlation_rows(scene, memory):

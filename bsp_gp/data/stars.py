@@ -4,8 +4,6 @@ The table gives the place of a companion as seen from the primary. That one is a
 the origin, so that laws between two bodies can name it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -38,11 +36,6 @@ _BESSEL_1900, _BESSEL_YEAR = 2415020.31352, 365.242198781
 
 def read_stars(table, declaration):
     """Recognise a table of separations and position angles, and put in what it leaves unsaid.
-
-    Parameters
-    ----------
-    table : Table
-    declaration : Declaration
 
     Returns
     -------
@@ -189,13 +182,8 @@ def with_primary(scenes, roster=None):
 
     Parameters
     ----------
-    scenes : sequence of Scene
     roster : Roster, optional
         What is known of the primary, if it is there.
-
-    Returns
-    -------
-    tuple of Scene
     """
     return tuple(_with_primary(scene, roster) for scene in scenes)
 

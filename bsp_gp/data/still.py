@@ -4,8 +4,6 @@ Under gravity a mark on a tripod would have to fall. Whether a body is held is a
 only where nobody has said it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +22,6 @@ LITTLE = 0.01
 
 def held_still(scenes):
     """Scenes whose bodies that never move are static, at their mean place, and what was done.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
 
     Returns
     -------

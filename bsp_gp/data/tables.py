@@ -235,10 +235,6 @@ def dataset_from_frames(
         As for `load_dataset`. Where headings do not say which column is the place of which body,
         ``columns`` does, as ``BODY_x`` and ``BODY_y`` with names of your own.
 
-    Returns
-    -------
-    Dataset
-
     Examples
     --------
     >>> import pandas as pd
@@ -259,9 +255,9 @@ def dataset_from_frames(
     if isinstance(frames, Mapping):
         if not frames:
             raise DataError("frames is an empty mapping; at least one scene is needed")
-        pieces = [_checked_frame(f, "frames").assign(scene=str(k)) for k, f in frames.items()]
+        pieces = [_checked_frame(f).assign(scene=str(k)) for k, f in frames.items()]
         frames = pd.concat(pieces, ignore_index=True)
-    table = _frame_table(_checked_frame(frames, "frames"), declaration.columns, "frames")
+    table = _frame_table(_checked_frame(frames), declaration.columns, "frames")
     if entities is None or isinstance(entities, pd.DataFrame):
         roster = entities
         if entities is not None:
@@ -271,9 +267,9 @@ def dataset_from_frames(
     return with_properties(_assemble(table, roster, declaration, name), properties)
 
 
-def _checked_frame(frame, what):
+def _checked_frame(frame):
     if not isinstance(frame, pd.DataFrame):
-        raise DataError(f"{what} must be a DataFrame or a mapping of them, got {type(frame)}")
+        raise DataError(f"frames must be a DataFrame or a mapping of them, got {type(frame)}")
     return frame
 
 

@@ -22,10 +22,6 @@ def parse_toml(content):
     content : bytes
         UTF-8, with or without a byte order mark.
 
-    Returns
-    -------
-    dict
-
     Raises
     ------
     TomlError

@@ -11,8 +11,6 @@ Tracks of other classes (particle models, centres of mass, tapes) are no measure
 Steps outside of the clip are kept by Tracker, but are no part of its own tables: left out too.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -34,10 +32,6 @@ SCALES = ("xscale", "yscale")
 
 def read_trk(path):
     """Read the point masses of a .trk file.
-
-    Parameters
-    ----------
-    path : path
 
     Returns
     -------

@@ -1,7 +1,5 @@
 """Tables without a column of times: their rows as frames, where nothing speaks against it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
@@ -29,7 +27,6 @@ def rows_as_frames(frame, found):
     ----------
     frame : DataFrame
         Its columns are called by their positions; its index counts lines.
-    found : sequence of Heading
 
     Returns
     -------

@@ -22,7 +22,6 @@ class Group:
     Attributes
     ----------
     kind : {"scene", "entity"}
-    label : str
     columns : dict of str to int
         Our name -> position in the table.
     run : str
@@ -40,15 +39,10 @@ def groups_of(found, titles=(), *, file=None, line=None):
 
     Parameters
     ----------
-    found : sequence of Heading
     titles : sequence of str
         Cells of the line above the header, which may name the groups.
     file, line : optional
         For complaints.
-
-    Returns
-    -------
-    tuple of Group
     """
     owners = dict.fromkeys(h.owner for h in found if h.sure != UNKNOWN and h.owner != ("", ""))
     groups = _owned(found, owners) if owners else _repeated(found, titles)

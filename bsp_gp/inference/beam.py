@@ -14,7 +14,7 @@ import numpy as np
 from bsp_gp.errors import EvaluationError
 from bsp_gp.inference.profile import Profile, fit_profile
 from bsp_gp.inference.separation import coefficient, depends_on, separate
-from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term
@@ -47,10 +47,8 @@ class Contender:
         Laws equal on the data whatever the latents.
     complexity : float
         nats.
-    profile : Profile
     cost : float
         loss + beta * complexity.
-    has_latent : bool
     """
 
     law: ForceLaw
@@ -134,7 +132,6 @@ class Beam:
 
         Parameters
         ----------
-        candidates : sequence of Candidate
         starts : ndarray, shape (B, k)
             Values of the latents.
 
@@ -166,7 +163,7 @@ class Beam:
         taken = set(self.base.names)
         free = (f"c{k}" for k in itertools.count(1) if f"c{k}" not in taken)
         names = {n: n if n not in taken else next(free) for n in candidate.formula.constants}
-        term = Term(renamed_constants(candidate.formula, names), candidate.kind)
+        term = Term(rename_constants(candidate.formula, names), candidate.kind)
         return self.base.plus(term, {names[n]: values.get(n, 1.0) for n in names})
 
     def _add(self, candidate, key, starts):
@@ -201,15 +198,6 @@ class Beam:
                 profile=again,
                 cost=again.loss + self.beta * contender.complexity,
             )
-
-
-def renamed_constants(formula, names):
-    """The formula with its constants renamed."""
-    if isinstance(formula, Constant):
-        return Constant(names.get(formula.name, formula.name))
-    if isinstance(formula, Call):
-        return Call(formula.operator, *(renamed_constants(arg, names) for arg in formula.args))
-    return formula
 
 
 def contains_latent(term, columns):

@@ -127,14 +127,7 @@ def _block(law, scenes, latents, likelihood, rng, settings, warm):
     else:
         posterior, profile = _sample(misfit, latents, settings, warm, sample_rng, start_rng)
         posterior = reweighted(posterior, misfit, latents, rng=start_rng)
-    notes = findings(misfit, latents, posterior, profile, rng=check_rng)
-    notes = [*misfit.notes, *notes]
-    return replace(
-        posterior,
-        priors=tuple(item.prior for item in latents.items),
-        truth=latents.truth,
-        notes=(*posterior.notes, *notes),
-    )
+    return _with_findings(posterior, misfit, latents, profile, check_rng)
 
 
 def _exact(misfit, latents, likelihood, settings, rng, start_rng):
@@ -195,26 +188,33 @@ def fit_fixed_constants(misfit, starts):
 
 
 def _ensemble(misfit, latents, start, settings, rng):
-    def log_prob(places):
-        values = latents.from_coordinate(places)
-        out = latents.log_prior(values) + latents.log_jacobian(places)
-        inside = np.isfinite(out)
-        if inside.any():
-            out[inside] += misfit.log_likelihood(values[inside])
-        return out
-
     posterior = sample_ensemble(
-        log_prob, latents.names, start, rng=rng, n_eff=settings.n_eff,
-        max_steps=settings.max_steps, keep_chain=settings.keep_chain, **_bounds(latents),
+        _density(latents, lambda values, _: misfit.log_likelihood(values)), latents.names, start,
+        rng=rng, n_eff=settings.n_eff, max_steps=settings.max_steps,
+        keep_chain=settings.keep_chain, **_bounds(latents),
     )  # fmt: skip
     return _in_values(posterior, latents)
 
 
+def _density(latents, log_likelihood):
+    """Log posterior of coordinates of latents, and of constants behind them with a flat prior."""
+    k = len(latents)
+
+    def log_prob(places):
+        values = latents.from_coordinate(places[:, :k])
+        out = latents.log_prior(values) + latents.log_jacobian(places[:, :k])
+        inside = np.isfinite(out)
+        if inside.any():
+            out[inside] += log_likelihood(values[inside], places[inside, k:])
+        return out
+
+    return log_prob
+
+
 def _bounds(latents, constants=0):
-    bounds = np.array([item.prior.bounds for item in latents.items]).reshape(-1, 2)
-    low = np.concatenate([bounds[:, 0], np.full(constants, -np.inf)])
-    high = np.concatenate([bounds[:, 1], np.full(constants, np.inf)])
-    return {"low": low, "high": high}
+    low, high = latents.of_priors("bounds").T
+    open_end = np.full(constants, np.inf)
+    return {"low": np.concatenate([low, -open_end]), "high": np.concatenate([high, open_end])}
 
 
 def _in_values(posterior, latents, constants=0):
@@ -251,14 +251,7 @@ def _mixed(misfit, latents, settings, warm, rng):
         every = full(values).reshape(-1, len(latents))
         return misfit.log_likelihood(every).reshape(len(values), len(grid)) + log_discrete
 
-    def log_prob(places):
-        values = smooth.from_coordinate(places)
-        out = smooth.log_prior(values) + smooth.log_jacobian(places)
-        inside = np.isfinite(out)
-        if inside.any():
-            out[inside] += logsumexp(log_table(values[inside]), axis=1)
-        return out
-
+    log_prob = _density(smooth, lambda values, _: logsumexp(log_table(values), axis=1))
     draw_rng, sample_rng = rng.spawn(2)
     start = smooth.to_coordinate(smooth.sample(256, rng=draw_rng)) if warm is None else warm
     if warm is None:
@@ -321,24 +314,15 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=N
         own = [softened_note(float(np.nanmax(likelihood.sigma)))]
         used = Softened(misfit, float(np.nanmax(likelihood.sigma)))
         profile = used.reference.profile
-    k, n_c = len(latents), len(misfit.constants)
-
-    def log_prob(places):
-        values = latents.from_coordinate(places[:, :k])
-        out = latents.log_prior(values) + latents.log_jacobian(places[:, :k])
-        inside = np.isfinite(out)
-        if inside.any():
-            out[inside] += used.log_likelihood(values[inside], places[inside, k:])
-        return out
-
+    n_c = len(misfit.constants)
     start_rng, sample_rng, check_rng = rng.spawn(3)
-    n_walkers = max(32, 4 * (k + n_c))
+    n_walkers = max(32, 4 * (len(latents) + n_c))
     start, _, _ = start_places(latents, profile, n_walkers, start_rng, constants=n_c)
     try:
         posterior = sample_ensemble(
-            log_prob, (*latents.names, *misfit.constants), start, rng=sample_rng,
-            n_eff=settings.n_eff, max_steps=settings.max_steps, keep_chain=settings.keep_chain,
-            **_bounds(latents, n_c),
+            _density(latents, used.log_likelihood), (*latents.names, *misfit.constants), start,
+            rng=sample_rng, n_eff=settings.n_eff, max_steps=settings.max_steps,
+            keep_chain=settings.keep_chain, **_bounds(latents, n_c),
         )  # fmt: skip
     except FitError as error:
         raise FitError(f"joint refinement: {error}", estimate=profile) from None
@@ -350,8 +334,8 @@ def refine(profile, scenes, latents, likelihood, *, rng, settings=None, misfit=N
 
 
 def _with_findings(posterior, misfit, latents, profile, rng):
-    """A posterior of latents and constants with what its reader must be told."""
-    n_c = len(misfit.constants)
+    """A posterior of latents, and maybe constants, with what its reader must be told."""
+    n_c = len(posterior.names) - len(latents)
     posterior = replace(
         posterior,
         priors=(*(item.prior for item in latents.items), *(None,) * n_c),

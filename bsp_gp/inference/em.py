@@ -27,8 +27,6 @@ CLASS_NATS = 3.0
 """Laws within this many nats of the best fit as well: the class that the data do not separate."""
 NOTHING_TO_GAIN = 1e-3
 """A loss (nats) below which no other law can be better by anything that matters."""
-AGREED = 1e-6
-"""Relative difference of two losses that counts as the same optimum."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +90,6 @@ class EmIteration:
     ----------
     start, iteration : int
         Iteration 0 is the prior under zero force.
-    law : ForceLaw
-    law_text : str
     loss : float
         Of the joint refit (or, for EM alone, the averaged loss of the M-step), nats.
     expected_log_joint : float
@@ -121,18 +117,13 @@ class EmResult:
 
     Attributes
     ----------
-    law : ForceLaw
-    best : Contender
     contenders : tuple of Contender
         All laws that were refitted, lowest cost first.
     posterior : Posterior
         Of the latents given the law.
     joint : Posterior or None
         Of latents and constants together.
-    trace : tuple of EmIteration
-    n_scored : int
     seconds : float
-    notes : tuple of str
     """
 
     law: ForceLaw
@@ -307,7 +298,7 @@ class _Em:
         """One start: zero force first, then M and E in turn; its best contender."""
         settings = self.settings
         posterior = prior_posterior(self.latents, rng=rng)
-        self._note(start, 0, self.base, "0", np.nan, np.nan, 0, posterior, time.perf_counter())
+        self.trace.append(EmIteration(start, 0, self.base, "0", np.nan, np.nan, 0, posterior, 0.0))
         best, joint_before = None, -np.inf
         for iteration, stream in enumerate(rng.spawn(settings.max_iterations), 1):
             began = time.perf_counter()
@@ -327,10 +318,10 @@ class _Em:
             )  # fmt: skip
             expected = float(posterior.weights @ posterior.log_prob)
             expected -= settings.beta * best.complexity
-            self._note(
-                start, iteration, best.law, best.law.text(), best.loss, expected, scored,
-                posterior, began,
-            )  # fmt: skip
+            self.trace.append(EmIteration(
+                start, iteration, best.law, best.law.text(), float(best.loss), expected, scored,
+                posterior, time.perf_counter() - began,
+            ))  # fmt: skip
             if settled or (iteration > 1 and expected < joint_before + settings.tolerance):
                 break
             joint_before = expected
@@ -364,18 +355,3 @@ class _Em:
         contender = self.beam.ranked()[0]
         law = self.beam.law_of(best)
         return replace(contender, law=law, cost=best.loss + beta * best.complexity)
-
-    def _note(self, start, iteration, law, text, loss, expected, scored, posterior, began):
-        self.trace.append(
-            EmIteration(
-                start,
-                iteration,
-                law,
-                text,
-                float(loss),
-                float(expected),
-                int(scored),
-                posterior,
-                time.perf_counter() - began,
-            )  # fmt: skip
-        )

@@ -4,8 +4,6 @@ Foreman-Mackey et al. 2013 (PASP 125, 306); moves mixed of stretches and differe
 Runs until the effective sample size asked for is reached, judged by the autocorrelation time.
 """
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np
@@ -46,14 +44,12 @@ def sample_ensemble(
     names : tuple of str, length k
     start : ndarray, shape (n, k)
         Places to start from (last walkers, Laplace or prior draws); more are made if needed.
-    rng : numpy.random.Generator
     n_eff : float
         Effective sample size of the worst parameter to stop at.
     max_steps : int
         Bound; a chain that has not got there is returned, with the reason.
     n_walkers : int, optional
         Even, at least 2k + 2; by default 32 or 4k.
-    keep_chain : bool
     low, high : ndarray, shape (k,), optional
         Bounds of the support, to keep start places inside.
 

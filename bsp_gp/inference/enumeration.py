@@ -1,7 +1,5 @@
 """Discrete latents exactly: every combination of their values, weighed."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a reader of a posterior must be told: nothing learnt, at the edge, contradicted."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["findings", "silent_latents"]
@@ -20,17 +18,10 @@ def findings(misfit, latents, posterior, profile, *, rng):
 
     Parameters
     ----------
-    misfit : misfit of the law
-    latents : Latents
     posterior : Posterior
         Latents first, constants after them.
     profile : Profile or None
         The joint optimum, for the test of the fit.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    list of str
     """
     notes = []
     silent = silent_latents(misfit, latents, posterior, rng=rng)

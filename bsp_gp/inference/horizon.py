@@ -5,8 +5,6 @@ backward velocity; the K squared errors are averaged, and the log-likelihood is 
 divided by the noise *level* (a Gaussian of variance level / 2, without its normaliser).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError
@@ -59,10 +57,8 @@ class HorizonMisfit(_Misfit):
         super().__init__(law, latents, names, np.concatenate(row_scene), np.zeros(len(names)))
         self.n_rows = len(self.row_scene)
 
-    def residual(self, values, constants=None):
+    def _residual(self, values, constants):
         """Weighted errors (W, m); half their sum of squares is minus the log-likelihood."""
-        values = np.atleast_2d(np.asarray(values, dtype=float))
-        constants = self._constants(constants, len(values))
         size = sum(
             n * b.positions[0].size * max(1, b.bodies.others.shape[1]) for b, _, n in self.groups
         )

@@ -32,12 +32,10 @@ class FreeDirection:
 
     Attributes
     ----------
-    names : tuple of str
     powers : tuple of float
         Multiply every name by t to its power: the fit does not change.
     information : float
         Of the data along the direction, in units of the prior's; below 1 they add nothing.
-    text, remedy : str
     """
 
     names: tuple[str, ...]
@@ -53,7 +51,6 @@ class Identifiability:
 
     Attributes
     ----------
-    names : tuple of str
     gain : ndarray
         1 - (posterior sd / prior sd)^2 of every latent: 0 nothing learnt, 1 all; nan for constants.
     directions : tuple of FreeDirection
@@ -122,9 +119,7 @@ def _directions(profile, latents, names, k):
     for i, item in enumerate(latents.items):
         if item.prior.is_logarithmic:
             slope[i] = 1.0
-    widths = np.array(
-        [item.prior.spread for item in latents.items] + [0.0] * (len(names) - k), dtype=float
-    )
+    widths = np.concatenate([latents.of_priors("spread"), np.zeros(len(names) - k)])
     width = np.where(np.arange(len(names)) < k, np.minimum(widths / np.abs(slope), 3.0), FLAT_PRIOR)
     jacobian = profile.jacobian * slope * width
     information, vectors = np.linalg.eigh(jacobian.T @ jacobian)

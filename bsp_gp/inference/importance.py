@@ -5,8 +5,6 @@ prior draws, so that weights stay bounded); a tempered one, where draws of a fla
 shape the next proposal (population Monte Carlo; Cappe et al. 2004, JCGS 13, 907).
 """
 
-from __future__ import annotations
-
 import logging
 import math
 
@@ -41,9 +39,6 @@ def sample_importance(
     ----------
     log_likelihood : callable
         ``log_likelihood(values) -> (W,)`` for values (W, k), nats.
-    latents : Latents
-    rng : numpy.random.Generator
-    n_draws : int
     proposal : str
         One of `PROPOSALS`.
     mode, covariance : ndarray, (k,) and (k, k), optional

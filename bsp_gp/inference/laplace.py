@@ -1,7 +1,5 @@
 """Gaussian posteriors about a joint optimum: where ensembles start, and what exact data leave."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.inference.posterior import Posterior
@@ -22,7 +20,7 @@ def start_places(latents, profile, n_places, rng, constants=0):
         Inverse information, the prior's own width included.
     """
     k = len(latents)
-    spread = np.array([item.prior.spread for item in latents.items])
+    spread = latents.of_priors("spread")
     extra = np.zeros(k + constants)
     extra[:k] = 1 / np.square(spread)
     information = profile.information + np.diag(extra)
@@ -34,8 +32,7 @@ def start_places(latents, profile, n_places, rng, constants=0):
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
     places = mean + rng.standard_normal((n_places, k + constants)) @ factor.T
-    bounds = np.array([item.prior.bounds for item in latents.items]).reshape(-1, 2)
-    low, high = bounds.T
+    low, high = latents.of_priors("bounds").T
     inside = places[:, :k]
     for _ in range(4):  # reflect at the bounds
         inside = np.where(inside < low, 2 * low - inside, inside)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.priors import Prior, prior_of
 from bsp_gp.physics.force import key_of
@@ -30,7 +29,6 @@ class Latent:
         all share it.
     column : str
         The property.
-    prior : Prior
     members : tuple of (str, str)
         Scene and entity names that have this value; "" for a scene is every one.
     truth : float
@@ -46,12 +44,7 @@ class Latent:
 
 @dataclass(frozen=True)
 class Latents:
-    """All unknowns of some scenes, in a fixed order.
-
-    Attributes
-    ----------
-    items : tuple of Latent
-    """
+    """All unknowns of some scenes, in a fixed order."""
 
     items: tuple[Latent, ...] = ()
     names: tuple[str, ...] = field(init=False)
@@ -79,6 +72,16 @@ class Latents:
     def is_discrete(self):
         """Mask of the discrete ones, shape (k,)."""
         return np.array([item.prior.is_discrete for item in self.items], dtype=bool)
+
+    def of_priors(self, name):
+        """A number of every prior, shape (k,), or two, (k, 2): its spread, bounds or pull."""
+        found = np.array([getattr(item.prior, name) for item in self.items], dtype=float)
+        return found if len(found) or name == "spread" else found.reshape(0, 2)
+
+    @property
+    def medians(self):
+        """Of the priors, shape (k,)."""
+        return np.array([float(item.prior.ppf(0.5)) for item in self.items])
 
     def of_scenes(self, names):
         """The latents that occur in these scenes, with memberships cut to them.
@@ -182,10 +185,7 @@ class Latents:
             return with_properties(entity, changes.get(key_of((scene.name, entity.name), changes)))
 
         return tuple(
-            replace(
-                scene,
-                entities=tuple(changed(scene, entity) for entity in scene.entities),
-            )
+            replace(scene, entities=tuple(changed(scene, entity) for entity in scene.entities))
             for scene in scenes
         )
 
@@ -195,15 +195,8 @@ def with_properties(entity, changes):
     if not changes:
         return entity
     rest = {k: v for k, v in changes.items() if k != "radius"}
-    return Entity(
-        entity.name,
-        entity.shape,
-        changes.get("radius", entity.radius),
-        entity.width,
-        entity.height,
-        entity.is_static,
-        {**entity.properties, **rest},
-    )
+    radius = changes.get("radius", entity.radius)
+    return replace(entity, radius=radius, properties={**entity.properties, **rest})
 
 
 class PropertyTable:

@@ -22,10 +22,6 @@ def averaged_regression(scenes, latents, draws, weights, likelihood):
     ----------
     draws : ndarray, shape (S, k)
     weights : ndarray, shape (S,)
-
-    Returns
-    -------
-    Regression
     """
     plain = likelihood.for_search
     regressions = [plain.regression(latents.filled(scenes, draw)) for draw in draws]
@@ -38,7 +34,6 @@ class Exhaustive:
 
     Attributes
     ----------
-    max_levels : int
     top_k : int
         Laws kept for every unit of complexity.
     """

@@ -6,8 +6,6 @@ becomes J numbers, whatever the number of instants, and its sum of squares is ex
 cancellation. Other laws are evaluated at all instants.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -47,6 +45,14 @@ class _Misfit:
         """The law's own values of its free constants, shape (n_c,)."""
         return np.array([self.law.constants[n] for n in self.constants], dtype=float)
 
+    def residual(self, values, constants=None):
+        """Whitened residual (W, m), which may be compressed: with `rest`, its squares count."""
+        values = np.atleast_2d(np.asarray(values, dtype=float))
+        constants = self.start if constants is None else np.asarray(constants, dtype=float)
+        return self._residual(
+            values, np.broadcast_to(constants, (len(values), len(self.constants)))
+        )
+
     def chisq(self, values, constants=None):
         """Whitened sum of squares of every scene, (W, S), for values (W, k)."""
         residual = self.residual(values, constants)
@@ -57,12 +63,6 @@ class _Misfit:
         with np.errstate(all="ignore"):
             total = -0.5 * self.chisq(values, constants).sum(axis=1)
         return np.where(np.isfinite(total), total, -np.inf)
-
-    def _constants(self, constants, n_draws):
-        if constants is None:
-            constants = self.start
-        constants = np.asarray(constants, dtype=float)
-        return np.broadcast_to(constants, (n_draws, len(self.constants)))
 
 
 class MotionBank:
@@ -159,10 +159,7 @@ class ReducedMisfit(_Misfit):
             None if s.constant is None else self.constants.index(s.constant) for s in separated
         ]
 
-    def residual(self, values, constants=None):
-        """Compressed residual (W, m); with `rest` its sum of squares is chi-squared."""
-        values = np.atleast_2d(np.asarray(values, dtype=float))
-        constants = self._constants(constants, len(values))
+    def _residual(self, values, constants):
         out = []
         for table, triangle, target in self.blocks:
             weights = self._weights(table, values, constants)
@@ -209,10 +206,7 @@ class DirectMisfit(_Misfit):
         super().__init__(law, latents, names, np.concatenate(row_scene), np.zeros(len(names)))
         self.n_rows = regression.n_rows
 
-    def residual(self, values, constants=None):
-        """Whitened residual (W, m)."""
-        values = np.atleast_2d(np.asarray(values, dtype=float))
-        constants = self._constants(constants, len(values))
+    def _residual(self, values, constants):
         return np.concatenate([self._scene(*p, values, constants) for p in self.parts], axis=1)
 
     def _scene(self, batch, table, target, values, constants):
@@ -268,7 +262,6 @@ def averaged(values, batch):
     Parameters
     ----------
     values : ndarray, shape (n, S, R, ..., d)
-    batch : RegressionBatch
     """
     if len(values) < 3:
         return values
@@ -334,7 +327,6 @@ def misfit_of(law, latents, bank):
     ----------
     law : ForceLaw
         Constants with one value per receiver stay as they are; the others are free.
-    latents : Latents
     bank : MotionBank
         Of the regression; shares motion parts between laws.
 

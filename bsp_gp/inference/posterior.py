@@ -298,7 +298,6 @@ def split_r_hat(chain, n_groups=4):
     Parameters
     ----------
     chain : ndarray, shape (steps, walkers, k)
-    n_groups : int
 
     Returns
     -------

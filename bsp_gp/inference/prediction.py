@@ -20,15 +20,11 @@ def posterior_nrmse(law, scenes, latents, draws, *, reference=None, up=None):
 
     Parameters
     ----------
-    law : ForceLaw
-    scenes : sequence of Scene
-    latents : Latents
     draws : ndarray, shape (W, k)
         Equally weighted, columns in the order of `latents`.
     reference : sequence of Scene, optional
         The same scenes without noise: errors are then those of the predicted places against
         these, while the states predicted from stay the measured ones.
-    up : str, optional
 
     Returns
     -------
@@ -58,7 +54,6 @@ class Bands:
 
     Attributes
     ----------
-    scene : str
     names : tuple of str
         Receivers.
     times : ndarray, shape (T,)
@@ -93,17 +88,10 @@ def predictive_bands(
 
     Parameters
     ----------
-    law : ForceLaw
-    scene : Scene
-    latents : Latents
     posterior : Posterior
         Over the latents, and over the constants if they were sampled too.
-    rng : numpy.random.Generator
-    n_draws : int
     sigma : float, optional
         Measurement noise to add to the bands, metres.
-    integrator : str
-    probability : float
 
     Returns
     -------

@@ -33,9 +33,6 @@ class LatentProblem:
     train, test : tuple of Scene
     latents : Latents
         Of the training scenes.
-    test_latents : Latents
-    likelihood : Likelihood
-    notes : tuple of str
     """
 
     dataset: object
@@ -108,8 +105,7 @@ def _all(*parts):
 
 def stand_ins(scenes, latents):
     """The scenes with unknown properties at the medians of their priors."""
-    medians = [float(item.prior.ppf(0.5)) for item in latents.items]
-    return latents.filled(scenes, medians)
+    return latents.filled(scenes, latents.medians)
 
 
 def _likelihood(dataset, kind, noise):

@@ -51,7 +51,6 @@ class Profile:
     at_bound : ndarray of bool, shape (k,)
     losses : ndarray, shape (B,)
         From every start, sorted: several near the least mean that it was found repeatedly.
-    n_rows : int
     """
 
     law: object
@@ -79,10 +78,8 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
 
     Parameters
     ----------
-    misfit : ReducedMisfit or DirectMisfit
     starts : ndarray, shape (B, k)
         Values of the latents to start from.
-    max_iterations : int
     give_up : float
         Losses above this are not worth finishing: the fit ends after a third of its iterations.
 
@@ -167,17 +164,15 @@ class _Problem:
     def __init__(self, misfit):
         self.misfit = misfit
         self.latents = misfit.latents
-        items = self.latents.items
-        self.k = len(items)
-        self.unit = np.array([item.prior.spread for item in items])
-        bounds = np.array([item.prior.bounds for item in items]).reshape(-1, 2)
-        self.low, self.high = (bounds / self.unit[:, None]).T if self.k else (np.zeros(0),) * 2
-        pull = np.array([item.prior.pull for item in items]).reshape(-1, 2)
-        self.center = pull[:, 0] / self.unit
-        self.weight = self.unit / pull[:, 1]  # of the prior residual, 0 where flat
+        self.k = len(self.latents)
+        self.unit = self.latents.of_priors("spread")
+        self.low, self.high = (self.latents.of_priors("bounds") / self.unit[:, None]).T
+        mean, sd = self.latents.of_priors("pull").T
+        self.center = mean / self.unit
+        self.weight = self.unit / sd  # of the prior residual, 0 where flat
         self.constant_unit = np.ones(len(misfit.constants))
         self.colours = self._colours()
-        self.is_discrete = np.array([item.prior.is_discrete for item in items], dtype=bool)
+        self.is_discrete = self.latents.is_discrete
         self.holds_discrete = False
 
     def _colours(self):

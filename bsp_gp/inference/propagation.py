@@ -7,8 +7,6 @@ whitened by the covariance sigma^2 M M^T. That is the likelihood of the noise-fr
 initial states free, linearised about the data.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from bsp_gp.inference.misfit import DirectMisfit, MotionBank, averaged
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.regression import Regression
 
-__all__ = ["PropagatedBank", "compressed"]
+__all__ = ["PropagatedBank", "compressed", "together"]
 
 STEP = 1e-3
 """Finite-difference step, in sigma."""
@@ -70,10 +68,7 @@ class PropagatedBank(MotionBank):
             triangles, targets, rests = [], [], []
             for s in range(n_scenes):
                 rows, whitener = self.whiteners[index][s]
-                spread = np.zeros((n, r, d, r, p))
-                for k in range(r):
-                    spread[:, k, :, k] = np.swapaxes(columns[:, s, k], 1, 2)
-                matrix = whitener @ spread.reshape(n * r * d, r * p)[rows]
+                matrix = whitener @ together(columns[:, s]).reshape(n * r * d, r * p)[rows]
                 y = whitener @ batch.target[:, s].reshape(-1)[rows]
                 triangle, target, rest = compressed(matrix, y)
                 triangles.append(triangle)
@@ -99,13 +94,22 @@ class _Whitened(DirectMisfit):
         )
         self._starts = np.searchsorted(self.row_scene, np.arange(len(whiteners)))
 
-    def residual(self, values, constants=None):
-        raw = super().residual(values, constants)
+    def _residual(self, values, constants):
+        raw = super()._residual(values, constants)
         parts = []
         for s, (rows, whitener) in enumerate(self._whiteners):
             scene = raw[:, self._ends[s] - self._sizes[s] : self._ends[s]]
             parts.append(scene[:, rows] @ whitener.T)
         return np.concatenate(parts, axis=1)
+
+
+def together(columns):
+    """Columns of each receiver, (n, R, P, d), as those of all of them, (n, R * d, R * P)."""
+    n, r, p, d = columns.shape
+    spread = np.zeros((n, r, d, r, p))
+    for k in range(r):
+        spread[:, k, :, k] = np.swapaxes(columns[:, k], 1, 2)
+    return spread.reshape(n, r * d, r * p)
 
 
 def compressed(matrix, y):

@@ -47,7 +47,6 @@ def separate(term, columns):
 
     Parameters
     ----------
-    term : Term
     columns : collection of str
         Properties that are unknown.
     """
@@ -81,7 +80,8 @@ def split_formula(formula, columns):
     parts = [split_formula(arg, columns) for arg in formula.args if arg is not None]
     if any(part is None for part in parts):
         return None
-    return _RULES.get(formula.operator, _no_rule)(formula, parts)
+    rule = _RULES.get(formula.operator)
+    return rule and rule(formula, parts)
 
 
 def _times(a, b):
@@ -118,10 +118,6 @@ def _squared(part):
     return part if part is ONE else Call("square", part)
 
 
-def _no_rule(formula, parts):
-    return None
-
-
 _RULES = {"mul": _mul, "div": _div, "div_guarded": _div, "neg": _neg, "square": _square}
 
 
@@ -130,7 +126,6 @@ def coefficient(separated, lookup):
 
     Parameters
     ----------
-    separated : Separated
     lookup : callable
         As `PropertyTable.inputs` gives it.
 

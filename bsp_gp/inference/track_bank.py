@@ -1,11 +1,9 @@
 """Motion parts of laws on linearised tracks: products compressed, other laws evaluated."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.inference.misfit import DirectMisfit, MotionBank
-from bsp_gp.inference.propagation import compressed
+from bsp_gp.inference.propagation import compressed, together
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.regression import Regression, RegressionBatch
 
@@ -35,7 +33,7 @@ class TrackBank(MotionBank):
         self.paths = [by_name[scene.name] for scene in scenes]
         # What the reference leaves, and what the law put into it.
         self.offsets = [
-            path.residual + path.apply(_flat(batch.target))[:, 0]
+            path.residual + path.apply(batch.target.reshape(len(batch.target), -1, 1))[:, 0]
             for path, batch in zip(self.paths, batches, strict=True)
         ]
 
@@ -48,11 +46,7 @@ class TrackBank(MotionBank):
         key = (parts, index)
         if key not in self._factors:
             columns = np.concatenate([self.field(k, m, index) for k, m in parts], axis=3)
-            n, _, r, p, d = columns.shape
-            spread = np.zeros((n, r, d, r, p))
-            for k in range(r):
-                spread[:, k, :, k] = np.swapaxes(columns[:, 0, k], 1, 2)
-            matrix = self.paths[index].apply(spread.reshape(n, r * d, r * p))
+            matrix = self.paths[index].apply(together(columns[:, 0]))
             triangle, target, rest = compressed(matrix, self.offsets[index])
             self._factors[key] = (triangle[None, None], target[None, None], np.array([rest]))
         return self._factors[key]
@@ -69,9 +63,8 @@ class _DirectTracks(DirectMisfit):
         self.row_scene = np.repeat(np.arange(len(sizes)), sizes)
         self._starts = np.searchsorted(self.row_scene, np.arange(len(sizes)))
 
-    def residual(self, values, constants=None):
-        """Whitened residual (W, m)."""
-        raw = super().residual(values, constants)  # reference less law, at every point
+    def _residual(self, values, constants):
+        raw = super()._residual(values, constants)  # reference less law, at every point
         parts, first = [], 0
         for path, batch, size in zip(
             self._bank.paths, self.regression.batches, self._sizes, strict=True
@@ -96,8 +89,3 @@ def _batch_of(path, bodies, law):
         bodies, times, positions, velocities, target, valid, valid.astype(float), (path.scene,),
         kept=np.ones(n_counted, dtype=bool),
     )  # fmt: skip
-
-
-def _flat(target):
-    """Accelerations (n, 1, R, d) as one column (n, R * d, 1)."""
-    return target.reshape(len(target), -1, 1)

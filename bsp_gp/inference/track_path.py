@@ -7,8 +7,6 @@ projection. So the whitened residual of a whole track is an affine function of t
 fixed points of the reference, whichever way they hang on masses and constants.
 """
 
-from __future__ import annotations
-
 from copy import copy
 
 import numpy as np
@@ -147,7 +145,6 @@ def paths_of(shooting, nodes, mesh, receivers):
     shooting : Shooting
         Whose chains are whole scenes; its motion has the reference's properties and constants.
     nodes : ndarray, shape (2, R, d, T, S)
-    mesh : Mesh
     receivers : ndarray of int
         Places of the moving bodies among those of a scene.
 

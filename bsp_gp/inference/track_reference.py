@@ -49,8 +49,6 @@ class Reference:
     ----------
     world : TrackWorld
         With the level of the noise as it was found.
-    profile : Profile
-    bank : TrackBank
     nodes : tuple of ndarray, shape (2, R, d, T, S)
         Per group of like-built scenes.
     is_settled : bool
@@ -90,7 +88,6 @@ def find_reference(world, starts, constants=None):
 
     Parameters
     ----------
-    world : TrackWorld
     starts : ndarray, shape (B, k)
         Values of the latents to start from, the likeliest first.
     constants : ndarray, shape (n_c,), optional
@@ -254,8 +251,8 @@ class _Climb:
 
     def _pull(self, values):
         coordinates = self.world.latents.to_coordinate(values)
-        pull = np.array([item.prior.pull for item in self.world.latents.items]).reshape(-1, 2)
-        return float(np.square((coordinates - pull[:, 0]) / pull[:, 1]).sum())
+        mean, sd = self.world.latents.of_priors("pull").T
+        return float(np.square((coordinates - mean) / sd).sum())
 
     def _level(self, reference):
         """Levels per axis that the optimum leaves, degrees of freedom counted."""

@@ -33,7 +33,6 @@ class TrackWorld:
     scenes : tuple of Scene
     sigma : ndarray, shape (d,), m
         nan: an axis that carries no information.
-    paper_steps : bool
     up : str or None
     is_estimated : bool
         Whether `sigma` is only where the estimate of the level begins.
@@ -65,7 +64,7 @@ class Tracks:
         law = world.law
         self.names = tuple(n for n in law.names if not hasattr(law.constants[n], "items"))
         parameters = tuple((name, "") for name in self.names)
-        self.groups = self.chains(_medians(world.latents)[None])
+        self.groups = self.chains(world.latents.medians[None])
         self.motions = [Motion(law, chains, parameters) for chains in self.groups]
 
     @property
@@ -136,10 +135,6 @@ def squares_of(shooting, condensed):
         squares = np.square(part.factor[:, n:, -1]).sum(axis=1)
         np.add.at(out, shooting.windows.chain[group], squares)
     return out
-
-
-def _medians(latents):
-    return np.array([float(item.prior.ppf(0.5)) for item in latents.items])
 
 
 def _tolerance(chains, noise):

@@ -1,7 +1,5 @@
 """The whole-track likelihood: misfits about a joint optimum, and how far they can be trusted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -44,14 +42,6 @@ def track_misfit(likelihood, law, latents, scenes, holds_constants):
 
     Where no joint optimum is found on whole tracks, that of the propagated one-step form, with a
     note.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    law : ForceLaw
-    latents : Latents
-    scenes : sequence of Scene
-    holds_constants : bool
 
     Returns
     -------
@@ -191,7 +181,7 @@ def _coordinates(latents, profile):
 def _widths(profile, latents):
     """Standard deviations by the information at an optimum, the width of the priors included."""
     information = np.array(profile.information)
-    spread = np.array([item.prior.spread for item in latents.items])
+    spread = latents.of_priors("spread")
     index = np.arange(len(spread))
     information[index, index] += 1 / np.square(spread)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -228,7 +218,7 @@ class Softened:
 
 def is_point(profile, latents):
     """Whether a joint optimum is so sharp that no sampler need move in it."""
-    spread = np.array([item.prior.spread for item in latents.items])
+    spread = latents.of_priors("spread")
     widths = _widths(profile, latents)
     sizes = np.concatenate([spread, np.abs(profile.constants)])
     return bool(np.all(widths <= POINT * sizes))
@@ -248,12 +238,6 @@ def reweighted(posterior, misfit, latents, *, rng):
         Latents first, constants after them.
     misfit : misfit of the law
         With the reference that the draws were made with.
-    latents : Latents
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Posterior
     """
     reference = misfit.reference
     if reference is None:

@@ -1,7 +1,5 @@
 """Numbers that were typed without a unit, where only one unit makes the law a force."""
 
-from __future__ import annotations
-
 from bsp_gp.language.formula import Call, Number, summands
 from bsp_gp.units import DIMENSIONLESS
 

@@ -4,8 +4,6 @@ Two formulas are the same law if they take the same values, up to one factor, wh
 evaluated; points at random settle that to as many digits as are compared (Schwartz 1980).
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np
@@ -13,7 +11,7 @@ import numpy as np
 from bsp_gp.language.formula import Constant, Input, evaluate, factors, product, walk
 from bsp_gp.language.inputs import property_of
 
-__all__ = ["canonical_key", "same_law"]
+__all__ = ["canonical_key"]
 
 N_POINTS, N_DRAWS = 24, 4
 """Values of inputs, and of constants inside: a threshold lies beyond all values of some input."""
@@ -26,11 +24,6 @@ def canonical_key(formula, n_dims=2):
 
     The value of a constant that multiplies the whole law does not matter, nor do the names of
     others, which are told apart by the order in which they appear.
-
-    Parameters
-    ----------
-    formula : Formula
-    n_dims : int
 
     Returns
     -------
@@ -63,11 +56,6 @@ def _digits(values):
         step = 10.0 ** (np.floor(np.log10(np.abs(values))) - DIGITS + 1)
     values = np.where(values == 0, 0.0, np.round(values / np.where(step > 0, step, 1)) * step)
     return np.array([float(f"{x:.{DIGITS - 2}g}") for x in values.tolist()]) + 0.0
-
-
-def same_law(one, other, n_dims=2):
-    """Whether two formulas are one law."""
-    return canonical_key(one, n_dims) == canonical_key(other, n_dims)
 
 
 def _ratio(above, below, points, constants):

@@ -153,11 +153,6 @@ def walk(formula):
 def substitute(formula, replaced):
     """The formula with some of its nodes replaced.
 
-    Parameters
-    ----------
-    formula : Formula
-    replaced : mapping of Formula to Formula
-
     Raises
     ------
     UnitError
@@ -175,10 +170,8 @@ def evaluate(formula, inputs: Mapping, constants: Mapping | None = None, cache: 
 
     Parameters
     ----------
-    formula : Formula
     inputs : mapping of str to array
         Scalars of shape S, vectors and points of shape S + (d,); shapes broadcast.
-    constants : mapping of str to float, optional
     cache : dict, optional
         Values of constant-free sub-formulas; filled and reused between calls on the same inputs.
 

@@ -16,7 +16,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -51,7 +51,6 @@ class Rule:
     ----------
     index : int
         Its number in the grammar; derivation trees store these.
-    nonterminal : str
     text : str
         The body as written.
     body : nested tuple, Slot or Formula
@@ -79,14 +78,11 @@ class Grammar:
 
     Attributes
     ----------
-    name : str
     start : mapping of str to str
         Kind of law ("pair", "field") -> start symbol.
     types : mapping of str to Type
         Of every nonterminal.
     inputs : mapping of str to Type
-    constants : tuple of str
-    rules : tuple of Rule
     operators : mapping of str to str
         What the names in bodies mean (``div`` -> ``div_guarded``).
     enabled : tuple of bool, one per rule
@@ -189,7 +185,6 @@ class Grammar:
 
         Parameters
         ----------
-        available : collection of str
         n_dims : int, optional
             2 masks rules that use `cross`, 3 those that use `perp`.
 
@@ -218,18 +213,7 @@ class Grammar:
         return self.masked(set(self.inputs) - set(names))[0]
 
     def _with_enabled(self, enabled):
-        return Grammar(
-            self.name,
-            self.start,
-            self.types,
-            self.inputs,
-            self.constants,
-            self.rules,
-            self.operators,
-            self.fingerprint,
-            self.source,
-            tuple(enabled),
-        )
+        return replace(self, enabled=tuple(enabled))
 
     def for_properties(self, columns, inputs=None, angles=(), signed=(), alone=()):
         """Repeat rules for further property columns of a data set.

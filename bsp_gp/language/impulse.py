@@ -1,7 +1,5 @@
 """The impulse: a brief push of unit integral, one function to write and two thresholds within."""
 
-from __future__ import annotations
-
 from bsp_gp.errors import UnitError
 from bsp_gp.language.formula import Call, Number
 from bsp_gp.units import Unit
@@ -40,12 +38,7 @@ def impulse(since, duration):
 
 
 def impulse_of(node):
-    """What an impulse was made of, (since, duration in s); None if a node is none.
-
-    Parameters
-    ----------
-    node : Formula
-    """
+    """What an impulse was made of, (since, duration in s); None if a node is none."""
     match node:
         case Call(
             operator="div",

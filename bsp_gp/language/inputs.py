@@ -4,8 +4,6 @@ A property is ``<column>_i`` (of the receiver) or ``<column>_j`` (of the source)
 aliases below; positions, velocities, the contact point, lab axes and time have fixed names.
 """
 
-from __future__ import annotations
-
 from bsp_gp.language.operators import Type
 from bsp_gp.units import DIMENSIONLESS, Unit
 
@@ -65,10 +63,6 @@ def input_types(property_units, *, vectors=(), n_dims=2, up=None, has_contact=Tr
         Declared vertical axis; without one ``up`` and ``down`` do not exist.
     has_contact : bool
         Whether contact points exist (some entity has an extent).
-
-    Returns
-    -------
-    dict of str to Type
     """
     types = dict(STATE_INPUTS)
     if n_dims == 2:

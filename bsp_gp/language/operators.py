@@ -44,8 +44,6 @@ class Operator:
 
     Attributes
     ----------
-    name : str
-    arity : int
     infer : callable
         ``infer(*types) -> Type``; raises UnitError with a fact ("adds kg to m").
     evaluate : callable
@@ -221,37 +219,12 @@ def _infer_neg(a):
     return Type("scalar" if _number(a) else a.shape, a.unit)
 
 
-def _infer_norm(a):
-    _vector("norm", a)
-    return Type("scalar", a.unit)
-
-
-def _infer_normalize(a):
-    _vector("normalize", a)
-    return Type("vector", DIMENSIONLESS)
-
-
-def _infer_product_of_vectors(name):
-    def infer(a, b):
-        _vector(name, a, b)
-        return Type("scalar", _times(a.unit, b.unit))
+def _infer_of_vectors(name, shape, unit_of):
+    def infer(*types):
+        _vector(name, *types)
+        return Type(shape, unit_of(*(type_.unit for type_ in types)))
 
     return infer
-
-
-def _infer_along(a, b):
-    _vector("along", a, b)
-    return Type("scalar", a.unit)
-
-
-def _infer_cross(a, b):
-    _vector("cross", a, b)
-    return Type("vector", _times(a.unit, b.unit))
-
-
-def _infer_perp(a):
-    _vector("perp", a)
-    return Type("vector", a.unit)
 
 
 def _infer_contact(name):
@@ -334,14 +307,6 @@ def _cross(types, a, b):
     return np.cross(a, b)
 
 
-def _does_collide(types, shape_i, p_i, shape_j, p_j):
-    return shape_i.collides(p_i, shape_j, p_j)
-
-
-def _is_on(types, shape_i, p_i, shape_j, p_j):
-    return shape_i.is_on(p_i, shape_j, p_j)
-
-
 # --- directional derivatives (tangent None = zero) ----------------------------------------------
 
 
@@ -364,31 +329,31 @@ def _d_sub(types, values, tangents):
     return -b if a is None else a if b is None else a - b
 
 
-def _d_bilinear(evaluate):
+def _d_of_two(first, second):
+    """Derivative of an operator of two arguments, of what a change of either does to it."""
+
     def derivative(types, values, tangents):
-        total = None
-        if tangents[0] is not None:
-            total = evaluate(types, tangents[0], values[1])
-        if tangents[1] is not None:
-            part = evaluate(types, values[0], tangents[1])
-            total = part if total is None else total + part
-        return total
+        pairs = zip((first, second), tangents, strict=True)
+        parts = [by(types, *values, change) for by, change in pairs if change is not None]
+        return sum(parts[1:], parts[0])
 
     return derivative
+
+
+def _d_bilinear(evaluate):
+    return _d_of_two(
+        lambda types, a, b, change: evaluate(types, change, b),
+        lambda types, a, b, change: evaluate(types, a, change),
+    )
 
 
 def _d_quotient(evaluate):
-    def derivative(types, values, tangents):
-        total = None
-        if tangents[0] is not None:
-            total = evaluate(types, tangents[0], values[1])
-        if tangents[1] is not None:
-            ratio = evaluate(types, values[0], values[1])
-            part = -evaluate((types[0], types[1]), _mul(types, ratio, tangents[1]), values[1])
-            total = part if total is None else total + part
-        return total
-
-    return derivative
+    return _d_of_two(
+        lambda types, a, b, change: evaluate(types, change, b),
+        lambda types, a, b, change: -evaluate(
+            types, _mul(types, evaluate(types, a, b), change), b
+        ),
+    )
 
 
 def _d_scalar(slope):
@@ -398,16 +363,14 @@ def _d_scalar(slope):
     return derivative
 
 
-def _d_pow(types, values, tangents):
-    base, power = (np.asarray(v, dtype=float) for v in values)
-    total = None
-    if tangents[0] is not None:
-        total = power * base ** (power - 1) * tangents[0]
-    if tangents[1] is not None:
-        log_base = np.log(np.where(base > 0, base, 1.0))
-        part = base**power * log_base * tangents[1]
-        total = part if total is None else total + part
-    return total
+def _d_base(types, base, power, change):
+    power = np.asarray(power, dtype=float)
+    return power * np.asarray(base, dtype=float) ** (power - 1) * change
+
+
+def _d_power(types, base, power, change):
+    base = np.asarray(base, dtype=float)
+    return base**power * np.log(np.where(base > 0, base, 1.0)) * change
 
 
 def _d_norm(types, values, tangents):
@@ -421,27 +384,16 @@ def _d_normalize(types, values, tangents):
     return np.where(size > 0, change / np.where(size > 0, size, 1.0), 0.0)
 
 
-def _d_along(types, values, tangents):
-    total = None
-    if tangents[0] is not None:
-        total = _along(types, tangents[0], values[1])
-    if tangents[1] is not None:
-        part = _dot(types, values[0], _d_normalize(types, values[1:], tangents[1:]))
-        total = part if total is None else total + part
-    return total
+def _d_direction(types, a, b, change):
+    return _dot(types, a, _d_normalize(types, [b], [change]))
 
 
-def _d_project_abs(types, values, tangents):
-    sign = np.sign(np.asarray(values[0]) * values[1])
-    total = 0.0
-    if tangents[0] is not None:
-        total = total + (sign * tangents[0] * values[1]).sum(axis=-1)
-    if tangents[1] is not None:
-        total = total + (sign * values[0] * tangents[1]).sum(axis=-1)
-    return total
+def _d_project_abs(types, a, b, change):
+    """By the first argument; the other one is alike."""
+    return (np.sign(np.asarray(a) * b) * change * b).sum(axis=-1)
 
 
-def _same(unit):
+def _same(unit, *others):
     return unit
 
 
@@ -482,89 +434,62 @@ def _table():
         Operator("mul", 2, _infer_mul, _mul, _d_bilinear(_mul)),
         Operator("div", 2, _infer_div, _div, _d_quotient(_div)),
         Operator("div_guarded", 2, _infer_div, _div_guarded, _d_quotient(_div_guarded)),
-        Operator("pow", 2, _infer_pow, lambda t, a, b: np.asarray(a, dtype=float) ** b, _d_pow),
-        Operator("neg", 1, _infer_neg, lambda t, a: -np.asarray(a), _linear(lambda t, a: -a)),
-        Operator("norm", 1, _infer_norm, _norm, _d_norm, r"\left\|{0}\right\|"),
         Operator(
-            "normalize",
-            1,
-            _infer_normalize,
-            _normalize,
-            _d_normalize,
-            r"\widehat{{\left({0}\right)}}",
+            "pow", 2, _infer_pow, lambda t, a, b: np.asarray(a, dtype=float) ** b,
+            _d_of_two(_d_base, _d_power),
+        ),
+        Operator("neg", 1, _infer_neg, lambda t, a: -np.asarray(a), _linear(lambda t, a: -a)),
+        Operator(
+            "norm", 1, _infer_of_vectors("norm", "scalar", _same), _norm, _d_norm,
+            r"\left\|{0}\right\|",
         ),
         Operator(
-            "dot",
-            2,
-            _infer_product_of_vectors("dot"),
-            _dot,
-            _d_bilinear(_dot),
+            "normalize", 1, _infer_of_vectors("normalize", "vector", lambda unit: DIMENSIONLESS),
+            _normalize, _d_normalize, r"\widehat{{\left({0}\right)}}",
+        ),
+        Operator(
+            "dot", 2, _infer_of_vectors("dot", "scalar", _times), _dot, _d_bilinear(_dot),
             r"\left({0}\right)\cdot\left({1}\right)",
         ),
         Operator(
-            "along",
-            2,
-            _infer_along,
-            _along,
-            _d_along,
+            "along", 2, _infer_of_vectors("along", "scalar", _same), _along,
+            _d_of_two(lambda t, a, b, change: _along(t, change, b), _d_direction),
             r"\left({0}\right)\cdot\widehat{{\left({1}\right)}}",
         ),
         Operator(
-            "project_abs",
-            2,
-            _infer_product_of_vectors("project_abs"),
-            _project_abs,
-            _d_project_abs,
+            "project_abs", 2, _infer_of_vectors("project_abs", "scalar", _times), _project_abs,
+            _d_of_two(_d_project_abs, lambda t, a, b, change: _d_project_abs(t, b, a, change)),
             r"\operatorname{{project}}\left({0}, {1}\right)",
         ),
-        Operator("perp", 1, _infer_perp, _perp, _linear(_perp), r"{{\left({0}\right)}}_{{\perp}}"),
         Operator(
-            "cross",
-            2,
-            _infer_cross,
-            _cross,
-            _d_bilinear(_cross),
+            "perp", 1, _infer_of_vectors("perp", "vector", _same), _perp, _linear(_perp),
+            r"{{\left({0}\right)}}_{{\perp}}",
+        ),
+        Operator(
+            "cross", 2, _infer_of_vectors("cross", "vector", _times), _cross, _d_bilinear(_cross),
             r"\left({0}\right)\times\left({1}\right)",
         ),
         Operator(
-            "does_collide",
-            4,
-            _infer_contact("does_collide"),
-            _does_collide,
-            None,
+            "does_collide", 4, _infer_contact("does_collide"),
+            lambda t, s_i, p_i, s_j, p_j: s_i.collides(p_i, s_j, p_j), None,
             r"\left[{0}\,{2}\ \mathrm{{touch}}\right]",
         ),
         Operator(
-            "is_on",
-            4,
-            _infer_contact("is_on"),
-            _is_on,
-            None,
+            "is_on", 4, _infer_contact("is_on"),
+            lambda t, s_i, p_i, s_j, p_j: s_i.is_on(p_i, s_j, p_j), None,
             r"\left[{0}\ \mathrm{{on}}\ {2}\right]",
         ),
-    ]
-    for name, (function, slope, unit_of, latex) in plain.items():
-        operators.append(
-            Operator(
-                name,
-                1,
-                _infer_unary(name, unit_of),
-                lambda t, a, f=function: f(a),
-                _d_scalar(slope),
-                latex,
-            )
-        )
+    ]  # fmt: skip
     for name, (function, slope) in transcendental.items():
-        operators.append(
-            Operator(
-                name,
-                1,
-                _infer_unary(name, _dimensionless(name)),
-                lambda t, a, f=function: f(a),
-                _d_scalar(slope),
-                rf"\operatorname{{{{{name}}}}}\left({{0}}\right)",
-            )
+        latex = rf"\operatorname{{{{{name}}}}}\left({{0}}\right)"
+        plain[name] = function, slope, _dimensionless(name), latex
+    operators += [
+        Operator(
+            name, 1, _infer_unary(name, unit_of), lambda t, a, f=function: f(a), _d_scalar(slope),
+            latex,
         )
+        for name, (function, slope, unit_of, latex) in plain.items()
+    ]  # fmt: skip
     return _Operators({operator.name: operator for operator in operators})
 
 

@@ -6,8 +6,6 @@ installed offers some through the entry points ``bsp_gp.operators``: each a func
 arguments that calls `register_operator`, under the name of the operator.
 """
 
-from __future__ import annotations
-
 import keyword
 
 import numpy as np

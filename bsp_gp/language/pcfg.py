@@ -81,12 +81,6 @@ class Pcfg:
         At every node only rules that can still be finished within the bound are drawn, with
         their probabilities renormalised.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-        nonterminal : str
-        max_levels : int
-
         Raises
         ------
         GrammarError

@@ -1,14 +1,11 @@
-"""Formulas for people and programs: text that parses back, LaTeX, SymPy."""
+"""Formulas for people and programs: text that parses back, and LaTeX."""
 
-from __future__ import annotations
-
-from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 from bsp_gp.language.impulse import impulse_of
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 
-__all__ = ["to_latex", "to_sympy", "to_text"]
+__all__ = ["to_latex", "to_text"]
 
 _INFIX = {
     "add": ("+", 1),
@@ -47,7 +44,6 @@ def to_text(formula, values=None, units=None):
 
     Parameters
     ----------
-    formula : Formula
     values : mapping of str to float, optional
         Constants to write as numbers.
     units : mapping of str to str, optional
@@ -262,86 +258,3 @@ def _latex_number(text):
         unit = unit.rstrip("]").replace(" ", "~")
         out += rf"\,[\mathrm{{{unit}}}]"
     return out
-
-
-def to_sympy(formula, n_dims=2):
-    """The formula as a SymPy expression; vectors become column matrices of components.
-
-    Conditions become indicator symbols. Components are named ``p_i_x`` and so on.
-
-    Raises
-    ------
-    EvaluationError
-        If the formula has an operator that needs another dimension (cross in 2-D).
-    """
-    import sympy
-
-    return _Sympy(sympy, n_dims).convert(formula)
-
-
-class _Sympy:
-    def __init__(self, sympy, n_dims):
-        self.sympy = sympy
-        self.axes = "xyz"[:n_dims]
-
-    def convert(self, node):
-        sp = self.sympy
-        if isinstance(node, Number):
-            if node.text == "pi":
-                return sp.pi
-            whole = node.value == int(node.value)
-            return sp.Integer(int(node.value)) if whole else sp.Float(node.value)
-        if isinstance(node, Constant):
-            return sp.Symbol(node.name, real=True)
-        if isinstance(node, Input):
-            return self.input(node)
-        if node.operator in ("does_collide", "is_on"):
-            return sp.Symbol(node.operator, nonnegative=True)
-        return self.call(node.operator, [self.convert(arg) for arg in node.args])
-
-    def input(self, node):
-        sp = self.sympy
-        if node.type.shape in ("vector", "point"):
-            if node.name.startswith("e_"):
-                return sp.Matrix([int(axis == node.name[2]) for axis in self.axes])
-            return sp.Matrix([sp.Symbol(f"{node.name}_{axis}", real=True) for axis in self.axes])
-        positive = node.name.startswith(("m_", "R_", "mass_", "radius_"))
-        return sp.Symbol(node.name, real=True, positive=positive or None)
-
-    def call(self, name, args):
-        sp = self.sympy
-        a, b = args[0], args[1] if len(args) > 1 else None
-        if name in ("div", "div_guarded"):
-            return a / b
-        if name == "cross" and len(self.axes) != 3:
-            raise EvaluationError("cross needs three dimensions")
-        table = {
-            "add": lambda: a + b,
-            "sub": lambda: a - b,
-            "mul": lambda: a * b,
-            "neg": lambda: -a,
-            "pow": lambda: a**b,
-            "square": lambda: a**2,
-            "inverse": lambda: 1 / a,
-            "sqrt": lambda: sp.sqrt(a),
-            "abs": lambda: sp.Abs(a),
-            "exp": lambda: sp.exp(a),
-            "log": lambda: sp.log(a),
-            "sin": lambda: sp.sin(a),
-            "cos": lambda: sp.cos(a),
-            "tanh": lambda: sp.tanh(a),
-            "bessel_k0": lambda: sp.besselk(0, a),
-            "bessel_k1": lambda: sp.besselk(1, a),
-            "sign": lambda: sp.sign(a),
-            "norm": lambda: self.norm(a),
-            "normalize": lambda: a / self.norm(a),
-            "dot": lambda: a.dot(b),
-            "along": lambda: a.dot(b) / self.norm(b),
-            "project_abs": lambda: sum(sp.Abs(x * y) for x, y in zip(a, b, strict=True)),
-            "perp": lambda: sp.Matrix([-a[1], a[0]]),
-            "cross": lambda: a.cross(b),
-        }
-        return table[name]()
-
-    def norm(self, vector):
-        return self.sympy.sqrt(sum(x**2 for x in vector))

@@ -1,7 +1,5 @@
 """Results that are written together: a folder, and folders and files beside it with its name."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

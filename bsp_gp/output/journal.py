@@ -4,8 +4,6 @@ They are filled in one folder beside their places. A note in it, written when al
 what goes where; from then on only what the system refuses turns the change back.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What a long run has found so far, in a file beside the place of its result."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

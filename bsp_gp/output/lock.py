@@ -1,7 +1,5 @@
 """A lock per result, held by one process and gone with it, however it ends."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -42,10 +40,6 @@ def take_lock(path, target):
         Made if it is missing; a process that was killed leaves it behind, unlocked.
     target : Path
         What it guards, for the message.
-
-    Returns
-    -------
-    Lock
 
     Raises
     ------

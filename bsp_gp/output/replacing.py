@@ -6,8 +6,6 @@ older one steps aside and comes back if the next step fails. So a folder under t
 one whose number is another is the older one, already replaced.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

@@ -1,7 +1,5 @@
 """Constants with their error bars, and errors round by round."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

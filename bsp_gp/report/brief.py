@@ -4,8 +4,6 @@ Reports are of the loop, words of this room: whoever imports this module teaches
 The package itself does, where it hands out `close_loop` and `load_report`.
 """
 
-from __future__ import annotations
-
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.report.numbers import format_constant, format_number, is_number
 from bsp_gp.report.page import page_of
@@ -21,10 +19,6 @@ LONGEST = 150
 
 def brief_lines(report):
     """Lines on what was found, its constants and what is not told apart from it.
-
-    Parameters
-    ----------
-    report : LoopReport
 
     Returns
     -------

@@ -1,7 +1,5 @@
 """What the codes of the loop mean in words: the one place where a code becomes a sentence."""
 
-from __future__ import annotations
-
 __all__ = [
     "CAUSES", "DIRECTIONS", "FINDINGS", "KINDS", "LEFT_OUT", "METHODS", "NOISE", "OWN_STRENGTHS",
     "REASONS", "STOPS", "TONES", "VARIABLES",

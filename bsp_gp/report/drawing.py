@@ -1,7 +1,5 @@
 """How figures look and how they become files: one style, the same bytes every time."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -26,6 +24,7 @@ __all__ = [
     "legend_above",
     "log_ticks",
     "new_figure",
+    "panels_of",
     "plain",
     "png_bytes",
     "scaled",
@@ -75,12 +74,7 @@ _TIMES = ((3 * _YEAR_S, _YEAR_S, "years"), (3 * _DAY_S, _DAY_S, "days"))
 
 
 def new_figure(draw, height, width=WIDTH):
-    """Make a figure, with `draw(figure)` called in the style of the report.
-
-    Returns
-    -------
-    Figure
-    """
+    """Make a figure, with `draw(figure)` called in the style of the report."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
@@ -156,8 +150,8 @@ def scaled(unit, *arrays):
     exponent = 3 * math.floor(math.log10(size) / 3)
     if (unit, exponent) in _LENGTHS:
         return _LENGTHS[unit, exponent]
-    digits = str(exponent).translate(str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"))
-    return 10.0**-exponent, f"10{digits} {unit}".strip()
+    power = power_of_ten(exponent).removeprefix(" × ")
+    return 10.0**-exponent, f"{power} {unit}".strip()
 
 
 def time_scaled(unit, times):
@@ -197,6 +191,16 @@ def log_ticks(axis):
     """Few ticks on a logarithmic axis, none of the small ones labelled."""
     axis.set_major_locator(LogLocator(numticks=6))
     axis.set_minor_formatter(NullFormatter())
+
+
+def panels_of(figure, n_panels):
+    """So many panels, three in a row."""
+    n_columns = min(n_panels, 3)
+    n_rows = math.ceil(n_panels / n_columns)
+    panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
+    for panel in panels[n_panels:]:
+        panel.set_axis_off()
+    return panels[:n_panels]
 
 
 def legend_above(figure, handles, labels):

@@ -1,7 +1,5 @@
 """What the page's one script shows: tracks to step through, and what is left against anything."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -41,7 +39,6 @@ def exploration(report, units, has_after):
 
     Parameters
     ----------
-    report : LoopReport, or what `page_of` made of it
     units : (str, str, str)
         Of lengths, accelerations and times.
     has_after : bool

@@ -54,7 +54,6 @@ class ReportFigure:
     ----------
     name : str
         File name without its ending.
-    caption : str
     figure : matplotlib.figure.Figure
     """
 
@@ -75,10 +74,6 @@ class ReportFigure:
 
 def build_figures(report):
     """Draw every figure that the report has data for.
-
-    Parameters
-    ----------
-    report : LoopReport
 
     Returns
     -------

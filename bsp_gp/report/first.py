@@ -1,7 +1,5 @@
 """The first screen of a report: what a reader takes away without the rest, in 120 words."""
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.language.inputs import SHORT

@@ -1,7 +1,5 @@
 """A map of where an unseen body must be: draws from the posterior among the visible tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch

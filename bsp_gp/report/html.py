@@ -1,7 +1,5 @@
 """The report as one page: every word escaped, every figure inside, nothing fetched."""
 
-from __future__ import annotations
-
 import base64
 import re
 import shlex
@@ -27,6 +25,7 @@ from bsp_gp.report.numbers import (
     format_ratio,
     format_value,
     is_number,
+    listed,
     pretty_unit,
     rounded,
     with_unit,
@@ -66,7 +65,6 @@ def render_html(report, run_info=None, figures=None):
 
     Parameters
     ----------
-    report : LoopReport
     run_info : mapping, optional
         ``argv`` (list of str) is shown as the command that makes the report again.
     figures : dict of str to ReportFigure, optional
@@ -278,7 +276,7 @@ def _round(r, report):
         "effect": effect,
         "constants": [_constant(c) for c in shared],
         "own": [group_range(*group) for group in own],
-        "entities": _names(effect.entities) if effect else "",
+        "entities": listed(effect.entities, 12) if effect else "",
         "table": [] if table == _total_table(report) else table,
         "hypotheses": r.hypotheses,
         "n_hypotheses": r.n_hypotheses,
@@ -295,11 +293,6 @@ def _state(round_):
     if round_.removed:
         return "taken back"
     return "adopted" if round_.adopted else "not adopted"
-
-
-def _names(names, max_names=12):
-    text = ", ".join(str(n) for n in names[:max_names])
-    return f"{text} and {len(names) - max_names} more" if len(names) > max_names else text
 
 
 def _cell(value):

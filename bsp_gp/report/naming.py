@@ -1,7 +1,5 @@
 """Names of forces in plain words."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -39,7 +37,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
     """
     direction, conditions, powers = _parts(formula)
     loose = [e for e in exponents if not e.get("is_told", True) and e["stated"]]
-    powers = {name: power for name, power in powers.items() if name not in _bases(loose)}
+    powers = {n: power for n, power in powers.items() if n not in {e["of"] for e in loose}}
     if _OBLATE.search(to_text(formula)):
         phrase = "pull of an oblate centre (its flattening, about z)"
     elif split_linear(formula)[1].constants:
@@ -57,10 +55,6 @@ def describe(formula, value=None, other="the other body", exponents=()):
 WIDEST = 3.0
 """Width of the interval of a power up to which its best value is told: friction, linear and
 quadratic drag lie within it."""
-
-
-def _bases(exponents):
-    return {e["of"] for e in exponents}
 
 
 def _loose(e):

@@ -1,7 +1,5 @@
 """Numbers as people read them: as many digits as the interval supports, powers of ten, units."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -15,6 +13,7 @@ __all__ = [
     "format_value",
     "is_number",
     "length_text",
+    "listed",
     "power_of_ten",
     "pretty_unit",
     "rounded",
@@ -62,6 +61,12 @@ def with_unit(text, unit):
     """Append a unit to a number that is already written."""
     unit = pretty_unit(unit)
     return f"{text} {unit}" if unit and text != NOT_KNOWN else text
+
+
+def listed(names, most):
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(str, names[:most])) + more
 
 
 def power_of_ten(exponent):

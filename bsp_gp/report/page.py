@@ -1,7 +1,5 @@
 """The codes and numbers of a closed loop in the words and records that pages are made of."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -41,15 +39,13 @@ _TOLD = 12
 _MOST_FINDINGS = 3
 _LIKELY = 0.1
 """Part of the probability of the likeliest from which causes of other kinds are told with it."""
+_NAMED = {"contact": kick, "inclined": inclination, "ripple": ripple, "bad_row": bad_rows}
+"""How causes of a code are told, whatever they are."""
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
 
 def page_of(report):
     """A report as pages read it.
-
-    Parameters
-    ----------
-    report : LoopReport, or what this function gave
 
     Returns
     -------
@@ -201,14 +197,8 @@ def _name(effect, parts, other):
     """What was found, in plain words; `other` is the body that acts."""
     if effect.code == "kicks":
         return effect.name
-    if effect.code == "contact":
-        return kick(effect)
-    if effect.code == "inclined":
-        return inclination(effect)
-    if effect.code == "ripple":
-        return ripple(effect)
-    if effect.code == "bad_row":
-        return bad_rows(effect)
+    if effect.code in _NAMED:
+        return _NAMED[effect.code](effect)
     if effect.code == "frame":
         return CAUSES["frame"]
     if effect.code == "reference":

@@ -1,7 +1,5 @@
 """Plans and discoveries for people: a table, and a picture of what rivals foresee."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["discovery_text", "draw_plan", "plan_text"]
@@ -66,8 +64,6 @@ def draw_plan(plan, means, path):
 
     Parameters
     ----------
-    plan : Plan
-    means : Means
     path : path-like
         Of the PNG.
     """

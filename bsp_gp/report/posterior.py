@@ -1,7 +1,5 @@
 """Figures of posteriors: traces, corners, and predicted tracks with bands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["corner_figure", "rollout_figure", "trace_figure"]
@@ -26,8 +24,6 @@ def trace_figure(posterior, path, most=MOST_NAMES):
     ----------
     posterior : Posterior
         With its chain (``EStep(keep_chain=True)``), otherwise only histograms are drawn.
-    path : path of a PNG
-    most : int
     """
     plt = _pyplot()
     shown = min(len(posterior.names), most)
@@ -88,14 +84,7 @@ def _add_key(fig, posterior, prior=False):
 
 
 def corner_figure(posterior, path, most=6):
-    """All pairs of (at most `most`) names, the least determined ones first.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    path : path of a PNG
-    most : int
-    """
+    """All pairs of (at most `most`) names, the least determined ones first."""
     plt = _pyplot()
     index = _widest(posterior, most)
     n = len(index)
@@ -160,13 +149,7 @@ def _widest(posterior, most):
 
 
 def rollout_figure(bands, path):
-    """Observed tracks over the predicted ones with their bands, one panel an axis.
-
-    Parameters
-    ----------
-    bands : Bands
-    path : path of a PNG
-    """
+    """Observed tracks over the predicted ones with their bands, one panel an axis."""
     plt = _pyplot()
     n_dims = bands.median.shape[-1]
     fig, axes = plt.subplots(

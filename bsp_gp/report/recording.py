@@ -1,7 +1,5 @@
 """A data set as it was understood, before anything is run: in lines, and as a picture."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,8 +8,8 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
 from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
-from bsp_gp.report.drawing import new_figure, tidy
-from bsp_gp.report.numbers import format_number, with_unit
+from bsp_gp.report.drawing import new_figure, panels_of, tidy
+from bsp_gp.report.numbers import format_number, listed, with_unit
 from bsp_gp.units import Unit
 
 __all__ = ["columns_text", "data_figure", "data_text"]
@@ -23,10 +21,6 @@ _LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
 def data_text(dataset):
     """Say what was understood of a data set.
-
-    Parameters
-    ----------
-    dataset : Dataset
 
     Returns
     -------
@@ -41,7 +35,7 @@ def data_text(dataset):
     ]
     columns = dataset.provenance.get("columns")
     lines += [f"Columns: {columns}"] if columns else []
-    lines += [_units(dataset), *_scenes(dataset), f"Bodies: {_listed(names)}"]
+    lines += [_units(dataset), *_scenes(dataset), f"Bodies: {listed(names, _MAX_NAMES)}"]
     lines += _properties(dataset)
     lines += [*_first(dataset), _up(dataset), *_motion(dataset)]
     lines += [f"Note: {note}" for note in dataset.notes]
@@ -53,7 +47,6 @@ def columns_text(name, columns):
 
     Parameters
     ----------
-    name : str
     columns : list of dict
         See `bsp_gp.data.glance.columns_of`.
     """
@@ -68,11 +61,6 @@ def columns_text(name, columns):
 
 def _counted(n, one, many=None):
     return f"{n:,} {one if n == 1 else many or one + 's'}"
-
-
-def _listed(names):
-    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return ", ".join(names[:_MAX_NAMES]) + more
 
 
 def _units(dataset):
@@ -129,7 +117,7 @@ def _properties(dataset):
 
 
 def _of(names):
-    return f" of {_listed(names)}" if names else ""
+    return f" of {listed(names, _MAX_NAMES)}" if names else ""
 
 
 def _first(dataset):
@@ -183,21 +171,13 @@ def _motion(dataset):
 
 
 def data_figure(dataset):
-    """Draw the tracks of the first scenes, a panel each.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the tracks of the first scenes, a panel each."""
     scenes = dataset.scenes[:MAX_PANELS]
     n_rows = math.ceil(len(scenes) / 3)
 
     def draw(figure):
-        grid = figure.subplots(n_rows, min(3, len(scenes)), squeeze=False)
-        for axes, scene in zip(grid.flat, scenes, strict=False):
+        for axes, scene in zip(panels_of(figure, len(scenes)), scenes, strict=True):
             dataset.plot(axes, scene=scene.name)
             tidy(axes)
-        for axes in grid.flat[len(scenes) :]:
-            axes.set_visible(False)
 
     return new_figure(draw, 2.6 * n_rows)

@@ -1,7 +1,5 @@
 """Laws that are the same on the data at hand are told once: one body, one mass, one direction."""
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.language.inputs import SHORT
@@ -20,7 +18,6 @@ def told_once(law, others, dataset):
 
     Parameters
     ----------
-    law : str
     others : sequence of str
         Laws in order of likelihood.
     dataset : mapping

@@ -1,61 +1,37 @@
 """A picture of scenes: where bodies go, and in grey what does not move (paper, figure 3)."""
 
-from __future__ import annotations
-
-import math
-
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle, Rectangle
 
-from bsp_gp.report.drawing import WIDTH, axis_label, new_figure
+from bsp_gp.report.drawing import WIDTH, axis_label, new_figure, panels_of
 
 __all__ = ["draw_scenes"]
 
 # Okabe and Ito's colours, in the order of the films.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WALL, _MAT, _ANCHOR = "#969696", "#DEDEDE", "#5A5A5A"
-_PER_ROW = 3
+_MOST = 3
 _LEAST_DISC = 0.012  # of the width of a panel
 
 
-def draw_scenes(scenes, n_scenes=3, titles=None, unit="m"):
-    """Draw the first scenes of a data set, a panel each.
+def draw_scenes(scenes):
+    """Draw the first scenes of a data set in 2-D, a panel each; returns the figure.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        In 2-D.
-    n_scenes : int
-    titles : sequence of str, optional
-        By default the names of the scenes.
-    unit : str
-        Of lengths.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A track fades towards its beginning; a body is drawn where it is at last.
+    A track fades towards its beginning; a body is drawn where it is at last.
     """
-    scenes = list(scenes)[:n_scenes]
-    titles = list(titles or (f"scene {scene.name}" for scene in scenes))
-    n_columns = min(_PER_ROW, len(scenes))
-    n_rows = math.ceil(len(scenes) / n_columns)
-    width = WIDTH * n_columns / _PER_ROW
+    scenes = scenes[:_MOST]
 
     def draw(figure):
-        grid = figure.subplots(n_rows, n_columns, squeeze=False)
-        for axes, scene, title in zip(grid.flat, scenes, titles, strict=False):
-            _draw_scene(axes, scene, unit)
-            axes.set_title(title)
-        for axes in grid.flat[len(scenes) :]:
-            axes.set_visible(False)
+        for axes, scene in zip(panels_of(figure, len(scenes)), scenes, strict=True):
+            _draw_scene(axes, scene)
+            axes.set_title(f"scene {scene.name}")
 
-    return new_figure(draw, n_rows * width / n_columns, width)
+    return new_figure(draw, WIDTH / _MOST, WIDTH * len(scenes) / _MOST)
 
 
-def _draw_scene(axes, scene, unit):
+def _draw_scene(axes, scene):
     low, high = _view(scene)
     side = high[0] - low[0]
     moving = 0
@@ -77,7 +53,7 @@ def _draw_scene(axes, scene, unit):
             _draw_track(axes, track, colour)
         axes.add_patch(Circle(last, radius, facecolor=colour, edgecolor="white", lw=0.5, zorder=4))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    axes.set_xlabel(axis_label("x", unit))
+    axes.set_xlabel(axis_label("x", "m"))
     for spine in axes.spines.values():
         spine.set_linewidth(0.5)
 

@@ -1,7 +1,5 @@
 """What a report says in words; the page and the terminal say the same."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -164,12 +162,7 @@ def _detectable(missing):
 
 
 def hidden_sentence(beside):
-    """How much may still be hidden beside the final law, or the model that entered a round.
-
-    Parameters
-    ----------
-    beside : report or round, as pages read them
-    """
+    """How much may still be hidden beside the final law, or the model that entered a round."""
     bound, parts = beside.bound, []
     if bound is not None and is_number(bound.force):
         share = f" ({format_number(bound.percent, 2)} % of the declared force)"
@@ -274,12 +267,7 @@ def outcome_sentence(round_):
 
 
 def parting_sentence(effect):
-    """The recording that parts a law from one that depends on time instead; "" where none does.
-
-    Parameters
-    ----------
-    effect : Effect
-    """
+    """The recording that parts a law from one that depends on time instead; "" where none does."""
     timed = [law for law in effect.equivalents if re.search(r"\bt\b", law)]
     if not timed or re.search(r"\bt\b", effect.law or ""):
         return ""
@@ -290,16 +278,7 @@ def parting_sentence(effect):
 
 
 def overturned_by(round_):
-    """What would change the verdict of a round, one sentence each.
-
-    Parameters
-    ----------
-    round_ : Round
-
-    Returns
-    -------
-    list of str
-    """
+    """What would change the verdict of a round, one sentence each."""
     effect = round_.effect
     if effect is None:
         return []

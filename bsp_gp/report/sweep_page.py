@@ -1,7 +1,5 @@
 """The page of a sweep: what was found how often, and a row for every data set."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -21,7 +19,6 @@ def sweep_page(rows, declared):
     ----------
     rows : sequence of dict
         Of `bsp_gp.sweep.COLUMNS`.
-    declared : sequence of str
 
     Returns
     -------

@@ -1,7 +1,5 @@
 """Where a residual force is and on what it depends: the words, the table and the figure."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.report.codes import DIRECTIONS, VARIABLES

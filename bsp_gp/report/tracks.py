@@ -1,7 +1,5 @@
 """Held-out tracks drawn over each other: what was observed and what the models say."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,6 +12,7 @@ from bsp_gp.report.drawing import (
     axis_label,
     legend_above,
     log_ticks,
+    panels_of,
     plain,
     scaled,
     tidy,
@@ -125,15 +124,6 @@ def _off_path(overlay):
     return np.linalg.norm(points - start - along[..., None] * step, axis=-1).min(axis=1)
 
 
-def _grid(figure, n_panels):
-    n_columns = min(n_panels, 3)
-    n_rows = math.ceil(n_panels / n_columns)
-    panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
-    for panel in panels[n_panels:]:
-        panel.set_axis_off()
-    return panels[:n_panels]
-
-
 def _title(overlay):
     scene, entity = plain(overlay.scene, 20), plain(overlay.entity, 20)
     return f"{scene}: {entity}" if scene and scene != entity else entity
@@ -141,7 +131,7 @@ def _title(overlay):
 
 def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
     """Draw paths, or one coordinate against time where the motion is along one axis."""
-    panels = _grid(figure, len(overlays))
+    panels = panels_of(figure, len(overlays))
     models = [("declared model", BEFORE, (0, (4, 2)))]
     if has_adopted:
         models.append(("adopted law", AFTER, "-"))
@@ -209,7 +199,7 @@ def _set_limits(panel, observed, curves, is_path):
 
 def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):
     """Draw the distance between observation and rollouts against time."""
-    panels = _grid(figure, len(overlays))
+    panels = panels_of(figure, len(overlays))
     for panel, overlay in zip(panels, overlays, strict=True):
         times = np.asarray(overlay.times, float)
         errors = _errors(overlay)[: 2 if has_adopted else 1]

@@ -1,7 +1,5 @@
 """Laws typeset: LaTeX to SVG by matplotlib's mathtext, and a LaTeX document to go on with."""
 
-from __future__ import annotations
-
 import re
 from html import escape
 
@@ -52,10 +50,6 @@ def split_terms(latex):
 
 def to_svg(latex):
     """Typeset an equation as a run of inline SVG drawings, one per term so that lines can break.
-
-    Parameters
-    ----------
-    latex : str
 
     Returns
     -------

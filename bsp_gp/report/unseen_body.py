@@ -1,7 +1,5 @@
 """An unseen body in words: how strong it is, where, and what is known of its motion."""
 
-from __future__ import annotations
-
 from bsp_gp.report.numbers import format_number, format_value, with_unit
 
 __all__ = ["name_of", "rivals_of"]

@@ -37,7 +37,6 @@ class Entry:
     expression : Expression
     complexity : float
         -log p under the uniform PCFG, nats.
-    levels : int
     value : ndarray
         On the rows, flat: (P,) or (P, d).
     operator : str
@@ -149,10 +148,6 @@ class Rows:
             out.append(full[start : start + size].reshape(*shape, *tail))
             start += size
         return out
-
-
-class _Leaf:
-    """Stands in for a child's formula while a rule body is evaluated on stored values."""
 
 
 class Banks:
@@ -303,6 +298,16 @@ def fingerprints(values, weights, merge_scale):
     return keys
 
 
+def _classes(entries, weights):
+    """Lists of entries whose values are proportional; what is nothing on the rows is in none."""
+    classes = {}
+    keys = fingerprints([entry.value for entry in entries], weights, merge_scale=True)
+    for entry, key in zip(entries, keys, strict=True):
+        if key is not None:
+            classes.setdefault(key, []).append(entry)
+    return classes.values()
+
+
 def merge_proportional(entries, weights, preferred=()):
     """Keep the least complex of entries whose values are proportional; the rest become its ties.
 
@@ -313,13 +318,8 @@ def merge_proportional(entries, weights, preferred=()):
         stays the same object.
     """
     preferred = {id(entry) for entry in preferred}
-    classes = {}
-    keys = fingerprints([entry.value for entry in entries], weights, merge_scale=True)
-    for entry, key in zip(entries, keys, strict=True):
-        if key is not None:
-            classes.setdefault(key, []).append(entry)
     out = []
-    for members in classes.values():
+    for members in _classes(entries, weights):
         members.sort(key=lambda e: (id(e) not in preferred, e.complexity, e.levels))
         lead = members[0]
         if len(members) > 1:
@@ -351,13 +351,8 @@ def distinct_directions(directions, conditions, masses, weights):
             combined.append(
                 Directed(direction.formula, condition and condition.formula, value, complexity)
             )
-    keys = fingerprints([item.value for item in combined], weights, merge_scale=True)
-    classes = {}
-    for item, key in zip(combined, keys, strict=True):
-        if key is not None:
-            classes.setdefault(key, []).append(item)
     out = []
-    for members in classes.values():
+    for members in _classes(combined, weights):
         members.sort(key=lambda item: item.complexity)
         out.append(replace(members[0], ties=tuple(members[1:])))
     return out

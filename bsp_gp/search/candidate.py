@@ -58,8 +58,6 @@ class Certificate:
 
     Attributes
     ----------
-    grammar, fingerprint : str
-    max_levels : int
     n_derivations : int
         Derivations within the bound, masked rules excluded.
     n_scored : int
@@ -113,7 +111,6 @@ class SearchResult:
         The best laws, lowest loss first, equal laws merged.
     front : tuple of Candidate
         Best per complexity, each better than every simpler one.
-    n_evaluated, n_failed : int
     seconds : float
     certificate : Certificate or None
     null_gains : tuple of float

@@ -4,8 +4,6 @@ The exhaustive search takes grammars whose laws are products, up to its bound. C
 genetic programming take any grammar, and go deeper, for as many laws as they are allowed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -40,12 +38,6 @@ def searches_for(search, grammar, kinds, max_levels):
         One of `SEARCHES`.
     grammar : Grammar
         Masked to the data.
-    kinds : sequence of str
-    max_levels : int
-
-    Returns
-    -------
-    dict of str to int
 
     Raises
     ------
@@ -109,10 +101,6 @@ class Searching:
 
         Parameters
         ----------
-        name : str
-        regression : Regression
-        kind : str
-        rng : numpy.random.Generator
         target, nuisance, null, max_ties, progress
             As of `search_exhaustive`.
         inner : InnerSearch, optional

@@ -5,8 +5,6 @@ size; where errors are independent they come from the rows on which the directio
 without the columns ever being spread out. Sums of terms need the columns themselves.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.search.scoring import COLLINEAR, flat_scale, receiver_index

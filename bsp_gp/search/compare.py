@@ -31,8 +31,6 @@ class Outcome:
 
     Attributes
     ----------
-    search : str
-    seed : int
     best : Candidate or None
         Of lowest cost.
     cost : float
@@ -98,13 +96,8 @@ def run_one(objective, name, strategy, seed, budget, *, rng, is_done=None):
 
     Parameters
     ----------
-    objective : Objective
-    name : str
-    strategy : Search
     seed : int
         For the record.
-    budget : Budget
-    rng : numpy.random.Generator
     is_done : callable, optional
         ``is_done(expression, score) -> bool``, asked whenever there is a new best law; True ends
         the search.
@@ -158,12 +151,10 @@ def compare(objective, budget, *, seeds, rng, strategies=None, executor=None, mi
 
     Parameters
     ----------
-    objective : Objective
     budget : Budget
         Of every run.
     seeds : int
         Runs of each strategy, from streams spawned from `rng`.
-    rng : numpy.random.Generator
     strategies : dict of str to Search, optional
         `STRATEGIES` by default.
     executor : concurrent.futures.Executor, optional

@@ -1,7 +1,5 @@
 """Searches compared on a user's data: for what the declared model leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
@@ -42,12 +40,10 @@ def compare_searches(
 
     Parameters
     ----------
-    dataset : Dataset
     laws : sequence of str
         The declared model; empty for no force at all.
     grammar : Grammar
         Masked to the data.
-    rng : numpy.random.Generator
     kind : str, optional
         "pair" or "field"; by default the grammar's first of which these data have any.
     seeds : int
@@ -59,7 +55,6 @@ def compare_searches(
     searches : sequence of str, optional
         Names out of `bsp_gp.search.compare.STRATEGIES`; all by default. The exhaustive search
         always runs, as the measure of the others.
-    executor : concurrent.futures.Executor, optional
     missing_inputs : tuple of str
         For the certificate.
     method : str, optional
@@ -125,7 +120,6 @@ def regressions(dataset, law, rng, method=None):
 
     Parameters
     ----------
-    dataset : Dataset
     law : ForceLaw
         The declared one.
     rng : numpy.random.Generator

@@ -37,7 +37,6 @@ class ConstantFit:
         Whitened derivatives of the prediction: the columns to project out of later terms.
     loss : float
         Half the whitened residual sum of squares, nats.
-    is_linear : bool
     """
 
     law: object
@@ -90,7 +89,6 @@ def fit_constants(regression, law, *, starts=1):
 
     Parameters
     ----------
-    regression : Regression
     law : ForceLaw
         Values of its constants are start values; per-entity constants must enter linearly.
     starts : int

@@ -5,8 +5,6 @@ source can be summed first. Only products of two factors that vary along time ar
 one, whitened as columns: some thousand per direction.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.search.columns import BATCH_BYTES, Columns

@@ -7,8 +7,6 @@ missed. Terms already in the law are projected out of the target and of every ca
 and Waugh 1933), which is a joint refit of their free constants.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import replace
@@ -164,7 +162,7 @@ class Exhaustive:
         self.parts = []
         self.has_more = has_more
         self.sizes, self.bytes = {}, 0
-        self._merged = None
+        self._merged, self._made = None, {}
         share = CACHE_BYTES // max(len(regression.batches), 1)
         self.subtrees = [BoundedCache(share) for _ in regression.batches]
 
@@ -208,13 +206,9 @@ class Exhaustive:
         null = np.zeros((len(y), 0)) if null_targets is None else np.asarray(null_targets)
         self.total, self.null_total = 0.0, np.zeros(null.shape[1])
         for mask in self.groups:
-            ys = np.column_stack([y, null])
-            if mask is not None:
-                ys = ys * mask[:, None]
-                nuisance_here = None if nuisance is None else nuisance * mask[:, None]
-            else:
-                nuisance_here = nuisance
-            q = orthonormal(nuisance_here, len(y))
+            own = 1.0 if mask is None else mask[:, None]
+            ys = np.column_stack([y, null]) * own
+            q = orthonormal(None if nuisance is None else nuisance * own, len(y))
             ys = ys - q @ (q.T @ ys)
             self.q_groups.append(q)
             self.y_groups.append(ys)
@@ -254,7 +248,7 @@ class Exhaustive:
     def _directions(self, families):
         """Distinct directions x conditions over all families of plans, as weighted vectors."""
         inverse_mass = 1.0 / self.rows.input("m_i", False)
-        out, seen = [], {}
+        out, seen = [], set()
         for family, plans in families.items():
             (name, budget), condition = family
             directions = self.banks.bank(name, budget)
@@ -262,9 +256,10 @@ class Exhaustive:
             items = distinct_directions(directions, conditions, inverse_mass, self.weights)
             for item in items:
                 # The same vector in another family with the same coefficients is the same law.
-                key = (self._coefficient_key(plans), fingerprint_of(item.value, self.weights))
+                (own,) = fingerprints([item.value], self.weights, merge_scale=True)
+                key = (self._coefficient_key(plans), own)
                 if key not in seen:
-                    seen[key] = True
+                    seen.add(key)
                     out.append((family, item))
         self.parts.append(f"{len(out)} directions")
         return out
@@ -274,10 +269,9 @@ class Exhaustive:
 
     def _blocks(self, plans):
         key = self._coefficient_key(plans)
-        cache = self.__dict__.setdefault("_block_cache", {})
-        if key not in cache:
-            cache[key] = self._make_blocks(plans)
-        return cache[key]
+        if key not in self._made:
+            self._made[key] = self._make_blocks(plans)
+        return self._made[key]
 
     def _make_blocks(self, plans):
         """Turn the coefficient plans of a family into (left, right, allowed) blocks.
@@ -514,8 +508,3 @@ class Exhaustive:
             formula, self.kind, {name: value}, loss, complexity, total - 2 * loss, total, ties=ties
         )
         return candidate, fitted
-
-
-def fingerprint_of(value, weights):
-    """Scale-free fingerprint of one vector field."""
-    return fingerprints([value], weights, merge_scale=True)[0]

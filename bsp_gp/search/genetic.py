@@ -43,10 +43,8 @@ class Genetic:
 
     Attributes
     ----------
-    population : int
     offspring : int
         Trees bred per generation.
-    max_levels : int
     p_crossover : float
         Otherwise a subtree is mutated.
     immigrants : float

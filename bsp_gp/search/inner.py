@@ -80,10 +80,8 @@ class Axis:
 
     Attributes
     ----------
-    name : str
     low, high : float
         In that coordinate.
-    is_log : bool
     cauchy : tuple of float or None
         Centre and scale of where a place is likely, whose range has no end.
     """
@@ -116,9 +114,7 @@ class Scan:
 
     Attributes
     ----------
-    form : Form
     axes : tuple of Axis
-    n_points : int
     gain : float
         Greatest on the first grid.
     null : ndarray, shape (B,)
@@ -162,16 +158,10 @@ def read_forms(grammar, dataset, properties, available):
 
     Parameters
     ----------
-    grammar : Grammar
-    dataset : Dataset
     properties : sequence of str
         Short names of properties that may stand for ``{0}``.
     available : set of str
         Inputs that laws may use.
-
-    Returns
-    -------
-    list of Form
 
     Raises
     ------
@@ -369,7 +359,6 @@ class InnerSearch:
         """The same with the best sought on finer grids, which move along while that gains."""
         span = np.linspace(-1, 1, 5 if len(scan.axes) < 3 else 3)
         steps = np.array(list(every(span, repeat=len(scan.axes))))
-        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
         found = [replace(scan, at=p[:, 0], spacing=p[:, 1], best=0.0) for p in scan.peaks]
         for zoom in range(ZOOMS):
             moving = list(range(len(found)))
@@ -378,7 +367,7 @@ class InnerSearch:
                     break
                 before = [found[m].best for m in moving]
                 near = [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving]
-                better = self._best_near(scan, np.clip(near, low, high))
+                better = self._best_near(scan, np.clip(near, *_ends(scan.axes)))
                 for m, other in zip(moving, better, strict=True):
                     if other.best > found[m].best:
                         found[m] = replace(found[m], best=other.best, at=other.at)
@@ -404,11 +393,9 @@ class InnerSearch:
         """
         step = scan.spacing / CLOSER**ZOOMS
         ends = np.concatenate([scan.at + np.diag(step), scan.at - np.diag(step)])
-        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
-        points = np.clip(np.concatenate([scan.at[None], ends]), low, high)
-        values = {a.name: a.values(points[:, k]) for k, a in enumerate(scan.axes)}
-        term = self._term(scan.form.term)
-        columns = self.beside(self._columns(term, values))
+        points = np.clip(np.concatenate([scan.at[None], ends]), *_ends(scan.axes))
+        values = _constants(scan.axes, points)
+        columns = self.beside(self._columns(self._term(scan.form.term), values))
         k = len(scan.axes)
         apart = np.diag(points[1 : k + 1] - points[k + 1 :])
         changes = (columns[:, 1 : k + 1] - columns[:, k + 1 :]) / np.where(apart > 0, apart, 1.0)
@@ -416,14 +403,11 @@ class InnerSearch:
 
     def moved(self, scan, steps):
         """A scan with its inner constants changed by steps (k,) in their coordinates."""
-        low, high = (np.array([getattr(a, side) for a in scan.axes]) for side in ("low", "high"))
-        return replace(scan, at=np.clip(scan.at + steps, low, high))
+        return replace(scan, at=np.clip(scan.at + steps, *_ends(scan.axes)))
 
     def strength(self, scan):
         """The strength of a form where it does best; nan where numbers do not carry it."""
-        values = {a.name: np.array([a.values(x)]) for a, x in zip(scan.axes, scan.at, strict=True)}
-        term = self._term(scan.form.term)
-        column = self._columns(term, values)
+        column = self._columns(self._term(scan.form.term), _constants(scan.axes, scan.at[None]))
         top = float(np.abs(column).max())  # squares of the columns may be beyond all numbers
         if not 0 < top < np.inf:
             return np.nan
@@ -434,17 +418,16 @@ class InnerSearch:
     def _unit(self, form, axes, points):
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""
         term = self._term(form.term)
-        values = np.stack([axis.values(points[:, k]) for k, axis in enumerate(axes)])
         size = sum(
             b.target.size * (b.bodies.others.shape[1] if term.kind == "pair" else 1)
             for b in self.batches
         )
         step = max(CHUNK // size, 1)
         columns = np.concatenate([
-            self._columns(term, {a.name: v for a, v in zip(axes, some, strict=True)})
-            for some in (values[:, k : k + step] for k in range(0, len(points), step))
+            self._columns(term, _constants(axes, points[k : k + step]))
+            for k in range(0, len(points), step)
         ], axis=1)  # fmt: skip
-        is_passed = self._is_passed(form, {a.name: v for a, v in zip(axes, values, strict=True)})
+        is_passed = self._is_passed(form, _constants(axes, points))
         columns = np.where(np.isfinite(columns) & ~is_passed, columns, 0.0)
         top = np.abs(columns).max(axis=0)
         columns = columns / np.where(top > 0, top, 1.0)
@@ -528,6 +511,17 @@ class InnerSearch:
     def _number(self, k):
         value = float(f"{self.middle[k]:.6g}")
         return Number(value, STATE_INPUTS["p_i"].unit, f"{value:g} [m]")
+
+
+def _ends(axes):
+    """Least and greatest coordinates, shape (2, k)."""
+    return np.array([[axis.low for axis in axes], [axis.high for axis in axes]])
+
+
+def _constants(axes, points):
+    """Values (C,) of the constants at points (C, k), by name."""
+    values = np.stack([axis.values(points[:, k]) for k, axis in enumerate(axes)])
+    return {axis.name: value for axis, value in zip(axes, values, strict=True)}
 
 
 def _peaks(grid, gains):

@@ -5,8 +5,6 @@ one's track, the rows of a scene have to be taken together: what each receiver a
 the moments is computed first, and property factors weigh these.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.search.scoring import TILE_BYTES, GroupScorer, values_of

@@ -7,6 +7,7 @@ go through `fit_constants`. Laws that are equal on the data are scored once (`re
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from typing import NamedTuple
 
@@ -147,7 +148,7 @@ class Objective:
 
     def __reduce__(self):
         # To another process go the data, not what was computed from them.
-        return (_objective, (self._given,))
+        return (functools.partial(Objective, **self._given), ())
 
     @property
     def fingerprint(self):
@@ -171,16 +172,7 @@ class Objective:
     # --- scores ----------------------------------------------------------------------------------
 
     def score(self, expressions):
-        """Scores of expressions, in order; equal laws share theirs.
-
-        Parameters
-        ----------
-        expressions : sequence of Expression
-
-        Returns
-        -------
-        list of Score
-        """
+        """Scores of expressions, in order; equal laws share theirs."""
         self.n_trees += len(expressions)
         scores, law_of = self._scores, self.recogniser.law
         new = {}
@@ -377,10 +369,6 @@ class Objective:
             if not out or score.loss < out[-1][1].loss:
                 out.append((expression, score))
         return out
-
-
-def _objective(given):
-    return Objective(**given)
 
 
 def _key(law):

@@ -130,7 +130,6 @@ class Recogniser:
         ----------
         role : str
             "coefficient" or "direction"; directions are divided by m_i.
-        number : int
         """
         return self._value(role, self._members[role][number])
 

@@ -37,7 +37,6 @@ def require_room(search, n_targets):
 
     Parameters
     ----------
-    search : Exhaustive
     n_targets : int
         Targets that are searched at a time, simulated ones included.
 

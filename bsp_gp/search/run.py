@@ -1,6 +1,6 @@
 """One loop for every search: budget, seeds, Pareto front, callbacks, checkpoint and resume.
 
-A strategy is any object with ``init(objective, rng) -> state`` and
+A strategy is any object with a name, ``init(objective, rng) -> state`` and
 ``step(state, objective, rng) -> state``; a state is a dict that JSON can hold, but for a list of
 expressions under "population". The loop spawns one random stream per step, so that a resumed run
 draws what the uninterrupted one would have.
@@ -15,7 +15,6 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,22 +24,10 @@ from bsp_gp.language.expression import from_lists, to_lists
 from bsp_gp.output.place import whole_file
 from bsp_gp.search.candidate import SearchResult
 
-__all__ = ["Budget", "Search", "run_search"]
+__all__ = ["Budget", "run_search"]
 
 GRID = 5
 """Laws for which one counts whose inner constants are scored on a grid: it takes as long."""
-
-
-class Search(Protocol):
-    """A search strategy."""
-
-    name: str
-
-    def init(self, objective, rng):
-        """First state: a dict that JSON can hold, but for expressions under "population"."""
-
-    def step(self, state, objective, rng):
-        """Next state."""
 
 
 @dataclass(frozen=True)
@@ -70,16 +57,14 @@ class Budget:
             raise SettingsError("a budget needs n_scored, seconds or n_steps")
 
     def is_spent(self, objective, started, steps, idle=0):
+        """Whether a run is to end."""
+        spent = objective.n_scored + (GRID - 1) * objective.n_grids
         return (
             idle >= self.n_idle
-            or (self.n_scored is not None and _spent(objective) >= self.n_scored)
+            or (self.n_scored is not None and spent >= self.n_scored)
             or (self.seconds is not None and time.perf_counter() - started >= self.seconds)
             or (self.n_steps is not None and steps >= self.n_steps)
         )
-
-
-def _spent(objective):
-    return objective.n_scored + (GRID - 1) * objective.n_grids
 
 
 def run_search(
@@ -99,8 +84,6 @@ def run_search(
 
     Parameters
     ----------
-    strategy : Search
-    objective : Objective
     budget : Budget
         Of every trial.
     rng : numpy.random.Generator

@@ -12,8 +12,6 @@ time; otherwise they live on rows (`RowScorer`) and errors must be independent. 
 under correlated errors are parted in `correlated`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["GroupScorer", "RowScorer"]

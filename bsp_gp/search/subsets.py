@@ -5,8 +5,6 @@ whitened columns of all plausible terms at hand, sets of k terms cost only small
 so that a set is revised as a whole.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["best_subsets"]

@@ -30,7 +30,8 @@ from bsp_gp.simulate.forces import (
 from bsp_gp.simulate.layouts import polar, uniform
 from bsp_gp.simulate.world import mat
 
-__all__ = ["EFFECTS", "Effect", "ExtraBody", "NewProperty", "effect", "parse_effect"]
+__all__ = ["EFFECTS", "Effect", "ExtraBody", "NewProperty", "effect", "parse_effect",
+           "read_number"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,6 @@ class Effect:
 
     Attributes
     ----------
-    name : str
     parameters : tuple of (str, value)
         What it was built with.
     is_declared : bool
@@ -117,24 +117,12 @@ class Effect:
     new_property: NewProperty | None = None
 
 
-def _drag(value, wind=0.0, angle=0.0):
-    return {"forces": (Drag(value, wind, angle),)}
-
-
-def _quadratic_drag(value, wind=0.0, angle=0.0):
-    return {"forces": (QuadraticDrag(value, wind, angle),)}
-
-
 def _wind(value, angle=0.0):
-    return {"forces": (UniformField(value, angle, per_mass=False),)}
+    return UniformField(value, angle, per_mass=False)
 
 
 def _field(value, angle=0.0):
-    return {"forces": (UniformField(value, angle),)}
-
-
-def _perpendicular(value):
-    return {"forces": (Perpendicular(value),)}
+    return UniformField(value, angle)
 
 
 def _magnetic(value, column="charge", low=0.5, high=2.0, positive=0.5):
@@ -143,11 +131,7 @@ def _magnetic(value, column="charge", low=0.5, high=2.0, positive=0.5):
 
 
 def _push(value, period=1.0, angle=0.0, phase=0.0):
-    return {"forces": (PeriodicPush(value, period, angle, phase),)}
-
-
-def _friction(value):
-    return {"forces": (DryFriction(value),)}
+    return PeriodicPush(value, period, angle, phase)
 
 
 def _mat(value, width=1.0, height=1.0, x=0.0, y=0.0, grip=1.0, hidden=False):
@@ -155,17 +139,9 @@ def _mat(value, width=1.0, height=1.0, x=0.0, y=0.0, grip=1.0, hidden=False):
     return {"forces": (MatFriction(grip),), "body": body}
 
 
-def _spring(value, x=0.0, y=0.0, rest=0.0):
-    return {"forces": (PointSpring(value, x, y, rest),)}
-
-
 def _pair(value, column="charge", power=2.0, low=0.5, high=2.0, positive=0.5):
     new = NewProperty(column, (low, high), positive)
     return {"forces": (PairForce(value, column, power),), "new_property": new}
-
-
-def _exponent(value):
-    return {"power": value}
 
 
 def _hidden(value, x=None, y=None, near=1.0, far=2.0, moves=False, speed=0.0, column="mass"):
@@ -177,32 +153,26 @@ def _hidden(value, x=None, y=None, near=1.0, far=2.0, moves=False, speed=0.0, co
     return {"body": ExtraBody(entity, place, (near, far), (speed, speed))}
 
 
-def _dashpot(value):
-    return {"forces": (ContactDamping(value),)}
-
-
-def _inelastic(value):
-    return {"restitution": value}
-
-
 EFFECTS = {
-    "drag": (_drag, "linear drag -c v, c in kg/s; wind=, angle= of the air"),
-    "quadratic_drag": (_quadratic_drag, "drag -c |v| v, c in kg/m; wind=, angle= of the air"),
+    "drag": (Drag, "linear drag -c v, c in kg/s; wind=, angle= of the air"),
+    "quadratic_drag": (QuadraticDrag, "drag -c |v| v, c in kg/m; wind=, angle= of the air"),
     "wind": (_wind, "a push in N, the same on every body; angle= in degrees from x"),
     "field": (_field, "a uniform acceleration in m/s^2; angle="),
-    "perpendicular": (_perpendicular, "b times v turned by +90 degrees (Magnus), b in kg/s"),
+    "perpendicular": (
+        lambda value: Perpendicular(value), "b times v turned by +90 degrees (Magnus), b in kg/s",
+    ),
     "magnetic": (_magnetic, "the same times a charge; column=, low=, high=, positive= share"),
     "push": (_push, "a periodic push in N; period= in s, angle=, phase="),
-    "friction": (_friction, "Coulomb friction everywhere, mu g in m/s^2"),
+    "friction": (DryFriction, "Coulomb friction everywhere, mu g in m/s^2"),
     "mat": (_mat, "a mat of that friction; width=, height=, x=, y=, grip=, hidden=1"),
-    "spring": (_spring, "a spring to an unseen point, in N/m; x=, y=, rest="),
+    "spring": (PointSpring, "a spring to an unseen point, in N/m; x=, y=, rest="),
     "pair": (_pair, "a pair force of a new property; column=, power=, low=, high=, positive="),
-    "exponent": (_exponent, "another exponent of the pair force"),
+    "exponent": (lambda value: {"power": value}, "another exponent of the pair force"),
     "hidden": (_hidden, "an unseen body of that mass; x=, y= or near=, far=; moves=1, speed="),
-    "dashpot": (_dashpot, "loss of speed between discs that overlap, in kg/s"),
-    "inelastic": (_inelastic, "another restitution of contacts, 0 to 1"),
+    "dashpot": (ContactDamping, "loss of speed between discs that overlap, in kg/s"),
+    "inelastic": (lambda value: {"restitution": value}, "another restitution of contacts, 0 to 1"),
 }
-"""Name -> builder and what its value and options are."""
+"""Name -> builder, of a force or of fields of `Effect`, and what its value and options are."""
 
 
 def effect(name, value, *, is_declared=True, **options):
@@ -214,13 +184,8 @@ def effect(name, value, *, is_declared=True, **options):
         One of `EFFECTS`.
     value : float
         Its main number; see `EFFECTS`.
-    is_declared : bool
     **options
         Further numbers of that effect.
-
-    Returns
-    -------
-    Effect
 
     Raises
     ------
@@ -241,9 +206,9 @@ def effect(name, value, *, is_declared=True, **options):
             raise SettingsError(
                 f"effect {name!r} has no option {option!r}; it has {', '.join(allowed) or 'none'}"
             )
-    return Effect(
-        name, (("value", value), *options.items()), is_declared, **build(value, **options)
-    )
+    made = build(value, **options)
+    parts = {"forces": (made,)} if isinstance(made, Force) else made
+    return Effect(name, (("value", value), *options.items()), is_declared, **parts)
 
 
 def parse_effect(text, is_declared=True):
@@ -262,15 +227,17 @@ def parse_effect(text, is_declared=True):
             raise SettingsError(f"effect {text!r:.80} gives {key!r} twice")
         pairs.append((key, value))
     (name, value), *options = pairs
-    options = {k: v if k == "column" else _number(k, v) for k, v in options}
-    return effect(name, _number(name, value), is_declared=is_declared, **options)
+    options = {k: v if k == "column" else read_number(f"{k} of an effect", v) for k, v in options}
+    value = read_number(f"{name} of an effect", value)
+    return effect(name, value, is_declared=is_declared, **options)
 
 
-def _number(key, text):
+def read_number(what, text):
+    """A finite number from a text; SettingsError for others."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SettingsError(f"{key} of an effect must be a finite number, got {text[:40]!r}")
+        raise SettingsError(f"{what} must be a finite number, got {text[:40]!r}")
     return value

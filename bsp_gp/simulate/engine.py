@@ -104,7 +104,6 @@ def run_pymunk(worlds, motion):
     ----------
     worlds : sequence of World
         All of the same number of entities.
-    motion : Motion
 
     Returns
     -------

@@ -81,7 +81,6 @@ class Force:
 
         Parameters
         ----------
-        bodies : Ensemble
         p, v : ndarray, shape (S, N, 2), metres and metres/second
         t : float, seconds
         """

@@ -48,7 +48,6 @@ class Machine:
         ``shown(states, numbers)``, columns that are measured.
     logged : callable
         ``logged(rng, span, numbers)``, inputs as functions of the time.
-    up : str
     seconds, dt, noise : float
     """
 
@@ -223,11 +222,8 @@ def made_machine(name, rng, *, n_scenes=1, n_frames=None, dt=None, noise=None, n
     ----------
     name : str
         One of `MACHINES`.
-    rng : numpy.random.Generator
-    n_scenes, n_frames : int
     dt, noise : float
         Seconds per row; standard deviation of what is measured.
-    numbers : mapping of str to float, optional
     effects : mapping of str to float or None, optional
         What acts beside the preset; None = at its usual strength.
     undeclared : collection of str

@@ -201,13 +201,8 @@ def preset(name, effects=(), **numbers):
     ----------
     name : str
         One of `PRESETS`.
-    effects : iterable of Effect
     **numbers
         As for `configured`.
-
-    Returns
-    -------
-    Settings
 
     Examples
     --------
@@ -225,13 +220,8 @@ def configured(settings, **numbers):
 
     Parameters
     ----------
-    settings : Settings
     **numbers
         Fields of the layout, `Settings`, `Contacts` or `Observation`; ranges are (low, high).
-
-    Returns
-    -------
-    Settings
 
     Raises
     ------
@@ -277,13 +267,8 @@ def read_numbers(settings, texts):
 
     Parameters
     ----------
-    settings : Settings
     texts : mapping of str to str
         A number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
-
-    Returns
-    -------
-    dict
     """
     known = numbers_of(settings)
     numbers = {}
@@ -315,7 +300,6 @@ def make(settings, rng, engine=run_pymunk):
 
     Parameters
     ----------
-    settings : Settings
     rng : numpy.random.Generator
         Every scene has streams of its own for its layout, its effects and its noise, so that
         scene k does not depend on how many there are, nor its start on the effects.

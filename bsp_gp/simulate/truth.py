@@ -31,7 +31,6 @@ class Truth:
 
     Attributes
     ----------
-    name : str
     declared : tuple of str
         Laws of the model that goes with the data, as typed on the command line.
     acting : tuple of str
@@ -148,7 +147,6 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
 
     Parameters
     ----------
-    truth : Truth
     folder : path-like
         Must not be the data set's own folder or inside of it.
     overwrite : bool
@@ -157,10 +155,6 @@ def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
         Where bodies are in the frames of films; written as ``pixels.csv``.
     seed : int, optional
         Of the generator that the data were made with, for the record.
-
-    Returns
-    -------
-    pathlib.Path
 
     Raises
     ------

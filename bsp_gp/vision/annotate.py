@@ -1,7 +1,5 @@
 """A film in which a tracked video shows what was tracked: outlines, names, tails, gaps."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -58,11 +56,11 @@ def _label(picture, text, place, colour):
     cv2.putText(picture, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
 
 
-def write_annotated(video, track, path, regions=(), fps=None):
-    """Write the annotated film, whole or not at all; it plays at 25 frames a second by default."""
+def write_annotated(video, track, path, regions=()):
+    """Write the annotated film, whole or not at all; it plays at 25 frames a second at most."""
     rows = {int(f): k for k, f in enumerate(track.frames)}
     first, last = int(track.frames[0]), int(track.frames[-1])
-    with VideoWriter(path, fps or min(video.fps, 25.0), (video.width, video.height)) as film:
+    with VideoWriter(path, min(video.fps, 25.0), (video.width, video.height)) as film:
         for index, image in video.frames(first, last + 1):
             if index in rows:
                 film.write(annotate_frame(image, track, rows[index], regions))

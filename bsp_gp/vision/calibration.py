@@ -92,20 +92,19 @@ class Calibration:
 
     def world(self, pixels):
         """World coordinates of points, shape (..., 2); nan stays nan."""
-        pixels = np.asarray(pixels, dtype=float)
-        extended = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
-        mapped = extended @ self.matrix.T
+        mapped = self._mapped(pixels)
         return mapped[..., :2] / mapped[..., 2:]
+
+    def _mapped(self, pixels):
+        pixels = np.asarray(pixels, dtype=float)
+        return np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1) @ self.matrix.T
 
     def jacobian(self, pixels):
         """Derivatives of the world coordinates by the pixels, shape (..., 2, 2)."""
-        pixels = np.asarray(pixels, dtype=float)
-        extended = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
-        mapped = extended @ self.matrix.T
+        mapped = self._mapped(pixels)
         w = mapped[..., 2:]
         xy = mapped[..., :2] / w
-        top = np.broadcast_to(self.matrix[:2, :2], (*pixels.shape[:-1], 2, 2))
-        return (top - xy[..., :, None] * self.matrix[2, :2]) / w[..., None]
+        return (self.matrix[:2, :2] - xy[..., :, None] * self.matrix[2, :2]) / w[..., None]
 
     def covariance(self, pixels, covariances):
         """Covariances of world coordinates from those of pixels, shape (..., 2, 2)."""

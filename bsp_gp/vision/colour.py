@@ -1,7 +1,5 @@
 """Colour models: how much of each pixel is of an object's colour, and the background behind it."""
 
-from __future__ import annotations
-
 import re
 
 import cv2
@@ -11,29 +9,20 @@ from bsp_gp.errors import SettingsError
 
 __all__ = ["NAMED", "background", "coverage", "is_colour", "parse_colour"]
 
-NAMED = {  # BGR
-    "red": (0, 0, 255),
-    "yellow": (0, 255, 255),
-    "blue": (255, 0, 0),
-    "green": (0, 128, 0),
-    "white": (255, 255, 255),
-    "black": (0, 0, 0),
-    "orange": (0, 165, 255),
-    "purple": (128, 0, 128),
-    "brown": (42, 42, 165),
-}
+NAMED = ("black", "blue", "brown", "green", "orange", "purple", "red", "white", "yellow")
+"""Colours that a complaint names."""
 
 
 def parse_colour(text):
-    """BGR of a name of `NAMED`, of CSS or of ``#rrggbb``; SettingsError for anything else."""
-    from matplotlib.colors import CSS4_COLORS  # those of `NAMED` are the same there
+    """BGR of a name of CSS or of ``#rrggbb``; SettingsError for anything else."""
+    from matplotlib.colors import CSS4_COLORS
 
     code = CSS4_COLORS.get(text.lower(), text)
     if re.fullmatch(r"#[0-9a-fA-F]{6}", code):
         red, green, blue = (int(code[k : k + 2], 16) for k in (1, 3, 5))
         return np.array([blue, green, red], dtype=np.float32)
     raise SettingsError(
-        f"a colour must be #rrggbb or one of {', '.join(sorted(NAMED))} or another name of CSS, "
+        f"a colour must be #rrggbb or one of {', '.join(NAMED)} or another name of CSS, "
         f"got {text!r}"
     )
 

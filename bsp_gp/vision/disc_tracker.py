@@ -18,7 +18,7 @@ from bsp_gp.vision.colour import background
 from bsp_gp.vision.discs import MIN_GAIN, calibrate_kind, find_discs, follow, gap, place
 from bsp_gp.vision.track import Track
 
-__all__ = ["DiscTracker", "track_discs"]
+__all__ = ["DiscTracker"]
 
 log = logging.getLogger(__name__)
 
@@ -328,8 +328,3 @@ class DiscTracker:
             {b.name: self.kinds[b.kind_name].reach for b in bodies},
             lossy=self.video.is_lossy,
         )
-
-
-def track_discs(video, colours, radius=None, counts=None):
-    """Follow all discs of the given colours; see `DiscTracker`."""
-    return DiscTracker(video, colours, radius, counts).run()

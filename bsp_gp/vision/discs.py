@@ -123,7 +123,6 @@ def follow(image, kind, predicted, others, search=SEARCH):
     Parameters
     ----------
     image : ndarray, shape (h, w, 3)
-    kind : DiscKind
     predicted : (float, float)
     others : sequence of (x, y, reach)
         Where the other discs are expected; their pixels count for nothing.
@@ -167,7 +166,6 @@ def place(image, kind, start, others, behind=None, iterations=8):
         Discs that may hide a part of this one (or be hidden by it).
     behind : ndarray, shape (h, w, 3), optional
         Background image; needed if `kind.surround` is None.
-    iterations : int
 
     Returns
     -------
@@ -284,12 +282,10 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
 
     Parameters
     ----------
-    images : sequence of ndarray
     colour : ndarray, shape (3,)
         Approximate BGR.
     radius : float, optional
         Radius of the coloured part, px; found from round, free-standing patches if not given.
-    tolerance : float
     behind : ndarray, optional
         Background image; used if the disc has no outline.
 

@@ -140,8 +140,6 @@ def film_scene(scene, camera, look=None, *, rng):
     ----------
     scene : Scene
         In 2-D. Its velocities, if it has them, say where bodies are while the shutter is open.
-    camera : Camera
-    look : Look, optional
     rng : numpy.random.Generator
         For the noise.
 
@@ -265,12 +263,6 @@ def write_film(frames, path, fps, *, overwrite=False):
     frames : iterable of ndarray, shape (height, width, 3), uint8, red-green-blue
     path : path-like
         Its ending chooses the codec: .mp4 (MPEG-4), .avi (Motion-JPEG), .mkv (FFV1, lossless).
-    fps : float
-    overwrite : bool
-
-    Returns
-    -------
-    pathlib.Path
 
     Raises
     ------
@@ -293,12 +285,7 @@ def write_film(frames, path, fps, *, overwrite=False):
 
 
 def write_frames(frames, folder):
-    """Write frames as PNG files ``0000.png`` ... into a folder, which must not exist yet.
-
-    Returns
-    -------
-    pathlib.Path
-    """
+    """Write frames as PNG files ``0000.png`` ... into a folder, which must not exist yet."""
     import cv2
 
     folder = Path(folder)

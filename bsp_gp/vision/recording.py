@@ -81,15 +81,8 @@ def track_video(video, specs, first=0, last=None, progress=None):
 
     Parameters
     ----------
-    video : Video
-    specs : sequence of ObjectSpec
     first, last : int
         Frames, both included.
-    progress : callable, optional
-
-    Returns
-    -------
-    Track
     """
     last = video.n_frames - 1 if last is None else last
     if not 0 <= first <= last - 2 or last >= video.n_frames:
@@ -271,10 +264,6 @@ def write_recording(
     """Track a video and write a folder: ``data/`` (a data set), ``film.mp4``, ``quality.html``.
 
     Written whole or not at all; an older one gives way only if `overwrite` is set.
-
-    Returns
-    -------
-    Path, Track
     """
     with claim(out, RECORDING, inputs=(path,), overwrite=overwrite) as place:
         video = open_video(path, fps)

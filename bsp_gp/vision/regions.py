@@ -107,7 +107,6 @@ def mats(image, seen, colours, inside=None, tolerance=TOLERANCE):
     colours : mapping of str to ndarray, shape (3,)
     inside : Region, optional
         Only this part of the picture.
-    tolerance : float
 
     Returns
     -------

@@ -9,6 +9,7 @@ track's own third differences, q from the likelihood of the innovations (Harvey 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -31,7 +32,7 @@ class Smoothed:
     positions, velocities : ndarray, shape (T, 2)
         px, px/frame. In a gap they are the smoother's bridge, with a covariance to match; whoever
         wants gaps marked looks at the measured track.
-    covariances, velocity_covariances : ndarray, shape (T, 2, 2)
+    covariances : ndarray, shape (T, 2, 2)
     q : float
         Power of the white force, px²/frame³.
     """
@@ -39,7 +40,6 @@ class Smoothed:
     positions: np.ndarray
     velocities: np.ndarray
     covariances: np.ndarray
-    velocity_covariances: np.ndarray
     q: float
 
 
@@ -156,28 +156,22 @@ def calibrated(track):
     return replace(track, covariances=covariances)
 
 
-def smooth_track(track, name, q=None):
+def smooth_track(track, name):
     """Rauch-Tung-Striebel smoother of one object; see `Smoothed`.
 
     Contacts are smeared over a few frames: for finding forces use the measured positions.
     """
     k = track.of(name)
     z, r = track.positions[:, k], _regular(track.covariances[:, k])
-    if q is None:
-        q = process_power(z, r)
+    q = process_power(z, r)
     _, passes = _filter(z, r, q, keep=True)
     x, p = passes[-1][1]
     states, spreads = [x], [p]
-    for (_, _), (x_now, p_now), (x_next, p_next) in _backwards(passes):
+    for (_, (x_now, p_now)), ((x_next, p_next), _) in reversed(list(pairwise(passes))):
         gain = p_now @ STEP.T @ np.linalg.inv(p_next)
         x = x_now + gain @ (states[-1] - x_next)
         p = p_now + gain @ (spreads[-1] - p_next) @ gain.T
         states.append(x)
         spreads.append(0.5 * (p + p.T))
     x, p = np.array(states[::-1]), np.array(spreads[::-1])
-    return Smoothed(x[:, :2], x[:, 2:], p[:, :2, :2], p[:, 2:, 2:], float(q))
-
-
-def _backwards(passes):
-    for k in range(len(passes) - 2, -1, -1):
-        yield passes[k][0], passes[k][1], passes[k + 1][0]
+    return Smoothed(x[:, :2], x[:, 2:], p[:, :2, :2], float(q))

@@ -1,7 +1,5 @@
 """A patch of the picture followed to a fraction of a pixel, and single points by optical flow."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

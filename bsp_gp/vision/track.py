@@ -15,10 +15,8 @@ class Track:
 
     Attributes
     ----------
-    names : tuple of str
     frames : ndarray of int, shape (T,)
         Indices of decoded frames.
-    fps : float
     positions : ndarray, shape (T, N, 2)
         nan where an object was not measured; nothing is filled in.
     covariances : ndarray, shape (T, N, 2, 2)

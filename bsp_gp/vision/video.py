@@ -33,7 +33,6 @@ class Video:
 
     Attributes
     ----------
-    path : Path
     fps : float
         Frames a second as the header says (or as the user declared); frames are taken to be
         evenly spaced, which is what decoded frames of a constant-rate file are.
@@ -102,7 +101,6 @@ def open_video(path, fps=None):
 
     Parameters
     ----------
-    path : path
     fps : float, optional
         The true frame rate, if the header's is wrong.
 

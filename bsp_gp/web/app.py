@@ -1,7 +1,5 @@
 """The server behind the page: one token in every address, this machine alone."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io
@@ -329,10 +327,8 @@ def serve(folder, port=0, n_at_once=1, tell=None):
 
     Parameters
     ----------
-    folder : path-like
     port : int
         0: any that is free.
-    n_at_once : int
     tell : callable, optional
         Given the address once the server listens.
 

@@ -1,7 +1,5 @@
 """What the page asks for, as words of the command line; what is not known is refused."""
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.errors import SettingsError

@@ -4,8 +4,6 @@
 a table's columns to stdout.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

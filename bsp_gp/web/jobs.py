@@ -13,11 +13,10 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import bsp_gp
+from bsp_gp.workers import python_path
 
 __all__ = ["Job", "Jobs"]
 
-_ROOT = Path(bsp_gp.__file__).resolve().parent.parent
 _STAGE = re.compile(r"\s*\d+ s  (.*)")
 _KEPT_LINES = 200
 MEMORY_SHARE = 0.75
@@ -86,7 +85,6 @@ class Jobs:
         ----------
         words : sequence of str
             The command and its options.
-        data : path-like
         out : path-like, optional
             Where the result goes; by default the folder ``report`` of the job.
 
@@ -197,11 +195,10 @@ def without_paths(text, folder):
 
 
 def _environment():
-    known = os.environ.get("PYTHONPATH")
     return {
         **os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
         "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1",
-        "PYTHONPATH": os.pathsep.join([str(_ROOT), *([known] if known else [])]),
+        "PYTHONPATH": python_path(),
     }  # fmt: skip
 
 

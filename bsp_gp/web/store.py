@@ -26,10 +26,8 @@ class Given:
 
     Attributes
     ----------
-    key : str
     folder : Path
         Ours; the files lie in its folder ``files``.
-    n_bytes : int
     loaded : tuple or None
         Options and the data set that was read with them last.
     glimpse : object

@@ -70,7 +70,6 @@ def warm():
     """Import everything and fill caches before the first fork, so that a child starts at once."""
     import cv2
     import matplotlib
-    import sympy  # noqa: F401
 
     matplotlib.use("Agg")
     cv2.setNumThreads(1)

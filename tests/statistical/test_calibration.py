@@ -8,8 +8,8 @@ from scipy import stats
 
 from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.inference.likelihood import Likelihood
-from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
 from bsp_gp.physics.bodies import stack
+from experiments.ranks import coverage, rank_of, simultaneous_band
 from tests.latent_worlds import PULL, law_of, masses_of, scenes
 
 SIGMA = 0.02

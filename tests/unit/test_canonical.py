@@ -2,7 +2,7 @@
 
 import pytest
 
-from bsp_gp.language.canonical import canonical_key, same_law
+from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import Unit
@@ -30,7 +30,7 @@ def law(text):
     ],
 )  # fmt: skip
 def test_rewritings_are_one_law(one, other):
-    assert same_law(law(one), law(other))
+    assert canonical_key(law(one)) == canonical_key(law(other))
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_rewritings_are_one_law(one, other):
     ],
 )
 def test_other_laws_are_others(one, other):
-    assert not same_law(law(one), law(other))
+    assert canonical_key(law(one)) != canonical_key(law(other))
 
 
 def test_laws_in_space_have_keys_of_their_own():

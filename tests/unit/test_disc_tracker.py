@@ -6,7 +6,7 @@ from scipy.special import erf
 
 from bsp_gp.errors import DataError
 from bsp_gp.vision.colour import parse_colour
-from bsp_gp.vision.disc_tracker import DiscTracker, track_discs
+from bsp_gp.vision.disc_tracker import DiscTracker
 from bsp_gp.vision.discs import DiscKind, place
 from bsp_gp.vision.smoothing import calibrated
 from bsp_gp.vision.video import open_video
@@ -30,6 +30,10 @@ def matched(track, truth):
 
     gaps = np.linalg.norm(track.positions[0][:, None] - truth[0][None], axis=2)
     return truth[:, linear_sum_assignment(np.nan_to_num(gaps, nan=1e3))[1]]
+
+
+def track_discs(video, colours, counts=None):
+    return DiscTracker(video, colours, counts=counts).run()
 
 
 def errors(track, truth):

@@ -23,7 +23,7 @@ def made():
         import fit_studies  # noqa: F401, which loads the others
 
         yield SimpleNamespace(**{name: sys.modules[name] for name in NAMES})
-    for name in (*NAMES, "common"):
+    for name in (*NAMES, "common", "ranks"):
         sys.modules.pop(name, None)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp.inference.impulses import Contacts, MotionNoise, motion_evidence
+from experiments.impulses import Contacts, MotionNoise, motion_evidence
 
 
 def collide(masses, pull, drag, n=240, seed=0, sigma=0.3):

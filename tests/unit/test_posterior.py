@@ -19,9 +19,9 @@ from bsp_gp.inference.posterior import (
 from bsp_gp.inference.prediction import posterior_nrmse, predictive_bands
 from bsp_gp.inference.priors import Prior
 from bsp_gp.inference.profile import fit_profile
-from bsp_gp.inference.ranks import coverage, rank_of, simultaneous_band
 from bsp_gp.physics.metrics import one_step_nrmse
 from bsp_gp.report.posterior import corner_figure, rollout_figure, trace_figure
+from experiments.ranks import coverage, rank_of, simultaneous_band
 from tests.latent_worlds import PULL, law_of, masses_of, scenes
 
 

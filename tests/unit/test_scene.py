@@ -83,7 +83,7 @@ def test_bad_entities():
 
 def test_entities_and_scenes_travel_to_workers():
     scene = Scene("s", T, P, (A, Entity("b", properties={"mass": 2.0})))
-    again = copy.deepcopy(scene)  # goes through __reduce__, as the way to a worker does
+    again = copy.deepcopy(scene)  # pickled, as on the way to a worker
     assert again.entities == scene.entities
     np.testing.assert_array_equal(again.positions, scene.positions)
 

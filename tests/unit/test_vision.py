@@ -50,7 +50,16 @@ def test_unknown_colour_says_what_is_allowed(text):
 @pytest.mark.parametrize("name", ["teal", "Magenta", "grey", *NAMED])
 def test_names_of_css_are_colours_and_ours_are_among_them(name):
     assert parse_colour(name).shape == (3,)
-    assert name not in NAMED or tuple(parse_colour(name)) == NAMED[name]
+
+
+@pytest.mark.parametrize(("name", "bgr"), [
+    ("red", (0, 0, 255)), ("yellow", (0, 255, 255)), ("blue", (255, 0, 0)), ("green", (0, 128, 0)),
+    ("white", (255, 255, 255)), ("black", (0, 0, 0)), ("orange", (0, 165, 255)),
+    ("purple", (128, 0, 128)), ("brown", (42, 42, 165)),
+])  # fmt: skip
+def test_colours_are_blue_green_and_red(name, bgr):
+    assert tuple(parse_colour(name)) == bgr
+    assert name in NAMED
 
 
 def test_video_round_trip_is_lossless_and_counts_frames(tmp_path):
