@@ -144,6 +144,7 @@ KINDS = {
         "friction", "sliding", 0.023, f.drag(lambda at: at.m / np.cosh(at.speed / 0.5)), "speed"),
     "friction with a memory": _kind(
         "friction", "sliding", 0.0023, f.StateFriction, "time", "speed"),
-    "many kicks": _kind("kicks", "sliding", 0.003, f.kicks(30), "time", near=("noise",)),
-    "three kicks": _kind("kicks", "sliding", 0.004, f.kicks(3), "time", near=("noise", "contact")),
+    "many kicks": _kind("kicks", "sliding", 0.003, f.kicks(30), "time", near=("noise", "kicks")),
+    "three kicks": _kind(
+        "kicks", "sliding", 0.004, f.kicks(3), "time", near=("noise", "contact", "kicks")),
 }  # fmt: skip

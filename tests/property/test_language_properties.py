@@ -14,6 +14,7 @@ from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.pcfg import Pcfg
+from bsp_gp.language.primitives import from_tree, primitive_set, to_tree
 from bsp_gp.language.render import to_latex, to_text
 from tests.in_sympy import to_sympy
 
@@ -22,6 +23,8 @@ PLANE = load_grammar("physics").masked(set(load_grammar("physics").inputs) - {"e
 SPACE = load_grammar("physics").masked(set(load_grammar("physics").inputs), 3)[0]
 STARTS = [(g, start) for g in (NEWTONIAN, PLANE, SPACE) for start in g.start.values()]
 UNIFORM = {id(g): Pcfg.uniform(g) for g in (NEWTONIAN, PLANE, SPACE)}
+PRIMITIVES = {(id(g), s): primitive_set(g, k) for g in (NEWTONIAN, PLANE, SPACE)
+              for k, s in g.start.items()}  # fmt: skip
 TYPES = input_types(PROPERTY_UNITS, n_dims=3, up="y")
 PROFILE = settings(max_examples=100, deadline=None)
 
@@ -90,6 +93,26 @@ def test_a_formula_has_a_derivation_again(sample):
     assert type_of(derived, grammar) == start
     assert to_formula(derived, grammar) == formula
     assert derived.levels <= expression.levels  # the shortest one is found
+
+
+@PROFILE
+@given(sampled())
+def test_deap_trees_are_expressions(sample):
+    grammar, start, _, expression = sample
+    pset = PRIMITIVES[id(grammar), start]
+    tree = to_tree(expression, pset)
+    assert from_tree(tree, grammar) == expression
+    assert len(tree) == expression.size
+    assert tree.height == expression.levels - 1
+    for node in tree:
+        rule = grammar.rules[int(node.name[1:])]
+        assert node.ret.__name__ == rule.nonterminal
+        arguments = tuple(a.__name__ for a in node.args) if node.arity else ()
+        assert arguments == rule.children
+    with pytest.raises(GrammarError):
+        from_tree(tree[:-1], grammar)
+    with pytest.raises(GrammarError):
+        from_tree([*tree, tree[-1]], grammar)
 
 
 @PROFILE
