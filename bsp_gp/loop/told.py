@@ -21,6 +21,7 @@ _LEAST_TIME = 60.0
 _WITHOUT_UNIT = "a constant without a unit is a pure number, or it is in SI"
 _KINDS = {"m": "length", "s": "time", "kg": "mass"}
 _NUMBER = re.compile(r"(?<![\w.])([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?) \[([^\]]*)\]")
+_COUNT = re.compile(r"^\s*[\d.][\d.eE+-]*\s*")
 _FACTOR = re.compile(r"([^\s^/()]+)(?:\^(?:(-?\d+)|\((-?\d+(?:/\d+)?)\)))?")
 
 
@@ -206,9 +207,12 @@ _VALUES = ("value", "low", "high")
 
 
 def _read(text, base):
-    """Scale and name of a unit of a base dimension; None if it is SI, a count or none."""
-    text = text.strip()
-    if not text or text[0].isdigit() or text == base:
+    """Scale and name of a unit of a base dimension; None if it is SI or none.
+
+    Of counts of so many micrometres each, what they count: 0.16 um are told in um.
+    """
+    text = _COUNT.sub("", text).strip()
+    if not text or text == base:
         return None
     try:
         scale, unit = parse_unit(text)

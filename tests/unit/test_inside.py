@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bsp_gp import close_loop
 from bsp_gp.errors import GrammarError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
@@ -18,6 +19,7 @@ from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
+from bsp_gp.physics.bodies import stack
 from bsp_gp.report.naming import describe
 from bsp_gp.report.sentences import parting_sentence
 from bsp_gp.search.inner import Axis, _are_told, expanded
@@ -103,6 +105,58 @@ def test_a_drag_between_the_powers_of_the_grammar_leads():
     best, found = proposed(pushed(push))
     assert best.text == "c1 * (norm(v_i)^n1 * normalize(v_i))"
     assert is_within(found, n=1.5)
+
+
+@pytest.mark.slow
+def test_a_pull_to_a_wall_leads_with_its_power():
+    scenes, rng, times = [], np.random.default_rng(2), np.linspace(0.0, 2.0, 50)
+    for k in range(4):
+        start = [rng.uniform(0.7, 1.0), 0.0, rng.uniform(-0.25, 0.0), rng.uniform(-0.3, 0.3)]
+        track = solve_ivp(
+            lambda t, y: [y[2], y[3], -0.02 / y[0] ** 4, 0.0], (0.0, 2.0), start, t_eval=times,
+            rtol=1e-9, atol=1e-10, events=_near_the_wall,
+        )  # fmt: skip
+        places = track.y[:2].T + 0.001 * rng.standard_normal((len(track.t), 2))
+        scenes.append(scene_of(track.t, (body("puck"),), places[:, None], name=f"s{k}"))
+    best, found = proposed(dataset_of(scenes, noise=(0.001, 0.001)))
+    assert best.text == "c1 * (abs(x_i)^w1 * sign(x_i) * e_x)"
+    assert describe(best.formulas[0]) == "force along x, to a fitted power of x"
+    assert is_within(found, w=-4.0)
+
+
+def _near_the_wall(t, y):
+    return y[0] - 0.3
+
+
+_near_the_wall.terminal = True
+
+
+@pytest.mark.slow
+def test_a_magnet_beneath_the_plane_leads_with_its_depth():
+    def push(place, velocity, time):
+        away = place - np.array([1.0, 0.4])
+        return 0.5 * away / (away @ away + 0.3**2) ** 2.5
+
+    best, found = proposed(pushed(push, n_scenes=6))
+    assert "^-2.5 * (origin + centre_x1 * e_x + centre_y1 * e_y - p_i)" in best.text
+    told = describe(best.formulas[0], value(found, "c")[0])
+    assert told.startswith("force away from a point, softened within a length")
+    assert is_within(found, centre_x=1.0, centre_y=0.4, D=0.3)
+
+
+@pytest.mark.slow
+def test_springs_of_two_strengths_are_a_spring_and_more_of_it_along_an_axis():
+    def push(place, velocity, time):
+        return np.array([-6.0, -9.0]) * (place - np.array([0.4, -0.2]))
+
+    data = pushed(push)
+    report = close_loop(data, rng=0, n_bootstrap=0)
+    assert report.verdict in ("effect adopted", "effective law")
+    scene = scene_of(TIMES, (body("ball"),), np.zeros((len(TIMES), 1, 2)))
+    (batch,) = stack((scene,))
+    p = np.array([[1.0, 0.7]])
+    told = report.law.acceleration(batch.bodies, p, np.zeros_like(p), np.zeros(1))[0, 0]
+    np.testing.assert_allclose(told, push(p[0], None, 0.0), rtol=0.03)
 
 
 @pytest.mark.parametrize("size", [math.nan, 0.0, 2.0])

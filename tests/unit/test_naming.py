@@ -12,10 +12,12 @@ from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.report.naming import bad_rows, describe, kick
+from bsp_gp.report.page import _parts
 from bsp_gp.report.sentences import group_range, powers_sentence
 from bsp_gp.units import Unit
 from tests.fitted_tracks import law_of
@@ -280,3 +282,18 @@ def test_the_way_of_a_force_with_constants_inside_is_told(strength, way):
     (term,) = law_of(f"c * (exp(-norm({place} - p_i) / D) * normalize({place} - p_i))").terms
     expected = f"force {way} a point, fading with distance (exponential)"
     assert describe(term.formula, strength) == expected
+
+
+def test_each_of_several_forces_is_told_with_the_powers_that_the_data_allow():
+    drag, spring = "c1 * norm(v_i)^2 * normalize(v_i)", "c2 * (origin - p_i)"
+    law = ForceLaw(tuple(Term(formula(text), is_declared=False) for text in (drag, spring)),
+                   {"c1": -1.0, "c2": 3.0})  # fmt: skip
+    speed = {"of": "norm(v_i)", "stated": 2.0, "value": 1.1, "low": 0.2, "high": 2.0}
+    names = [SimpleNamespace(name=n, value=v) for n, v in law.constants.items()]
+    effect = SimpleNamespace(
+        code="law", constants=names, formula=None, law="both",
+        exponents=({**speed, "term": to_text(law.terms[0].formula), "is_told": False},),
+    )  # fmt: skip
+    told, other = _parts(effect, law, "the other body")
+    assert told == "drag, speed to the 1.1 (0.20 to 2.0)"
+    assert other == "force along the line to origin"

@@ -65,6 +65,8 @@ def test_constants_are_told_in_the_units_of_the_data():
     assert drag.unit == "mass/yr" and drag.value == pytest.approx(parse_unit("yr")[0])
     assert told.unit("1/mol") == (1.0, "1/mol")
     assert Told({"length": "m", "time": "ms"}, {}).unit("m/s^2") == (1.0, "m/s^2")
+    counts = Told({"length": "0.16 um", "time": "s"}, {})  # of a camera: told in what they count
+    assert counts.unit("m/s") == (pytest.approx(1e6), "um/s")
     assert told.text("2 [m] * e_x + 3 * v_i") == f"{2 / AU:.6g} [au] * e_x + 3 * v_i"
 
 
