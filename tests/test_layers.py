@@ -51,7 +51,7 @@ ROOMS = (
 CONFINED = {
     "cv2": ("vision/",),
     "de421": ("data/ephemeris.py",),
-    "deap": ("search/genetic.py",),
+    "deap": ("language/primitives.py", "search/genetic.py"),
     "emcee": ("inference/emcee_step.py",),
     "gplearn": (),
     "jax": (),

@@ -412,8 +412,9 @@ class InnerSearch:
         if not 0 < top < np.inf:
             return np.nan
         row = self.beside(column / top)[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return float(row @ self.target / (row @ row) / top)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found = float(row @ self.target / (row @ row) / top)
+        return found if np.isfinite(found) else np.nan
 
     def _unit(self, form, axes, points):
         """Moments of a form at points (C, k), beside what constants take up, of unit length."""

@@ -27,6 +27,8 @@ __all__ = ["Inside", "inner_search"]
 
 MOST = 8
 """Forms that are proposed."""
+MOST_CLOSER = 80
+"""Forms that are looked at between the places of their grids."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
@@ -87,8 +89,8 @@ class Inside:
                 twin.ties.append(scan)
             else:
                 distinct.append(scan)
-        # A peak may be much narrower than the grid is coarse: every form is looked at closely.
-        closer = [parts[scan.form.term.kind].closer(scan) for scan in distinct]
+        # A peak may be much narrower than the grid is coarse: forms are looked at closely.
+        closer = [parts[scan.form.term.kind].closer(scan) for scan in distinct[:MOST_CLOSER]]
         closer = sorted(closer, key=lambda s: -s.promise)
         if parts["pair"] is not search:  # what the best of a part explain of all
             of_pairs = [s for s in closer if s.form.term.kind == "pair"][:MOST]
