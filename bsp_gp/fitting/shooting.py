@@ -442,7 +442,10 @@ class Shooting:
             return np.where(farthest > allowed, allowed / farthest, 1.0)
 
     def _reach(self, window, nodes):
-        """How far a lasting acceleration under the law takes a body in the time of a window."""
+        """How far a lasting acceleration under the law takes a body in the time of a window.
+
+        And a velocity that it is known to begin with.
+        """
         flow, chain = self.flow, self.windows.chain[window]
         rows = np.arange(self.windows.first[window], self.windows.stop[window])
         rows = rows[rows < self.chains.lengths[chain]]
@@ -450,7 +453,11 @@ class Shooting:
         with np.errstate(all="ignore"):
             pushes = flow.motion.acceleration(flow.points(nodes[..., rows, at], times, at))
             lasting = np.abs(np.median(pushes, axis=-1)).max()  # that of an oscillation is none
-        reach = 0.5 * lasting * (times[-1] - times[0]) ** 2
+        lasts = times[-1] - times[0]
+        reach = 0.5 * lasting * lasts**2
+        if self.chains.begun is not None and not rows[0]:
+            known = np.abs(self.chains.begun[1, ..., chain])
+            reach += np.nan_to_num(known).max() * lasts
         return float(reach) if np.isfinite(reach) else 0.0
 
     def _rows(self, group, length):

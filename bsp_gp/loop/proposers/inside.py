@@ -188,7 +188,8 @@ def _sum(view, search, scan, own, laws, columns, wave=None):
         one = Proposal("law", "", view.hypothesis, 0.0, 0.0, 0, n_dims=view.dataset.n_dims)
         starts = {}
     else:
-        steps = amounts[1:n_own] / amounts[0] if amounts[0] else np.zeros(n_own - 1)
+        with np.errstate(over="ignore"):
+            steps = amounts[1:n_own] / amounts[0] if amounts[0] else np.zeros(n_own - 1)
         one = _proposal(view, search, search.moved(scan, steps))
         starts = {**one.starts, next(iter(one.formulas[0].constants)): amounts[0]}
     hypothesis, formulas = one.hypothesis, list(one.formulas)
