@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.coordinates import Coordinates, powers_of
 from bsp_gp.fitting.growing import RANKS, grow, tried
 from bsp_gp.fitting.jumps import nodes_between
@@ -54,6 +55,8 @@ KEPT_WIDTH = 0.02
 JOININGS = 6
 RISING = 10.0
 """Times that chi-squared may rise as nodes are joined."""
+HOPELESS = 30.0
+"""Times that of the fit which is extended, from which a chi-squared leads nowhere."""
 GROWN = 4
 """Trials from which whole tracks are grown."""
 AGREE = 2
@@ -463,6 +466,9 @@ class Climb:
         and it stalls. Where it stalls higher and higher, they do not join.
         """
         low, high = self.box
+        is_whole = settings is WHOLE
+        if is_whole:
+            settings = replace(WHOLE, hopeless=self.hopeless)
         point = problem.upon(np.clip(start.values, low, high), start.nodes)
         count, before = 0, np.inf
         for _ in range(JOININGS):
@@ -473,12 +479,24 @@ class Climb:
             is_lost = found.linearised is None or found.code in ("stopped", "limit")
             is_lost = is_lost or found.kept_chisqr > RISING * before
             before = found.kept_chisqr
-            if settings is not WHOLE or is_lost:
+            if not is_whole or is_lost:
                 break
             if found.code != "stalled" and self.is_joined(found, problem):
                 break
             point = problem.settled(found.point, 2, found.held)
         return replace(found, n_linearised=count)
+
+    @cached_property
+    def hopeless(self):
+        """Chi-squared of whole tracks that is far above that of the fit which this one extends."""
+        near = self.run.near
+        if near is None or not self._can_begin_at(near.nodes):
+            return math.inf
+        variance = join(noise.variance for noise in self.noises)
+        if near.residual.shape != variance.shape:
+            return math.inf
+        left = float(np.nansum(np.square(near.residual) / variance))
+        return HOPELESS * left if left > 0 else math.inf
 
     @property
     def box(self):

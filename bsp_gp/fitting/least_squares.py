@@ -38,6 +38,8 @@ _REINED, _LEAST_REIN = 0.1, 0.05
 held."""
 _OWN = 0.5
 """Part of what a step is to change of a block that its own step must make to be to blame."""
+_TRIED = 12
+"""Linearisations after which a descent that is hopelessly far up is given up."""
 _FEWEST_BLOCKS, _MOST_HELD = 3, 0.5
 """Blocks from which single ones may be to blame; part of them that may fail at once, or be held."""
 
@@ -141,6 +143,8 @@ class _Descent:
             least = min(least, whole.n_unseen)
             if whole.fall > self.negligible(here):
                 here, radius, code = self.descend(here, scale, radius)
+                if self.n_linearised >= _TRIED and here.chisqr > self.settings.hopeless:
+                    code = code or "limit"
                 continue
             # Blocks that failed while the unknowns were far off may follow them now.
             released = self.released(here)

@@ -105,6 +105,8 @@ class Settings:
     last_steps : int
         At most so many steps that gain nothing visible are made at the end, until the fall is 1e-4
         of that again: digits that no longer depend on the start.
+    hopeless : float
+        Chi-squared above which a descent is given up that has been linearised a dozen times.
     """
 
     absolute: float = 1e-4
@@ -112,6 +114,7 @@ class Settings:
     max_linearised: int = 1000
     rank: float = 1e-10
     last_steps: int = 30
+    hopeless: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
