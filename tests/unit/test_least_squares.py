@@ -374,3 +374,18 @@ def test_a_kink_in_which_no_step_gains_what_is_foreseen_is_an_end():
         found = minimise(problem, [middle], settings=settings)
         assert found.status == status
         assert found.values[0] == pytest.approx(middle, abs=1e-2)
+
+
+def test_a_descent_that_stays_hopelessly_far_up_is_given_up_after_a_dozen_steps():
+    """Rosenbrock's valley: steps gain a little, again and again."""
+    valley = dense_problem(
+        lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0], 1e3]),
+        lambda p: np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0], [0.0, 0.0]]),
+    )
+    whole = minimise(valley, [-1.2, 1.0], settings=UNKNOWN)
+    assert whole.status == "converged" and whole.n_linearised > 20
+    found = minimise(valley, [-1.2, 1.0], settings=Settings(absolute=0.0, hopeless=1e5))
+    assert (found.status, found.code) == ("unconverged", "limit")
+    assert found.n_linearised <= 14
+    near = minimise(valley, [-1.2, 1.0], settings=Settings(absolute=0.0, hopeless=1e7))
+    assert near.values == pytest.approx(whole.values)
