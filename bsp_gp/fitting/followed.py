@@ -10,7 +10,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
 
-__all__ = ["about_lost", "cut_short", "followed"]
+__all__ = ["PASSES", "about_lost", "cut_short", "followed"]
 
 PASSES = 3
 """Times that tracks are cut, at the most."""

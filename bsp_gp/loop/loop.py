@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.followed import cut_short
+from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
@@ -390,12 +390,11 @@ class _Turn:
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             most = min(n_first, n_most) + len(queue) - n_first
             self.run.says(f"fit {n_fits} of {most}: {proposal.text}")
-            row = self._fitted(source, proposal, fits.result(k))
+            row, proposal = self._followed(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
-            is_cut = is_open and bool(self.fits[row.id].lost)
-            if (is_cut or is_open and not is_again) and len(queue) < n_first + MOST_AGAIN:
+            if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
                 left[len(queue)] = row
-                queue.append((source, self._gone_on_with(proposal, self.fits[row.id])))
+                queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
@@ -545,14 +544,28 @@ class _Turn:
         others = (self._left(f) for k, f in self.fits.items() if k != row.id and not f.is_failed)
         return self._left(self.fits[row.id]) < min(others, default=math.inf)
 
-    @staticmethod
-    def _gone_on_with(proposal, found):
-        """The proposal of a fit that did not converge, with patience or on what it can follow."""
-        if found.lost:
-            values = zip(found.parameters, found.values.tolist(), strict=True)
-            more = cut_short(proposal.hypothesis, found)
-            return replace(proposal, hypothesis=more, starts=dict(values))
-        return replace(proposal, patience=PATIENT)
+    def _followed(self, source, proposal, found):
+        """The row of a fit, on tracks as far as its law can follow them, and its proposal.
+
+        Tracks are cut where less is left of all others than beside any fit so far.
+        """
+        row = self._fitted(source, proposal, found)
+        for _ in range(PASSES):
+            lost = self.fits[row.id].lost if row.status == "unconverged" else ()
+            if not lost or not self._is_ahead(row) or self.note_time("fits"):
+                break
+            new = self.fits[row.id]
+            values = dict(zip(new.parameters, new.values.tolist(), strict=True))
+            hypothesis = cut_short(proposal.hypothesis, new)
+            proposal = replace(proposal, hypothesis=hypothesis, starts=values)
+            row = self._fitted(source, proposal, _fit_of(self._shared, (source, proposal)))
+        return row, proposal
+
+    @property
+    def _shared(self):
+        """What all fits of this turn share."""
+        run = self.run
+        return self.near, run.dataset, run.criteria, run.bounds, run.clock
 
     def _is_most(self, row):
         """Whether a fit takes off most of what was unexplained, and is likelier for it."""
@@ -627,12 +640,10 @@ class _Turn:
 
     def _fits(self, queue):
         """The fits of a queue of proposals, as `Work`; what is far behind is not begun early."""
-        run = self.run
         both = {False, True}
-        return run.crew.work(
-            _fit_of, (self.near, run.dataset, run.criteria, run.bounds, run.clock), queue,
-            lambda job: not self._is_behind(job[1], both),
-        )  # fmt: skip
+        return self.run.crew.work(
+            _fit_of, self._shared, queue, lambda job: not self._is_behind(job[1], both)
+        )
 
     def _fitted(self, source, proposal, found):
         """Add the row of a proposal that was fitted."""
