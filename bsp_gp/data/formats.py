@@ -245,7 +245,7 @@ def _without_dates(frame, names):
     out = frame.copy()
     for key, values in new.items():
         out[key] = values
-    return out, [f"times count from {start}"], True
+    return out, [f"times are in seconds since {start}"], True
 
 
 def _require_even_rows(source, layout, head):

@@ -53,6 +53,8 @@ from bsp_gp.units import Unit, parse_unit
 
 __all__ = ["dataset_from_frames", "load_dataset", "save_dataset"]
 
+_IN_SECONDS = "times are in seconds since"
+"""What a note of dates says, where no other unit is declared."""
 MAX_COLUMNS = 12
 """Columns whose meaning is told."""
 
@@ -490,7 +492,8 @@ def _dates_as_declared(table, units):
     if unit != Unit.of(s=1):
         return table
     frame = table.frame.assign(t=table.frame["t"] / scale)
-    return dataclasses.replace(table, frame=frame, units={**table.units, "t": text})
+    notes = tuple(note.replace(_IN_SECONDS, f"times are in {text} since") for note in table.notes)
+    return dataclasses.replace(table, frame=frame, units={**table.units, "t": text}, notes=notes)
 
 
 def _with_angles(table, declaration):

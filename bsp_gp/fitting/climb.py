@@ -399,14 +399,17 @@ class Climb:
             return
         held = problem.split(minimum.held)
         lost = [
-            (shooting.chains, s)
-            for shooting, own in zip(problem.shootings, held, strict=True)
+            (shooting.chains, noise, s)
+            for shooting, noise, own in zip(problem.shootings, self.noises, held, strict=True)
             for s in shooting.chains_of(own)
         ]
         if len(lost) <= FEW_LOST * sum(flow.chains.n_chains for flow in self.flows):
-            n_lost = sum(np.isfinite(chains.observed[:, s]).sum() for chains, s in lost)
+            n_lost = sum(np.isfinite(noise.variance[:, s]).sum() for _, noise, s in lost)
             n_others = sum(noise.n_seen for noise in self.noises) - n_lost
-            cut = tuple(CutShort.at_turn(*each) for each in lost)
+            scenes = {scene.name: scene for scene in self.run.dataset.scenes}
+            cut = tuple(
+                CutShort.at_turn(chains, s, scenes[chains.scenes[s]]) for chains, _, s in lost
+            )
             self.run.lost.append((minimum.kept_chisqr / max(n_others, 1), cut, minimum))
 
     def again(self, minimum, meshes, is_last=True):
@@ -490,13 +493,14 @@ class Climb:
     def hopeless(self):
         """Chi-squared of whole tracks that is far above that of the fit which this one extends."""
         near = self.run.near
-        if near is None or not self._can_begin_at(near.nodes):
+        if near is None or not near.shows_tracks or not self._can_begin_at(near.nodes):
             return math.inf
         variance = join(noise.variance for noise in self.noises)
         if near.residual.shape != variance.shape:
             return math.inf
-        left = float(np.nansum(np.square(near.residual) / variance))
-        return HOPELESS * left if left > 0 else math.inf
+        seen = np.isfinite(variance)
+        left = float(np.sum(np.square(near.residual[seen]) / variance[seen]))
+        return HOPELESS * left if 0 < left < math.inf else math.inf
 
     @property
     def box(self):

@@ -141,8 +141,8 @@ class Fit:
     message : str
         Code of why the descent ended.
     lost : tuple of CutShort
-        Tracks that no path under the law follows, where all others are followed: for them alone
-        it has not converged. Each cut where it turns most sharply.
+        Tracks that no path under the law follows, where all others are followed, each cut where
+        it turns most sharply: for them alone it has not converged, or leads others no better.
     chi2_others : float
         Reduced chi-squared of all others where some are lost, else nan.
     """
@@ -385,7 +385,9 @@ class _Run:
             self.near = found
             self.starts = dict(zip(self.parameters, found.values.tolist(), strict=True))
             new = self.fit(found.paper_steps)
-            if new.is_failed and not new.lost:
+            if new.is_failed:
+                if new.lost and new.message != "stopped":  # what there is of it leads no further
+                    found = replace(found, lost=new.lost, chi2_others=new.chi2_others)
                 break
             found = new
         return found
@@ -411,6 +413,7 @@ class _Run:
 
     def fit(self, paper_steps):
         """The fit with one kind of steps."""
+        self.lost = []
         model = self.hypothesis.noise
         climb, minimum = self.descend(model, paper_steps)
         if self.is_exact and minimum.linearised is not None:
@@ -481,7 +484,7 @@ class _Run:
             return self
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
         led.low, led.high, led.near = self.low, self.high, self.near
-        led.is_over = self.is_over
+        led.is_over, led.lost = self.is_over, self.lost
         if self.near is not None:
             led.lead(self.near)
         return led

@@ -37,10 +37,10 @@ def followed(hypothesis, dataset, *, deadline=None, **settings):
     -------
     found : Fit
     hypothesis : Hypothesis
-        With what is left out.
+        With what is left out; as it was where that helps nothing.
     """
     end = math.inf if deadline is None else time.monotonic() + deadline
-    found = fit(hypothesis, dataset, deadline=deadline, **settings)
+    first = found, hypothesis = fit(hypothesis, dataset, deadline=deadline, **settings), hypothesis
     for _ in range(PASSES):
         left = end - time.monotonic()
         if not found.lost or left <= 0:
@@ -49,7 +49,7 @@ def followed(hypothesis, dataset, *, deadline=None, **settings):
         if found.chi2_others < NEAR:
             settings |= {"near": found, "starts": _values(found)}
         found = fit(hypothesis, dataset, deadline=left, **settings)
-    return found, hypothesis
+    return first if found.is_failed else (found, hypothesis)
 
 
 def _values(found):

@@ -93,8 +93,8 @@ def how_it_ended(found, constants, time_limit=None):
     if found.status == "unconverged":
         cause = "no minimum was reached; give --start or --bounds"
         if found.lost:
-            scenes = ", ".join(dict.fromkeys(part.scene for part in found.lost))
-            cause = f"no path under the law follows scene {scenes}; leave it out"
+            tracks = "; ".join(f"{', '.join(p.bodies)} in scene {p.scene}" for p in found.lost)
+            cause = f"no path under the law follows {tracks}; leave that out"
         if found.message == "stopped" and time_limit is not None:
             cause = (
                 f"the time limit of {time_limit:g} s came first; give a longer --time-limit, or "

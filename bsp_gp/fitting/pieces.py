@@ -161,6 +161,14 @@ class Pieces:
         ], dtype=int).reshape(len(chains.fixed), -1)
 
 
+def _are_led(chains):
+    """Whether bodies that forces move stand beside others."""
+    moving = {(scene, name) for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
+              for name in bodies}  # fmt: skip
+    beside = zip(chains.scenes, chains.fixed, strict=True)
+    return any((scene, name) in moving for scene, fixed in beside for name in fixed)
+
+
 def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     """Cut chains into pieces.
 
@@ -181,7 +189,9 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     n_groups = chains.n_chains // n_scenes
     n_own = chains.n_moving * chains.n_dims
     rows = max(MOST_COORDINATES // max(n_own - n_held, 1), LEAST_ROWS)
-    lengths = chains.lengths.reshape(n_groups, n_scenes).max(axis=0)  # but for what is cut short
+    # Bodies whose tracks are cut short lead others as they were seen, or are nowhere from there on.
+    lengths = chains.lengths.reshape(n_groups, n_scenes)
+    lengths = lengths.max(axis=0) if _are_led(chains) else lengths.min(axis=0)
     windows = cut_windows(lengths, rows)
     if hits:
         windows = _between_hits(windows, {(chain % n_scenes, row) for chain, row in hits})

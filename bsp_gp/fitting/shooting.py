@@ -454,7 +454,7 @@ class Shooting:
             pushes = flow.motion.acceleration(flow.points(nodes[..., rows, at], times, at))
             lasting = np.abs(np.median(pushes, axis=-1)).max()  # that of an oscillation is none
         lasts = times[-1] - times[0]
-        reach = 0.5 * lasting * lasts**2
+        reach = np.nan_to_num(0.5 * lasting * lasts**2, posinf=0.0)
         if self.chains.begun is not None and not rows[0]:
             known = np.abs(self.chains.begun[1, ..., chain])
             reach += np.nan_to_num(known).max() * lasts

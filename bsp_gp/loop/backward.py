@@ -9,6 +9,7 @@ from scipy import stats
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
@@ -244,7 +245,8 @@ def _without(hypothesis, done):
     before = done.hypotheses[0].parts
     known = [_identity(part) for part in before]
     after = [_identity(part) for part in done.continuing.parts]
-    added = [key for key in after if key not in known]
+    cut = [part for part in hypothesis.parts if isinstance(part, CutShort)]  # for all causes
+    added = [key for key in after if key not in known and key not in cut]
     parts = [part for part in hypothesis.parts if _identity(part) not in added]
     if not added or len(parts) != len(hypothesis.parts) - len(added):
         return None
@@ -292,4 +294,6 @@ def _identity(part):
     """What a part is, whatever values its numbers have."""
     if isinstance(part, Forces):
         return type(part), tuple(term.formula for term in part.law.terms)
+    if isinstance(part, CutShort):
+        return part
     return type(part), tuple(p.name for p in part.parameters)

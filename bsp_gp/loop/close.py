@@ -255,11 +255,10 @@ class _Ready:
     before_cut : Dataset or None
         Of scenes that are cut in time, what comes before the cut.
     hypothesis : Hypothesis
-        The declared one, with the properties that are unknown.
+        The declared one, with the properties that are unknown; tracks that no path under the
+        declared law follows are cut short in it.
     far_off : str
         Rows in it that are far off their neighbours.
-    lost : tuple of str
-        Scenes that are not learned from, since no path under the declared law follows them.
     noise : NoiseEstimate
     is_swapped : bool
         Whether train and test were swapped.
@@ -391,8 +390,8 @@ def _cut(found, scenes):
         own = [times.get(name, np.zeros(0)) for name in chains.scenes]
         kept = np.zeros((*states.shape[:3], max(map(len, own)), states.shape[4]))
         for s, rows in enumerate(own):
-            n = len(rows)
-            if not n or not np.array_equal(chains.times[:n, s], rows):
+            n = min(len(rows), int(chains.lengths[s]))  # some are cut short
+            if not n or not np.array_equal(chains.times[:n, s], rows[:n]):
                 return None
             kept[..., :n, s] = states[..., :n, s]
         nodes.append(kept)

@@ -11,7 +11,8 @@ import numpy as np
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import PASSES, cut_short
-from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
@@ -549,17 +550,39 @@ class _Turn:
 
         Tracks are cut where less is left of all others than beside any fit so far.
         """
-        row = self._fitted(source, proposal, found)
+        row, cut = self._fitted(source, proposal, found), False
         for _ in range(PASSES):
-            lost = self.fits[row.id].lost if row.status == "unconverged" else ()
-            if not lost or not self._is_ahead(row) or self.note_time("fits"):
+            new = self.fits.get(row.id)
+            if new is None or not new.lost or not self._is_ahead(row) or self.note_time("fits"):
                 break
-            new = self.fits[row.id]
             values = dict(zip(new.parameters, new.values.tolist(), strict=True))
-            hypothesis = cut_short(proposal.hypothesis, new)
+            hypothesis, cut = cut_short(proposal.hypothesis, new), True
             proposal = replace(proposal, hypothesis=hypothesis, starts=values)
             row = self._fitted(source, proposal, _fit_of(self._shared, (source, proposal)))
+        if cut and row.is_fit:
+            price = self._price_of_cuts(proposal)
+            proposal = self.proposals[row.id] = replace(
+                proposal, log_prior=proposal.log_prior - price
+            )
+            row = self.rows[row.id] = replace(row, log_prior=proposal.log_prior)
         return row, proposal
+
+    def _price_of_cuts(self, proposal):
+        """Nats that a law has not earned whose tracks are cut short: what cuts give the base."""
+        base = self.hypotheses[0]
+        cuts = [p for p in proposal.hypothesis.parts
+                if isinstance(p, CutShort) and p not in base.parts]  # fmt: skip
+        price = self.run.criteria.cause_nats * len({(cut.scene, cut.bodies) for cut in cuts})
+        if self.base.is_failed:
+            return price
+        alike = replace(
+            proposal, hypothesis=base + Hypothesis(tuple(cuts)), starts={}, formulas=(),
+            judged=None,
+        )  # fmt: skip
+        found = _fit_of(self._shared, ("", alike))
+        if found is None or found[0].is_failed:
+            return price
+        return price + max(found[2] - self.rows[0].log_evidence, 0.0)
 
     @property
     def _shared(self):
@@ -574,7 +597,7 @@ class _Turn:
 
     def _left(self, found):
         """Reduced chi-squared of what is followed under the noise by which promises are made."""
-        chi2 = found.chi2_others if found.lost else found.chi2_red
+        chi2 = found.chi2_others if found.lost and found.is_failed else found.chi2_red
         return float(np.nanmax(np.array(found.noise.levels) / self.levels)) ** 2 * chi2
 
     def _note_gain(self, row, proposal, measure):

@@ -441,6 +441,9 @@ def _scaling(powers):
             senses.append(f", with the sign of {sense[1]}")
             continue
         is_property = any(property_of(word) for word in _input_names(name))
+        if re.fullmatch("[xyz]_i", name):
+            words.append(name[0] + (f"^{power:g}" if power != 1 else ""))
+            continue
         if _ANGLE.search(name):
             words.append(_ANGLE.sub("angle", name) + (f"^{power:g}" if power != 1 else ""))
             continue

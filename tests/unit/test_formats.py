@@ -172,7 +172,7 @@ def test_times_as_dates_are_seconds(tmp_path, cells):
     steps = np.diff(dataset.scenes[0].times)
     assert steps == pytest.approx([2.0, 2.0])
     assert dataset.units.declared["time"] == "s"
-    assert any("times count from" in note for note in dataset.notes)
+    assert any("seconds since" in note for note in dataset.notes)
 
 
 def test_dates_are_put_into_the_unit_that_is_declared(tmp_path):
@@ -182,6 +182,7 @@ def test_dates_are_put_into_the_unit_that_is_declared(tmp_path):
     dataset = load_dataset(path, columns={"t": "epoch_utc"}, units={"length": "km", "time": "d"})
     assert np.diff(dataset.scenes[0].times) == pytest.approx([86400.0, 86400.0])
     assert dataset.units.declared["time"] == "d"
+    assert any("times are in d since 2024-03-01" in note for note in dataset.notes)
     assert not any("as declared" in note for note in dataset.notes)
 
 

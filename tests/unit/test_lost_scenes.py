@@ -80,7 +80,7 @@ def test_a_track_is_cut_where_it_turns_and_leads_as_before():
     law = read_law(dataset, [GRAVITY])
     groups = tuple(build_chains(law, dataset.scenes))
     chain = groups[0].scenes.index("s5")
-    cut = CutShort.at_turn(groups[0], chain)
+    cut = CutShort.at_turn(groups[0], chain, dataset.scenes[5])
     assert (cut.scene, cut.bodies) == ("s5", ("planet",)) and 8 <= cut.row <= 10
     assert cut.n_left_out == 2 * (31 - cut.row)
     (after,) = cut.followed(groups)
@@ -90,3 +90,41 @@ def test_a_track_is_cut_where_it_turns_and_leads_as_before():
     assert np.array_equal(after.driven, groups[0].driven)
     others = np.arange(8) != chain
     assert np.array_equal(after.observed[:, others], groups[0].observed[:, others])
+
+
+def test_a_turn_is_found_in_noise_that_hides_it_from_row_to_row():
+    rng, times = np.random.default_rng(2), np.linspace(0.0, 1.0, 101)
+    crew, off = (body("ball"),), []
+    for _ in range(40):
+        row = rng.integers(20, 80)
+        x = np.where(times < times[row], times, 2 * times[row] - times)
+        places = np.stack([x, 0.3 * times], axis=1)[:, None]
+        scene = scene_of(times, crew, places + rng.normal(0, 0.02, places.shape), name="s")
+        (chains,) = build_chains(read_law(dataset_of((scene,)), ["-c * v_i"]), (scene,))
+        off.append(CutShort.at_turn(chains, 0, scene).row - row)
+    assert np.mean(np.abs(off) <= 6) > 0.9
+
+
+def test_a_body_is_cut_in_whatever_chain_it_is():
+    times = np.linspace(0.0, 1.0, 21)
+    places = np.stack([np.stack([times, k + times], axis=1) for k in (0, 1)], axis=1)
+    scene = scene_of(times, (body("a"), body("b")), places, name="s")
+    data = dataset_of((scene,))
+    alone = tuple(build_chains(read_law(data, ["-c * v_i"]), (scene,)))
+    pair = tuple(build_chains(read_law(data, [GRAVITY]), (scene,)))
+    cut = CutShort("s", 10, bodies=("a",), n_left_out=22)
+    (apart,), (both,) = cut.followed(alone), cut.followed(pair)
+    assert apart.lengths.tolist() == [10, 21] and both.lengths.tolist() == [21]
+    assert np.isfinite(both.observed[:10]).all() and np.isfinite(both.observed[:, 0, 1]).all()
+    assert np.isnan(both.observed[10:, 0, 0]).all()
+    (left,) = CutShort("s", 10, bodies=("a", "b")).followed(alone)
+    assert left.lengths.tolist() == [10, 10]
+
+
+def test_bodies_at_rest_and_unseen_ones_are_cut_without_complaint():
+    times = np.linspace(0.0, 1.0, 21)
+    for places in (np.zeros((21, 1, 2)), np.full((21, 1, 2), np.nan)):
+        scene = scene_of(times, (body("a"),), places, name="s")
+        (chains,) = build_chains(read_law(dataset_of((scene,)), ["-c * v_i"]), (scene,))
+        cut = CutShort.at_turn(chains, 0, scene)
+        assert cut.row == 2 and np.isfinite(cut.log_density)
