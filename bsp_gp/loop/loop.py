@@ -568,7 +568,11 @@ class _Turn:
         return row, proposal
 
     def _price_of_cuts(self, proposal):
-        """Nats that a law has not earned whose tracks are cut short: what cuts give the base."""
+        """Nats that a law has not earned whose tracks are cut short.
+
+        Those of a cause for every one; and all that cuts give the base, where that leaves nothing
+        beside them.
+        """
         base = self.hypotheses[0]
         cuts = [p for p in proposal.hypothesis.parts
                 if isinstance(p, CutShort) and p not in base.parts]  # fmt: skip
@@ -580,7 +584,7 @@ class _Turn:
             judged=None,
         )  # fmt: skip
         found = _fit_of(self._shared, ("", alike))
-        if found is None or found[0].is_failed:
+        if found is None or found[0].is_failed or not self._left(found[0]) < EXPLAINED:
             return price
         return price + max(found[2] - self.rows[0].log_evidence, 0.0)
 

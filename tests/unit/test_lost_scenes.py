@@ -1,13 +1,21 @@
 """Tracks that no path under a law follows, among others that it does."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bsp_gp import close_loop
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import about_lost, followed
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.loop import _Turn
+from bsp_gp.loop.proposal import Proposal, with_term
 from bsp_gp.physics.engine.chains import build_chains
 from tests.fitted_tracks import body, dataset_of, scene_of
 
@@ -128,3 +136,36 @@ def test_bodies_at_rest_and_unseen_ones_are_cut_without_complaint():
         (chains,) = build_chains(read_law(dataset_of((scene,)), ["-c * v_i"]), (scene,))
         cut = CutShort.at_turn(chains, 0, scene)
         assert cut.row == 2 and np.isfinite(cut.log_density)
+
+
+@pytest.mark.slow
+def test_a_law_that_nobody_declared_is_fitted_to_tracks_as_far_as_it_follows_them():
+    report = close_loop(orbits(0.0, odd=1), rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    (term,) = report.law.terms
+    assert "m_i * m_j * inverse(norm(p_i - p_j)^2)" in report.law.text()
+    (value,) = (report.law.constants[name] for name in term.formula.constants)
+    assert value == pytest.approx(-1.0, rel=0.01)
+    assert any("planet in scene s1 before row" in note for note in report.dataset["notes"])
+
+
+def test_what_a_cut_gives_the_base_is_not_earned_by_a_law():
+    dataset = orbits(0.0, odd=1)
+    law = Hypothesis.from_laws(dataset, read_law(dataset, [GRAVITY]))
+    free = Hypothesis.from_laws(dataset, [])
+    cut = CutShort("s1", 4, bodies=("planet",), n_left_out=54, extent=7.0)
+    prices = []
+    for base in (law, free):
+        found = fit(base + cut, dataset)
+        if base is law:  # as of all rows, of which those that are cut misfit
+            worse = {"log_likelihood": -300.0, "log_evidence": -300.0}
+            found = replace(found, status="refuted", **worse)
+        turn = _Turn(
+            SimpleNamespace(
+                criteria=Criteria(), dataset=dataset, bounds={}, clock=Clock(None), proposers=(),
+            ), found, base,
+        )  # fmt: skip
+        drag = with_term(base, read_law(dataset, ["-c * v_i"]).terms[0], {})
+        prices.append(turn._price_of_cuts(Proposal("law", "-c v", drag + cut, -3.0, 10.0)))
+    declared, nothing = prices
+    assert declared > 300.0 and nothing == Criteria().cause_nats
