@@ -580,8 +580,8 @@ class _Turn:
         if self.base.is_failed:
             return price
         alike = replace(
-            proposal, hypothesis=base + Hypothesis(tuple(cuts)), starts={}, formulas=(),
-            judged=None,
+            proposal, hypothesis=base + Hypothesis(tuple(cuts)), starts={}, bounds={},
+            formulas=(), judged=None,
         )  # fmt: skip
         found = _fit_of(self._shared, ("", alike))
         if found is None or found[0].is_failed or not self._left(found[0]) < EXPLAINED:

@@ -166,6 +166,7 @@ def test_what_a_cut_gives_the_base_is_not_earned_by_a_law():
             ), found, base,
         )  # fmt: skip
         drag = with_term(base, read_law(dataset, ["-c * v_i"]).terms[0], {})
-        prices.append(turn._price_of_cuts(Proposal("law", "-c v", drag + cut, -3.0, 10.0)))
+        own = Proposal("law", "-c v", drag + cut, -3.0, 10.0, bounds={"c": (0.0, 9.0)})
+        prices.append(turn._price_of_cuts(own))
     declared, nothing = prices
     assert declared > 300.0 and nothing == Criteria().cause_nats
