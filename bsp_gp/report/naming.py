@@ -380,6 +380,9 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             kind = "drag" if value is None or value <= 0 else "forward push"
             rest = {n: p for n, p in powers.items() if n not in (own, size, *_SPEEDS)}
             return f"{kind} along {text[-1]}, {_in_speed(total)}{_scaling(rest)}{where}"
+        is_spring = {**powers, "m_i": 1} == {f"{text[-1]}_i": 1, "m_i": 1}
+        if is_spring and value is not None and value < 0:
+            return f"spring along {text[-1]} to the origin{where}"
         is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
         is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
         verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"
