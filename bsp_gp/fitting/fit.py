@@ -202,6 +202,11 @@ class Fit:
         return not self.is_failed or (is_left and np.isfinite(self.residual).any())
 
     @property
+    def starts(self):
+        """Its constants, (name, entity) -> float, as where another fit begins."""
+        return dict(zip(self.parameters, self.values.tolist(), strict=True))
+
+    @property
     def errors(self):
         """Standard errors of the constants, shape (k,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -383,7 +388,7 @@ class _Run:
             if found.is_failed or self.is_over() or not self.lead(found):
                 break
             self.near = found
-            self.starts = dict(zip(self.parameters, found.values.tolist(), strict=True))
+            self.starts = found.starts
             new = self.fit(found.paper_steps)
             if new.is_failed:
                 if new.lost and new.message != "stopped":  # what there is of it leads no further

@@ -47,13 +47,9 @@ def followed(hypothesis, dataset, *, deadline=None, **settings):
             break
         hypothesis = cut_short(hypothesis, found)
         if found.chi2_others < NEAR:
-            settings |= {"near": found, "starts": _values(found)}
+            settings |= {"near": found, "starts": found.starts}
         found = fit(hypothesis, dataset, deadline=left, **settings)
     return first if found.is_failed else (found, hypothesis)
-
-
-def _values(found):
-    return dict(zip(found.parameters, found.values.tolist(), strict=True))
 
 
 def cut_short(hypothesis, found):

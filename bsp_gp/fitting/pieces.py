@@ -153,18 +153,22 @@ class Pieces:
 
     def _still(self, chains):
         """Which of the bodies beside each chain no force moves, (W, D): others lead it as well."""
-        moving = {(scene, name) for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
-                  for name in bodies}  # fmt: skip
+        moving = _moving(chains)
         return np.array([
             [k for k, name in enumerate(fixed) if (scene, name) not in moving]
             for scene, fixed in zip(chains.scenes, chains.fixed, strict=True)
         ], dtype=int).reshape(len(chains.fixed), -1)
 
 
+def _moving(chains):
+    """Bodies that forces move, (scene, name)."""
+    owners = zip(chains.scenes, chains.bodies, strict=True)
+    return {(scene, name) for scene, bodies in owners for name in bodies}
+
+
 def _are_led(chains):
     """Whether bodies that forces move stand beside others."""
-    moving = {(scene, name) for scene, bodies in zip(chains.scenes, chains.bodies, strict=True)
-              for name in bodies}  # fmt: skip
+    moving = _moving(chains)
     beside = zip(chains.scenes, chains.fixed, strict=True)
     return any((scene, name) in moving for scene, fixed in beside for name in fixed)
 

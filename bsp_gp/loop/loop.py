@@ -555,9 +555,8 @@ class _Turn:
             new = self.fits.get(row.id)
             if new is None or not new.lost or not self._is_ahead(row) or self.note_time("fits"):
                 break
-            values = dict(zip(new.parameters, new.values.tolist(), strict=True))
             hypothesis, cut = cut_short(proposal.hypothesis, new), True
-            proposal = replace(proposal, hypothesis=hypothesis, starts=values)
+            proposal = replace(proposal, hypothesis=hypothesis, starts=new.starts)
             row = self._fitted(source, proposal, _fit_of(self._shared, (source, proposal)))
         if cut and row.is_fit:
             price = self._price_of_cuts(proposal)

@@ -152,7 +152,7 @@ class Proposal:
         if patience > 1 and found.status == "unconverged":  # on from where it was left
             effort = patience * criteria.effort
             if np.isfinite(found.values).all():
-                known["starts"] = dict(zip(found.parameters, found.values.tolist(), strict=True))
+                known["starts"] = found.starts
             found = fit(self.hypothesis, dataset, near=found, effort=effort, **known)
         return found
 

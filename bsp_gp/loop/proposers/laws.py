@@ -47,7 +47,7 @@ SAME = 1e-9
 """Part of what is left by which laws that are one law may differ in what they explain."""
 
 
-def is_about_the_origin(formula):
+def _is_about_the_origin(formula):
     """Whether a force along an axis depends on how far along it a body is, from the origin."""
     return re.search(r"\b([xyz])_i\b.* \* e_\1\b", to_text(formula)) is not None
 
@@ -120,7 +120,7 @@ class Laws:
         self.common = list(_read(common, lists, self.available, types, dataset))
         self.is_on_a_line = _n_moving_axes(dataset) == 1
         if self.is_on_a_line:  # a place that is fitted says as much, and more
-            self.common = [f for f in self.common if not is_about_the_origin(f)]
+            self.common = [f for f in self.common if not _is_about_the_origin(f)]
 
     def propose(self, view):
         """The family of all laws.
