@@ -27,6 +27,8 @@ lost with so many."""
 LEADING = Settings(absolute=1e-2, max_linearised=15, last_steps=0)
 CLEAR = 9.0
 """Mean square of changes of velocity, in that of their noise, from which a piece shows a force."""
+UNSEEN = 100.0
+"""Turn of a piece of which too few rows were seen, as of a track that is cut after two."""
 ENOUGH = 2
 """Trials that follow their rows, after which no more are made."""
 CALM = 1.5
@@ -79,6 +81,8 @@ def seeds(chains, noise, rows, rank=0):
 
 def _turns(chains, noise, s, n, size):
     """How much each piece of a chain turns from row to row; pieces that show no force behind."""
+    if size < 3:
+        return np.full(n - size + 1, UNSEEN)
     times, x = chains.times[:n, s], chains.observed[:n, s].reshape(n, -1)
     variance = noise.variance[:n, s].reshape(n, -1)
     steps = np.diff(times)[:, None]
@@ -96,7 +100,7 @@ def _turns(chains, noise, s, n, size):
         turn = np.sqrt(changes / sizes)
         turn = np.where(changes > CLEAR * errors, turn, 10.0 + np.sqrt(errors / changes))
     whole = np.convolve(seen, np.ones(size), mode="valid") >= size
-    turn = np.where(whole, turn, 100.0)
+    turn = np.where(whole, turn, UNSEEN)
     return np.where(np.isfinite(turn), turn, 1e6)
 
 

@@ -10,8 +10,10 @@ from scipy.integrate import solve_ivp
 from bsp_gp import close_loop
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import about_lost, followed
+from bsp_gp.fitting.growing import seeds
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.loop import _Turn
@@ -170,3 +172,14 @@ def test_what_a_cut_gives_the_base_is_not_earned_by_a_law():
         prices.append(turn._price_of_cuts(own))
     declared, nothing = prices
     assert declared > 300.0 and nothing == Criteria().cause_nats
+
+
+@pytest.mark.parametrize("row", [1, 2])
+def test_tracks_cut_after_two_rows_are_no_places_to_begin(row):
+    dataset = orbits(0.3)
+    cut = CutShort("s5", row, bodies=("planet",), n_left_out=58, extent=6.0)
+    (chains,) = cut.followed(tuple(build_chains(read_law(dataset, [GRAVITY]), dataset.scenes)))
+    noise = ChainNoise(chains.times, np.ones(chains.observed.shape))
+    first, stop, turn = seeds(chains, noise, 5)
+    k = chains.scenes.index("s5")
+    assert (first[k], stop[k]) == (0, row) and np.argmax(turn) == k and np.isfinite(turn).all()
