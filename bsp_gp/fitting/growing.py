@@ -27,7 +27,7 @@ lost with so many."""
 LEADING = Settings(absolute=1e-2, max_linearised=15, last_steps=0)
 CLEAR = 9.0
 """Mean square of changes of velocity, in that of their noise, from which a piece shows a force."""
-UNSEEN = 100.0
+UNSEEN = 1e5
 """Turn of a piece of which too few rows were seen, as of a track that is cut after two."""
 ENOUGH = 2
 """Trials that follow their rows, after which no more are made."""
