@@ -149,6 +149,17 @@ class ResponseRegression(Regression):
         """Batch by batch, see `ResponseBatch.in_plane`."""
         return replace(self, batches=tuple(batch.in_plane(matrix) for batch in self.batches))
 
+    def scaled(self, scale):
+        """The same with moments scaled, (n,)."""
+        batches, first = [], 0
+        for batch in self.batches:
+            shape = batch.kept.shape[:2]
+            own = scale[first : first + batch.kept.size].reshape(shape)
+            first += batch.kept.size
+            whitener = batch.whitener * own.T[:, :, None, None, None]
+            batches.append(replace(batch, whitener=whitener, moments=batch.moments * own))
+        return replace(self, batches=tuple(batches))
+
     def part(self, most):
         """Chains, spread evenly over all, with no more pairs than so many at all instants.
 
@@ -240,6 +251,12 @@ class Response:
     def left(self):
         """Residual and columns, as searches take them."""
         return self.regression.target(), self.columns
+
+    def scaled(self, scale):
+        """The same with moments scaled, (n,)."""
+        return replace(
+            self, regression=self.regression.scaled(scale), columns=self.columns * scale[:, None]
+        )
 
     def moments_of(self, law):
         """Moments of a law with values, (n,)."""

@@ -209,12 +209,18 @@ class _Run:
     looks: int
     crew: Crew
 
+    @property
+    def usual(self):
+        """Laws that are asked first of any motion."""
+        return next((p.common for p in self.proposers if hasattr(p, "common")), ())
+
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
         asked, view = {}, None
         if found.shows_tracks:
-            view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria)
+            view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria,
+                        self.usual)  # fmt: skip
             view.tick, view.seconds_left = self.clock.tick, self.clock.left
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
@@ -428,7 +434,9 @@ class _Turn:
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
             found = self.fits[row.id]
             near = continued(self.hypotheses[row.id], found)
-            view = View(found, near, self.run.dataset, stream, self.run.criteria)
+            view = View(
+                found, near, self.run.dataset, stream, self.run.criteria, self.run.usual
+            )
             view.tick, view.seconds_left = self.run.clock.tick, self.run.clock.left
             for proposer in able:
                 self.run.says(f"round {number}: {proposer.name} beside {row.text}")

@@ -10,6 +10,8 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.data.extent import is_astronomical, is_of_the_sky
+from bsp_gp.errors import EvaluationError
+from bsp_gp.fitting.bent import steadied
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, TrackNoise
 from bsp_gp.fitting.response import respond
@@ -17,7 +19,7 @@ from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
-from bsp_gp.physics.force import Term
+from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.columns import orthonormal
 
 __all__ = ["MOST_PAIRS", "View", "gains", "selected"]
@@ -44,6 +46,8 @@ class View:
         Training scenes.
     rng : numpy.random.Generator
     criteria : Criteria, optional
+    usual : sequence of Formula
+        Laws by which pieces are known whose moments are bent, see `bsp_gp.fitting.bent`.
 
     Attributes
     ----------
@@ -65,8 +69,8 @@ class View:
         Of the noise of the fit, once it was asked.
     """
 
-    def __init__(self, fit, hypothesis, dataset, rng, criteria=None):
-        self.criteria = criteria or Criteria()
+    def __init__(self, fit, hypothesis, dataset, rng, criteria=None, usual=()):
+        self.criteria, self._usual = criteria or Criteria(), tuple(usual)
         self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
         self.dataset = hypothesis.seen(dataset)
         self.seconds_left = None
@@ -92,7 +96,24 @@ class View:
             levels = tuple(levels.tolist())
             found = replace(found, noise=replace(found.noise, levels=levels))
             response = respond(found, self.dataset)
-        return found, response
+        return found, steadied(response, lambda: self._usual_moments(response))
+
+    def _usual_moments(self, response):
+        """Moments of the usual laws, of those that the data can show, (n, c)."""
+        columns = [np.zeros((len(response.regression.target()), 0))]
+        for formula in self._usual:
+            self._tick()
+            try:
+                column = response.regression.column(Term(split_linear(formula)[1]))[0]
+            except EvaluationError:  # some body lacks a property that it names
+                continue
+            if np.isfinite(column).all() and column.any():
+                columns.append(column)
+        return np.concatenate(columns, axis=1)
+
+    def _tick(self):
+        if self.tick is not None:
+            self.tick()
 
     @cached_property
     def _without_memory(self):
@@ -139,7 +160,9 @@ class View:
         n_rows = sum(len(scene.times) for scene in self.dataset.scenes)
         if self._white is None or self.is_memory_doubted or n_rows > MOST_ROWS:
             return None
-        view = View(self._fit, self.hypothesis, self._dataset, self._white_rng, self.criteria)
+        view = View(
+            self._fit, self.hypothesis, self._dataset, self._white_rng, self.criteria, self._usual
+        )
         view.tick, view.seconds_left = self.tick, self.seconds_left
         view.noise_findings = self.noise_findings
         found, _, less = self._white
