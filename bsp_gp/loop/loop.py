@@ -122,6 +122,11 @@ class Round:
         return self.decision.is_adopted and best is not None and self.proposals[best.id].is_last
 
     @property
+    def goes_on(self):
+        """Whether a round follows."""
+        return self.decision.is_adopted and not self.is_last and not self.left_out
+
+    @property
     def after(self):
         """The fit to go on with."""
         if self.decision.is_adopted:
@@ -184,7 +189,7 @@ def run_rounds(
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
         if number <= len(rounds):
             continue
-        if rounds and (not rounds[-1].decision.is_adopted or rounds[-1].is_last):
+        if rounds and not rounds[-1].goes_on:
             break
         if rounds and is_refused is not None and is_refused(rounds[-1]):
             break
@@ -237,9 +242,7 @@ class _Run:
         table = HypothesisTable(tuple(turn.rows), turn.p_value, view.noise_chance if view else 1.0)
         table = table.without_repeats().with_probabilities()
         decision = decide(table, self.criteria)
-        if turn.left_out:  # what was not looked at might have changed it
-            nothing = {"is_adopted": False, "is_fact": False}
-            decision = replace(decision, verdict="cannot tell", reason="time_is_up", **nothing)
+        decision = turn.in_time(decision)
         details = self.details(decision.best, turn, view, rng)
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
@@ -293,7 +296,7 @@ class _Turn:
         # greatest promise that was kept by what leaves no misfit, and what that may be off by.
         self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
         self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
-        self.leaving_nothing = []  # laws that do, and how likely they are
+        self.leaving_nothing = []  # laws that do: row, terms, and how likely they are
         self.explained = None  # what the first of those says of others
 
     def note_time(self, code):
@@ -301,6 +304,21 @@ class _Turn:
         if self.run.clock.is_over and code not in self.left_out:
             self.left_out.append(code)
         return self.run.clock.is_over
+
+    def in_time(self, decision):
+        """A decision as it stands where the time was up; as it is where it was not.
+
+        What was not looked at might have changed it. A law that leaves nothing is adopted all the
+        same, though not as fact, where all was proposed: what promised more was fitted before it.
+        """
+        if not self.left_out:
+            return decision
+        stands = decision.is_adopted and self.left_out == ["fits"]
+        if stands and any(key == decision.best.id for key, *_ in self.leaving_nothing):
+            return replace(decision, is_fact=False)
+        return replace(
+            decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
+        )
 
     def propose(self, number, view):
         """Ask all proposers for which there is time."""
@@ -533,7 +551,7 @@ class _Turn:
     def enough(self):
         """How many laws leave nothing beyond the noise, and are about as likely as any so far."""
         least = max(row.log_posterior for row in self.rows) - 2 * self.run.criteria.class_nats
-        return min((n for n, nats in self.leaving_nothing if nats > least), default=math.inf)
+        return min((n for _, n, nats in self.leaving_nothing if nats > least), default=math.inf)
 
     def _explained(self, row, proposal, found):
         """What a law that leaves nothing says of others, where that is more than they promise."""
@@ -618,7 +636,7 @@ class _Turn:
         dof = new.n_rows - new.n_free
         left = max(self._left(new) - 1.0, 0.0) * dof
         if proposal.formulas and left < WITHIN_NOISE * math.sqrt(2.0 * dof):
-            self.leaving_nothing.append((len(proposal.formulas), row.log_posterior))
+            self.leaving_nothing.append((row.id, len(proposal.formulas), row.log_posterior))
             if self.explained is None and row.log_posterior > self.rows[0].log_posterior:
                 self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
