@@ -74,7 +74,7 @@ def decide(table, criteria=None):
     )  # fmt: skip
     # Of odd noise that the base has, too, a cause is told only where it is likelier by as much.
     is_odd = table.noise_p <= criteria.alpha
-    needed = criteria.noise_nats if is_odd else 0.0
+    needed = criteria.noise_nats if is_odd else SAME_MINIMUM
     if best.log_posterior - table.base.log_posterior <= needed:
         if is_odd:
             return Decision("the noise is not as assumed", "noise_explains")

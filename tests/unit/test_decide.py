@@ -128,6 +128,12 @@ def test_noise_explains_only_what_it_makes_likelier():
     assert (said.verdict, said.reason) == ("seen, not adopted", "no_better_than_before")
 
 
+def test_noise_that_is_there_already_is_not_adopted_again():
+    same = row(1, "noise", "noise", log_evidence=1e-9, prior=0.0, log_likelihood=-250.0, n_free=4)
+    said = decided(same, noise_p=1.0)
+    assert not said.is_adopted and said.reason == "no_better_than_before"
+
+
 def test_left_out_scenes_can_refuse_and_never_confirm_alone():
     refused = row(1, held_out=HeldOut(-3.0, 1.0, 45.0))
     assert decided(refused).reason == "held_out_refuses"
