@@ -12,7 +12,7 @@ from bsp_gp.errors import DataError
 
 __all__ = ["joined", "name_of_several", "tables_of"]
 
-TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq")
+TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq", ".jsonl", ".ndjson")
 """Endings of files that may be recordings."""
 
 _REMEDY = "files given together need the same columns and units; convert it, or leave it out"

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bsp_gp.data.preambles import HEADS, without_preamble
+from bsp_gp.data.records import ENDINGS as RECORDS
+from bsp_gp.data.records import as_table
 from bsp_gp.errors import DataError, MissingDependencyError
 
 __all__ = ["Source", "open_source"]
@@ -92,7 +94,21 @@ def open_source(path, names=()):
             "this format is not read", file=path,
             remedy=f"it is {_OWN_FORMATS[path.suffix.lower()]}, and give that file",
         )  # fmt: skip
-    return _workbook(path) if path.suffix.lower() in _WORKBOOKS else _text_file(path, names)
+    if path.suffix.lower() in _WORKBOOKS:
+        return _workbook(path)
+    source = _text_file(path, names)
+    if path.suffix.lower() in RECORDS or _begins_as_records(source):
+        with source.open() as stream:
+            text = as_table(stream.read(), path)
+        _require_rows(path, text.count("\n"))
+        return replace(source, text=text, counts=_counts(text))
+    return source
+
+
+def _begins_as_records(source):
+    """Whether a text of another ending is JSON all the same."""
+    with source.open() as stream:
+        return stream.read(200).lstrip()[:2] in ('{"', "[{", "[\n", "{\n")
 
 
 def _text_file(path, names):

@@ -1,0 +1,108 @@
+"""Tables written as JSON: a list of records, records line by line, or columns by name."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+from bsp_gp.errors import DataError
+
+__all__ = ["ENDINGS", "as_table"]
+
+ENDINGS = (".json", ".jsonl", ".ndjson")
+_REMEDY = (
+    'give one record a row, {"t": 0.1, "entity": "ball", "x": 0.2, "y": 0.3}, as a list or line by '
+    "line, or columns by name"
+)
+_AXES = ("x", "y", "z")
+
+
+def as_table(text, path):
+    """The rows of a JSON file as text with tabs, the header first.
+
+    What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``;
+    two or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x``
+    and ``pos_y``.
+
+    Parameters
+    ----------
+    text : str
+    path : path-like
+        Named in errors.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    DataError
+        If this is no JSON, or none of these tables.
+    """
+    records = [_flat(record, path) for record in _records(text, path)]
+    names = list(dict.fromkeys(name for record in records for name in record))
+    if not names:
+        raise DataError("the file has no records", file=path, remedy=_REMEDY)
+    out = io.StringIO()
+    writer = csv.writer(out, delimiter="\t", lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([record.get(name, "") for name in names] for record in records)
+    return out.getvalue()
+
+
+def _records(text, path):
+    """The records of a file, dicts."""
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise DataError("the JSON is nested too deeply", file=path, remedy=_REMEDY) from None
+    except ValueError:
+        return [_of_line(line, number, path)
+                for number, line in enumerate(text.splitlines(), 1) if line.strip()]  # fmt: skip
+    if isinstance(found, dict):
+        lists = {name: value for name, value in found.items() if isinstance(value, list)}
+        if len(lists) == 1 and all(isinstance(each, dict) for each in next(iter(lists.values()))):
+            return next(iter(lists.values()))  # records under a name, beside what is said of them
+        sizes = {len(value) for value in found.values()} if len(lists) == len(found) else set()
+        if len(sizes) == 1:
+            return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
+        found = [found]
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise DataError("this JSON is no table", file=path, remedy=_REMEDY)
+    return found
+
+
+def _of_line(line, number, path):
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        said = getattr(error, "msg", "nested too deeply")
+        raise DataError(f"this is no JSON ({said})", file=path, row=number,
+                        remedy=_REMEDY) from None  # fmt: skip
+    if not isinstance(found, dict):
+        raise DataError("this line is no record", file=path, row=number, remedy=_REMEDY)
+    return found
+
+
+def _flat(record, path, before=""):
+    """A record with names of columns and texts."""
+    out = {}
+    for name, value in record.items():
+        name = f"{before}{name}"
+        if isinstance(value, dict):
+            out |= _flat(value, path, f"{name}_")
+        elif isinstance(value, list):
+            if not 2 <= len(value) <= len(_AXES) or any(isinstance(v, list | dict) for v in value):
+                raise DataError(
+                    f"{name} is a list that is no place in two or three dimensions", file=path,
+                    remedy=_REMEDY,
+                )  # fmt: skip
+            out |= {f"{name}_{axis}": _text(v) for axis, v in zip(_AXES, value, strict=False)}
+        else:
+            out[name] = _text(value)
+    return out
+
+
+def _text(value):
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,44 @@
+"""Tables written as JSON, as recorders and web pages keep them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.records import as_table
+from bsp_gp.data.tables import load_dataset
+from bsp_gp.errors import DataError
+
+TIMES = np.arange(5) * 0.1
+RECORDS = [{"t": float(t), "entity": "ball", "x": float(t**2), "y": 1.0} for t in TIMES]
+RECORDS[2] |= {"x": None, "y": None}  # not seen
+
+
+@pytest.mark.parametrize("text, name", [
+    ("\n".join(map(json.dumps, RECORDS)), "a.jsonl"), (json.dumps(RECORDS, indent=1), "a.json"),
+    (json.dumps({"fps": 10, "rows": RECORDS}), "a.json"), (json.dumps(RECORDS), "a.txt"),
+    (json.dumps({n: [r[n] for r in RECORDS] for n in RECORDS[0]}), "a.json"),
+])  # fmt: skip
+def test_records_in_all_their_ways_are_the_same_table(text, name, tmp_path):
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    (scene,) = load_dataset(tmp_path / name).scenes
+    assert scene.names == ("ball",) and np.array_equal(scene.times, TIMES)
+    seen = np.arange(5) != 2
+    assert np.isfinite(scene.positions).all(axis=-1)[:, 0].tolist() == seen.tolist()
+    assert np.allclose(scene.positions[seen, 0, 0], TIMES[seen] ** 2)
+
+
+def test_what_is_nested_has_names_of_its_own():
+    text = as_table('{"t": 0, "ball": [1, 2.5], "said": {"by": "me", "at": {"k": null}}}', "a")
+    assert text == "t\tball_x\tball_y\tsaid_by\tsaid_at_k\n0\t1\t2.5\tme\t\n"
+
+
+@pytest.mark.parametrize("text, said", [
+    ("[]", "no records"), ("{}", "no records"), ("3", "no table"), ("[1, 2]", "no table"),
+    ('{"t": 1}\n{"t": 2', "no JSON"), ('{"t": 1}\n7', "no record"),
+    ('{"t": 1, "p": [1, 2, 3, 4]}', "no place"), ("[" * 100_000, "nested too deeply"),
+])  # fmt: skip
+def test_other_json_is_refused_with_a_remedy(text, said):
+    with pytest.raises(DataError, match=said) as error:
+        as_table(text, "a.json")
+    assert "one record a row" in str(error.value)
