@@ -394,6 +394,16 @@ class Dataset:
         return self.scenes[0].n_dims
 
     @property
+    def n_moving_axes(self):
+        """Axes along which any body that forces move changes its place."""
+        moving = np.zeros(self.n_dims, dtype=bool)
+        for scene in self.scenes:
+            places = scene.positions[:, scene.dynamic]
+            low, high = np.fmin.reduce(places, axis=0), np.fmax.reduce(places, axis=0)
+            moving |= (high > low).any(axis=0)
+        return int(moving.sum())
+
+    @property
     def property_names(self):
         """Names of all properties that any entity has a known value of, sorted."""
         return tuple(

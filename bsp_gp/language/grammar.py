@@ -115,6 +115,11 @@ class Grammar:
         return tuple(self.source.get("common", {}).get("laws", ()))
 
     @functools.cached_property
+    def common_of_planes(self):
+        """Those of them that are asked where not all motion is on one line."""
+        return tuple(self.source.get("common", {}).get("planes", ()))
+
+    @functools.cached_property
     def inside(self):
         """Forms with constants inside: texts, lists of what their braces stand for, ranges."""
         return self.source.get("inside", {})
@@ -335,9 +340,10 @@ class _Reader:
             if not isinstance(meaning, str) or meaning not in OPERATORS:
                 raise GrammarError(f"[operators] {name} = {meaning!r}: no such operator")
         common = self.source.get("common", {})
-        laws = common.get("laws", []) if isinstance(common, dict) else None
-        if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
-            raise GrammarError("[common] needs laws, a list of texts")
+        lists = [common.get(n, []) for n in ("laws", "planes")] if isinstance(common, dict) else [0]
+        for laws in lists:
+            if not isinstance(laws, list) or not all(isinstance(law, str) for law in laws):
+                raise GrammarError("[common] needs laws, and may have planes, lists of texts")
         _check_inside(self.source.get("inside", {}))
         _check_beyond(self.source)
         rules = self.rules()

@@ -169,13 +169,14 @@ def read_forms(grammar, dataset, properties, available):
         If a form is no force, or one of its constants has no range.
     """
     table = grammar.inside
+    planes = () if dataset.n_moving_axes == 1 else table.get("planes", ())
     types = dataset_types(dataset) | {node.name: node.type for node in (CENTRE, MIDDLE)}
     available = available | {"t", "origin", "centre", "middle"}
     lists = {**table, "0": properties}
     forms = []
-    for part in ("common", "laws"):
+    for part in (table.get("common", ()), (*table.get("laws", ()), *planes)):
         own = {}
-        for each in (e for text in table.get(part, ()) for e in expanded(text, lists)):
+        for each in (e for text in part for e in expanded(text, lists)):
             try:
                 formula = parse_formula(each.removeprefix("1 * "), types, units=dataset.units)
             except BspError:  # it names what these data do not have

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import cache
 
@@ -36,8 +35,6 @@ MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
 """Part of what a law explains by which another that is the same on these data may differ."""
-_OF_PLANES = re.compile(r"^(\w+ \* )?abs\(|centre.*\^2 \+ D\^2\)\^-|exp\(-\(norm\(centre")
-"""Forms for walls, and for what lies beneath a plane."""
 SEPARATE = 0.02
 """Part of a law that must lie beside a form and changes of it for the two to be told apart."""
 
@@ -60,8 +57,6 @@ class Inside:
     def __init__(self, laws, dataset):
         self.grammar, self.common = laws.grammar, laws.common
         self.forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
-        if laws.is_on_a_line:  # powers of the distance to a point say as much there
-            self.forms = [f for f in self.forms if not _OF_PLANES.search(to_text(f.term.formula))]
 
     def propose(self, view):
         """The family of all forms that explain more than laws without inner constants.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -45,21 +44,6 @@ PARALLEL = 1e-6
 """A law whose moments are parallel to a declared term's to this part is that term, freed."""
 SAME = 1e-9
 """Part of what is left by which laws that are one law may differ in what they explain."""
-
-
-def _is_about_the_origin(formula):
-    """Whether a force along an axis depends on how far along it a body is, from the origin."""
-    return re.search(r"\b([xyz])_i\b.* \* e_\1\b", to_text(formula)) is not None
-
-
-def _n_moving_axes(dataset):
-    """Axes along which any body that forces move changes its place."""
-    moving = np.zeros(dataset.n_dims, dtype=bool)
-    for scene in dataset.scenes:
-        places = scene.positions[:, scene.dynamic].reshape(len(scene.times), -1, dataset.n_dims)
-        low, high = np.fmin.reduce(places, axis=0), np.fmax.reduce(places, axis=0)
-        moving |= (high > low).any(axis=0)
-    return int(moving.sum())
 
 
 class Laws:
@@ -115,12 +99,12 @@ class Laws:
         vectors = [c for c, t in columns.items() if t.shape == "vector"]
         measured = [name for name, t in inputs.items() if t.shape == "vector"]
         lists = {"0": names, "vector": vectors, "measured": measured}
-        common = [law.replace("{vector}_i", "{measured}") for law in self.grammar.common]
-        common = dict.fromkeys((*self.grammar.common, *common))
+        common = self.grammar.common
+        if dataset.n_moving_axes > 1:
+            common += self.grammar.common_of_planes
+        logged = [law.replace("{vector}_i", "{measured}") for law in common]
+        common = dict.fromkeys((*common, *logged))
         self.common = list(_read(common, lists, self.available, types, dataset))
-        self.is_on_a_line = _n_moving_axes(dataset) == 1
-        if self.is_on_a_line:  # a place that is fitted says as much, and more
-            self.common = [f for f in self.common if not _is_about_the_origin(f)]
 
     def propose(self, view):
         """The family of all laws.
