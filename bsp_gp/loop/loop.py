@@ -409,7 +409,7 @@ class _Turn:
                 n_left -= len(controls) <= k < n_first  # nothing else takes its place
                 continue
             if len(controls) <= k < n_first:
-                if not n_left:
+                if n_left <= 0:
                     continue
                 n_left -= 1
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come

@@ -129,6 +129,8 @@ class Scan:
         Where on the grid it may be, with the distance to neighbours there.
     ties : list of Scan
         That are the same on these data.
+    found : tuple of Scan
+        The best near every peak, once it was looked for.
     """
 
     form: Form
@@ -142,6 +144,7 @@ class Scan:
     spacing: np.ndarray
     peaks: tuple
     ties: list = field(default_factory=list)
+    found: tuple = ()
 
     @property
     def promise(self):
@@ -356,25 +359,34 @@ class InnerSearch:
         best, peaks = float(gains[k]), _peaks(grid, gains)
         return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T, peaks)
 
-    def closer(self, scan):
-        """The same with the best sought on finer grids, which move along while that gains."""
+    def closer(self, scan, zoom):
+        """The same with the best sought on a finer grid, which moves along while that gains.
+
+        Parameters
+        ----------
+        scan : Scan
+        zoom : int
+            0 for the first of `ZOOMS`; others go on from the one before.
+        """
         span = np.linspace(-1, 1, 5 if len(scan.axes) < 3 else 3)
         steps = np.array(list(every(span, repeat=len(scan.axes))))
-        found = [replace(scan, at=p[:, 0], spacing=p[:, 1], best=0.0) for p in scan.peaks]
-        for zoom in range(ZOOMS):
-            moving = list(range(len(found)))
-            for _ in range(MOVES if len(scan.axes) > 1 else 1):
-                if not moving:
-                    break
-                before = [found[m].best for m in moving]
-                near = [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving]
-                better = self._best_near(scan, np.clip(near, *_ends(scan.axes)))
-                for m, other in zip(moving, better, strict=True):
-                    if other.best > found[m].best:
-                        found[m] = replace(found[m], best=other.best, at=other.at)
-                moving = [m for m, b in zip(moving, before, strict=True)
-                          if found[m].best > (1 + LITTLE) * b]  # fmt: skip
-        return max([scan, *found], key=lambda one: one.best)
+        found = list(scan.found) or [
+            replace(scan, at=p[:, 0], spacing=p[:, 1], best=0.0) for p in scan.peaks
+        ]
+        moving = list(range(len(found)))
+        for _ in range(MOVES if len(scan.axes) > 1 else 1):
+            if not moving:
+                break
+            before = [found[m].best for m in moving]
+            near = [found[m].at + steps * found[m].spacing / CLOSER**zoom for m in moving]
+            better = self._best_near(scan, np.clip(near, *_ends(scan.axes)))
+            for m, other in zip(moving, better, strict=True):
+                if other.best > found[m].best:
+                    found[m] = replace(found[m], best=other.best, at=other.at)
+            moving = [m for m, b in zip(moving, before, strict=True)
+                      if found[m].best > (1 + LITTLE) * b]  # fmt: skip
+        best = max([scan, *found], key=lambda one: one.best)
+        return replace(best, found=tuple(replace(one, found=()) for one in found))
 
     def _best_near(self, scan, points):
         """The best of each group of points (P, C, k), all of them evaluated together."""

@@ -20,15 +20,15 @@ from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.search.inner import Form, InnerSearch, read_forms
+from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, read_forms
 from bsp_gp.search.subsets import best_subsets
 
 __all__ = ["Inside", "inner_search"]
 
 MOST = 8
 """Forms that are proposed."""
-MOST_CLOSER = 80
-"""Forms that are looked at between the places of their grids."""
+MOST_CLOSER, LEAST_CLOSER = 80, 20
+"""Forms that are looked at between the places of their grids, half of them more closely, and so on."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
@@ -90,8 +90,11 @@ class Inside:
             else:
                 distinct.append(scan)
         # A peak may be much narrower than the grid is coarse: forms are looked at closely.
-        closer = [parts[scan.form.term.kind].closer(scan) for scan in distinct[:MOST_CLOSER]]
-        closer = sorted(closer, key=lambda s: -s.promise)
+        closer = distinct
+        for zoom in range(ZOOMS):
+            closer = closer[: max(MOST_CLOSER >> zoom, LEAST_CLOSER)]
+            closer = [parts[scan.form.term.kind].closer(scan, zoom) for scan in closer]
+            closer = sorted(closer, key=lambda s: -s.promise)
         if parts["pair"] is not search:  # what the best of a part explain of all
             of_pairs = [s for s in closer if s.form.term.kind == "pair"][:MOST]
             closer = [s for s in closer if s.form.term.kind != "pair"][:MOST]

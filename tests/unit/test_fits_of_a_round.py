@@ -1,0 +1,43 @@
+"""Which proposals of a round are fitted, and how many."""
+
+from types import SimpleNamespace
+
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.loop.clock import Clock
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.loop import _Turn
+from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.table import Row
+from tests.throws import throws
+
+
+def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
+    """Each that is passed over takes a fit away; none may take more than there are."""
+    data = throws(n_scenes=3, n_times=12)
+    hypothesis = Hypothesis.from_laws(data, ())
+    run = SimpleNamespace(
+        criteria=Criteria(most_fits=4), dataset=data, bounds={}, clock=Clock(None), proposers=(),
+        says=lambda text: None,
+    )  # fmt: skip
+    turn, fitted = _Turn(run, fit(hypothesis, data), hypothesis), []
+    for name, count in (("a", 12), ("b", 30)):
+        own = tuple(
+            Proposal("contact", f"{name} {k}", hypothesis, -3.0, 16.0 - 0.01 * k - (name == "b"))
+            for k in range(count)
+        )
+        turn.families.append(Family(name, own, 20.0, 1))
+    turn.chances = {"a": 1e-6, "b": 1e-6}
+
+    def followed(source, proposal, found):
+        fitted.append(proposal.text)
+        nats = turn.rows[0].log_posterior + (1.0 if source == "b" else -1e3)
+        row = Row(len(turn.rows), "contact", proposal.text, source, "converged", nats, 0.0, nats, 4)
+        return row, proposal
+
+    monkeypatch.setattr(turn, "_fits", lambda queue: SimpleNamespace(result=lambda k: None))
+    monkeypatch.setattr(turn, "_followed", followed)
+    monkeypatch.setattr(turn, "_note_gain", lambda *_: None)
+    monkeypatch.setattr(turn, "_tell_near", lambda *_: None)
+    turn.fit_best()
+    assert len(fitted) == 4
