@@ -28,7 +28,7 @@ __all__ = ["Inside", "inner_search"]
 MOST = 8
 """Forms that are proposed."""
 MOST_CLOSER, LEAST_CLOSER = 80, 20
-"""Forms that are looked at between the places of their grids; half of them more closely, and so on."""
+"""Forms that are looked at between the places of their grids, and closer ever fewer of them."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
