@@ -4,7 +4,7 @@ import numpy as np
 
 from bsp_gp.units import OF_THE_SKY, Unit
 
-__all__ = ["is_astronomical", "is_of_the_sky"]
+__all__ = ["is_astronomical", "is_of_the_sky", "spans_the_sky"]
 
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
@@ -12,12 +12,16 @@ ASTRONOMICAL = 1e6
 
 def is_astronomical(dataset):
     """Whether tracks are so large, in metres, that only gravity acts as far."""
-    sizes = [
-        np.nanmax(s.positions, axis=(0, 1)) - np.nanmin(s.positions, axis=(0, 1))
-        for s in dataset.scenes
-    ]
-    is_known = dataset.units.is_calibrated(Unit.of(m=1, s=1))
-    return bool(is_known and np.max(sizes) > ASTRONOMICAL)
+    return spans_the_sky(dataset.scenes, dataset.units)
+
+
+def spans_the_sky(scenes, units):
+    """The same of scenes in some units."""
+    if not units.is_calibrated(Unit.of(m=1, s=1)):
+        return False
+    places = [s.positions.reshape(-1, s.n_dims) for s in scenes]
+    sizes = [np.fmax.reduce(p, axis=0) - np.fmin.reduce(p, axis=0) for p in places]
+    return bool(np.nanmax(sizes, initial=0.0) > ASTRONOMICAL)
 
 
 def is_of_the_sky(dataset):

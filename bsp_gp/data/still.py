@@ -20,8 +20,15 @@ LITTLE = 0.01
 """Part of the way of what moves most that this may be."""
 
 
-def held_still(scenes):
+def held_still(scenes, free=()):
     """Scenes whose bodies that never move are static, at their mean place, and what was done.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    free : collection of str
+        Bodies that nothing holds: of the sky, with known masses. A heavy one hardly moves; that it
+        does shows in the others' periods. One without any jitter is where places count from.
 
     Returns
     -------
@@ -35,6 +42,7 @@ def held_still(scenes):
         for k in scene.dynamic:
             is_still = _is_still(scene.positions[:, k], longest)
             name = scene.names[k]
+            is_still &= name not in free or not spans[k]
             still[name] = still.get(name, True) and is_still
     names = [name for name, is_still in still.items() if is_still]
     if not names or len(names) == len(still):

@@ -31,13 +31,14 @@ from bsp_gp.data.assembly import (
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
+from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
-from bsp_gp.data.properties import LEFT_OUT, with_properties
+from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
@@ -334,7 +335,8 @@ def _assemble(table, roster, declaration, default_name):
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
-    scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes)
+    free = _free_of_the_sky(scenes, declaration, conversion.system)
+    scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes, free)
     if conversion.system.is_angle:
         scenes = tuple(map(unwrapped, scenes))
     has_times = "t" in table.frame.columns
@@ -379,7 +381,8 @@ def _assemble(table, roster, declaration, default_name):
         test=test,
         units=_with_remedies(conversion.system, unread_masses(table)),
         property_units={
-            **latent_units, **(roster.units if roster else {}),
+            **latent_units,
+            **(roster.units if roster else {}),
             **{name: unit for name, (_, unit) in rows.inputs.items()},
         },
         up=_up(declaration, scenes[0].n_dims) or table.up,
@@ -526,6 +529,15 @@ def _names_angles(table, name):
     return name in table.present or (
         is_angle_name(name) and any(map(several.fullmatch, table.present))
     )
+
+
+def _free_of_the_sky(scenes, declaration, units):
+    """Bodies of the sky whose masses are given."""
+    if not spans_the_sky(scenes, units):
+        return set()
+    said = read_properties(declaration.properties).get("mass", {})
+    bodies = [entity for scene in scenes for entity in scene.entities]
+    return {body.name for body in bodies if body.name in said or "mass" in body.properties}
 
 
 def _units_of(tables, declared):

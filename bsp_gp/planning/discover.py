@@ -27,6 +27,7 @@ from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, recording_of
+from bsp_gp.planning.ends import at_the_ends
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
 from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
@@ -64,7 +65,8 @@ class Discovery:
         Whether the law is sure, fits, and nothing is missing beside it.
     open : tuple of str
         Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "unforeseen" (it
-        has not foreseen a round of experiments yet), "inseparable".
+        has not foreseen a round of experiments yet), "untried" (nor one at the ends of the means),
+        "inseparable".
     inseparable : tuple of (str, str)
         Rivals that no experiment within the means parts.
     rounds : int
@@ -172,12 +174,18 @@ class _State:
         self.report, self.stands, self.left, self.inseparable = None, False, ("no_law",), ()
         self.part, self.is_misfit, self.n_misfits = 1.0, False, 0
         self.is_foretold = False  # whether the law foresaw the experiments of this round
+        self.is_at_ends = False  # whether experiments were made at the ends of the means
 
     # --- what is tried ---------------------------------------------------------------------------
 
     def next(self, rng):
         """The experiments of the next round; none where no experiment would tell anything."""
         count = self.means.at_once
+        if self.left == ("untried",):
+            self.is_at_ends = True
+            chosen = at_the_ends(self.means, self.experiments, rng, self.part, max(count, 1))
+            if chosen:
+                return chosen
         if self.rivals and not self.is_misfit:
             found = plan(self.rivals, self.means, rng=rng, n_told=max(count, 1))
             self.inseparable = found.inseparable
@@ -233,6 +241,8 @@ class _State:
         self._judge()
         if not self.left and not self.is_foretold:
             self.left = ("unforeseen",)
+        elif not self.left and not self.is_at_ends and not is_last:
+            self.left = ("untried",)
         self.n_misfits = self.n_misfits + 1 if self.is_misfit else 0
         is_asked = self.is_foretold or is_last
         if self.left in ((), ("unforeseen",)) and is_asked or self.n_misfits >= PATIENCE:
@@ -361,7 +371,7 @@ class _State:
         content = {
             "schema": "bsp_gp/discovery/1", "round": number, "stands": self.stands,
             "open": list(self.left), "part": self.part, "is_misfit": self.is_misfit,
-            "experiments": [
+            "is_at_ends": self.is_at_ends, "experiments": [
                 {**e.to_dict(), "seen": _plain(r)}
                 for e, r in zip(self.experiments, self.recordings, strict=True)
             ],
@@ -390,6 +400,7 @@ class _State:
             self.rivals = tuple(_rival(r, scenes) for r in content["rivals"])
             self.left, self.stands = tuple(content["open"]), content["stands"]
             self.part, self.is_misfit = content["part"], content["is_misfit"]
+            self.is_at_ends = content.get("is_at_ends", False)
             return int(content["round"])
         except (OSError, ValueError, KeyError, TypeError, LawError) as error:
             raise DataError(f"this is no discovery to go on from ({error})", file=file,

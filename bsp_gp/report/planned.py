@@ -52,6 +52,7 @@ def discovery_text(found):
         "no_law": "no law was found", "rivals": "rivals are not told apart",
         "misfit": "the law misses recordings by more than their noise",
         "unforeseen": "the law has not foreseen a round of experiments yet",
+        "untried": "the law was not tried at the ends of what can be chosen",
         "missing": "something is missing that was not adopted",
         "inseparable": "some rivals cannot be parted with these means",
     }  # fmt: skip

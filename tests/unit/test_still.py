@@ -56,3 +56,19 @@ def test_what_is_said_is_believed_and_something_must_move():
     assert is_static(loaded(ball, mark, entities=crew), "mark") == [False]
     alone = loaded(frame("a", "one", 1.0, 0.0), frame("a", "other", 2.0, 0.0))
     assert held_still(alone.scenes) == (alone.scenes, ())
+
+
+@pytest.mark.parametrize("length, sigma, is_held", [
+    ("m", 0.001, True), ("km", 0.001, True), ("Gm", 0.001, False), ("Gm", 0.0, True),
+])  # fmt: skip
+def test_nothing_of_the_sky_is_held_but_where_places_count_from(length, sigma, is_held):
+    """A heavy planet hardly moves; that it does shows in how fast its moons go round."""
+    frames = pd.concat([
+        frame("a", "moon", 2 * T, 3 * T - 4.9 * T**2), frame("a", "planet", 0.0, 0.0, sigma),
+    ])  # fmt: skip
+    units = {"length": length, "time": "s", "mass": "kg"}
+    masses = {"mass": {"planet": 9e25, "moon": 3e20}}
+    weighed = bsp_gp.Dataset.from_frames(frames, units=units, properties=masses)
+    assert is_static(weighed, "planet") == [is_held]
+    unweighed = bsp_gp.Dataset.from_frames(frames, units=units)
+    assert is_static(unweighed, "planet") == [True]
