@@ -1,7 +1,5 @@
 """The work of ``bsp-gp make`` for machines: a table with its units, its truth, its model."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 

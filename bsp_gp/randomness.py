@@ -1,7 +1,5 @@
 """Random numbers as public functions take them: an int, a Generator, or None."""
 
-from __future__ import annotations
-
 from numbers import Integral
 
 import numpy as np

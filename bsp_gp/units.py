@@ -5,8 +5,6 @@ unit in the place of the SI one), and a `Unit` is only a tuple of exponents: the
 of the grammar.
 """
 
-from __future__ import annotations
-
 import copyreg
 import functools
 import math

@@ -1,7 +1,5 @@
 """From rows of a table to scenes: validation, gaps, and the merging of times."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """What a data set says about itself: ``dataset.toml`` in and out, checked key by key."""
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import json

@@ -1,7 +1,5 @@
 """Write a data set as a folder, whole or not at all, so that it reads back bit for bit."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

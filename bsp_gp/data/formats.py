@@ -4,8 +4,6 @@ Read here: plain CSV, exports of Tracker and of loggers, of one run or body or o
 side, workbooks, and long tables of trackpy. The result is one `Table` whatever the dialect was.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ meaning is guessed (``Höhe``, ``Versuch``); guesses are told. It may carry a un
 belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``, ``x2``).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

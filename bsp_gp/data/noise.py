@@ -1,7 +1,5 @@
 """How accurate the positions are: quoted, declared, or estimated from the data themselves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Who is in which scene: ``entities.csv`` to `Entity` records."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field, replace

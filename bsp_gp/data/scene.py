@@ -4,8 +4,6 @@ Axes are always ``[time, entity, xy(z)]``; numbers are SI, or the data's own uni
 set is not calibrated (`Dataset.units` says which).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

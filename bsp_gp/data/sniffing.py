@@ -1,7 +1,5 @@
 """The layout of a delimited file, guessed from its first lines."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Where the text of a table comes from: a text file in its encoding, or a sheet of a workbook."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import hashlib

@@ -1,7 +1,5 @@
 """Tables with runs or bodies side by side: whose the columns are, and one long table of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The likeness gives the start and the curvature, the function itself the slopes: 
 where a search from anew would take fifty evaluations.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

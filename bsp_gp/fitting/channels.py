@@ -1,7 +1,5 @@
 """The coordinates of bodies in scenes, one channel each: when seen, and whose."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ minimum at every period. Pieces that show the acceleration just above the noise 
 and each level hands the nodes that it found to the next.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cached_property

@@ -5,8 +5,6 @@ and the distances of planets by 1e11. The fit's own unknown is k * s^n with s th
 over the data (DESIGN §1 point 3 of fits: "distances scaled by their median").
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, factors, walk

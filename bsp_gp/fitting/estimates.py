@@ -1,7 +1,5 @@
 """What is told of a fit: constants with intervals, errors on held-out data; as JSON can hold it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

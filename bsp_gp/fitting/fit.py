@@ -5,8 +5,6 @@ tracks are fitted first, then ever longer ones, at last the whole (`bsp_gp.fitti
 noise is estimated beside the law, and the law fitted again under it.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field, replace

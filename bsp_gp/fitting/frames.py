@@ -4,8 +4,6 @@ Places and velocities are those that an observer sees who turns with the frame. 
 needs nothing of its own: it is a push in proportion to mass.
 """
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.errors import LawError

@@ -5,8 +5,6 @@ it makes of a track is the track without noise: places and velocities at which l
 and noise that is told from what laws lack.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -4,8 +4,6 @@ The initial state of a held-out scene is fitted on its first rows, with the law 
 of the scene is foreseen from there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

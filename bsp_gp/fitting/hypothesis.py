@@ -1,7 +1,5 @@
 """A hypothesis is a machine that makes recordings: world + instrument + noise (LOOP §1)."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ acceleration, a body was hit. Curves through rows on both sides would tell veloc
 had: states are read off the rows of one side.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

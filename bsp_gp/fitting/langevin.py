@@ -6,8 +6,6 @@ eliminated from their joint density with the rows, whose precision is a band, in
 likelihood that a Kalman filter gives.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from itertools import product
 

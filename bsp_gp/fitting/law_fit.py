@@ -1,7 +1,5 @@
 """A law without the loop: constants fitted to a data set, errors on what is held out."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

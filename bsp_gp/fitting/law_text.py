@@ -1,7 +1,5 @@
 """A fitted law in words: the table for a terminal, how the fit ended, what is doubtful."""
 
-from __future__ import annotations
-
 import math
 
 from bsp_gp.data.scene import CHECK

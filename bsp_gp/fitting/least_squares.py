@@ -8,8 +8,6 @@ such points, and what it calls success is often a stall (experiments/nist_strd.p
 see. Geodesic acceleration was measured and left out: 8 % fewer evaluations on those problems.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

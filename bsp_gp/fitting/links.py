@@ -7,8 +7,6 @@ the track and in all forces up to there; with the former projected out, what is 
 moments of independent errors of size one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ speed and tails are each tried in turn; the one whose gain of restricted likelih
 above what chance gives is adopted, and the others are asked again beside it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

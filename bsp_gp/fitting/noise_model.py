@@ -7,8 +7,6 @@ speed (time stamps that jitter by b seconds: (b * speed)^2), have the tails of S
 never below that of rounding, step^2 / 12. Quoted and declared sizes are taken as they are.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

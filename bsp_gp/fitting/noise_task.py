@@ -5,8 +5,6 @@ squares are as large as its degrees of freedom. What has a shape (memory, growth
 searched for by L-BFGS-B; weights of rows under Student's t come in turn with both.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

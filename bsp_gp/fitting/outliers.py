@@ -4,8 +4,6 @@ Fits begin without them. Where the noise is estimated its tails weigh them in th
 noise, which has no tails, they stay out, and that is told.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from functools import lru_cache

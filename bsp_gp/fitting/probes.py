@@ -7,8 +7,6 @@ noise, or for noise with a memory (LOOP §5). Probes are terms like all others, 
 come from the same routine.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input, Number

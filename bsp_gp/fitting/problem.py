@@ -1,7 +1,5 @@
 """What the least-squares driver is asked and what it answers: problems, settings, minima."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol

@@ -5,8 +5,6 @@ that noise or their length makes wrong are recognised by their misfit and count 
 weight). Good enough to begin with, and for nothing else.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["regressed"]

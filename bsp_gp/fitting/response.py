@@ -12,8 +12,6 @@ places are in error, and so are forces that change with the place: moments count
 allows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

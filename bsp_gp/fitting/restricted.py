@@ -6,8 +6,6 @@ under every noise law that is tried thereafter the Gram matrices are well condit
 columns of the chains are eliminated by Schur complements. The cost is O(rows) per law.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ before (Newton's method on the joints). Where that fails - motion that runs away
 shorter stretches are taken, down to one row after the other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.starts import first_nodes

@@ -9,8 +9,6 @@ which makes its basin wide: from nodes read off the data, a law linear in its co
 in a step or two, however long the track.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes as a fitted law with its noise would have made them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The motion that a law gives, as a data set."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where fits begin: nodes read off the data, and constants of the size that the data suggest."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import islice
 

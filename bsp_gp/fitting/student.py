@@ -1,7 +1,5 @@
 """Noise with the tails of Student's t, and the plain likelihood of a residual under any noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ under the fitted law (Rao 1948), amplitudes ``(C'QC)+ C'Qr``, and an expected si
 from ``C'QC`` (LOOP §3). Forces have columns through `bsp_gp.fitting.response`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

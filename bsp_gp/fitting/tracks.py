@@ -1,7 +1,5 @@
 """Whole tracks as a problem of the least-squares driver, and the noise that weighs their rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ own. In scenes that a law was not fitted to it is a body that forces do not move
 which the fit has it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

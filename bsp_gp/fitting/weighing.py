@@ -5,8 +5,6 @@ residual gives it (iteratively reweighted least squares): each round raises the 
 that are far off their neighbours have no weight before there is a law to have residuals of.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -14,8 +14,6 @@ Where time runs long and channels are few, the recursion of P, a Moebius map, is
 block; the linear one of the mean is a triangular band that LAPACK solves for all columns at once.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ A posterior can only repair a law that contains the latent, so a share of the pl
 for laws that do: at drawn values of the latents a law without them may lead by chance.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field, replace
 

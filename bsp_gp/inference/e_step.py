@@ -5,8 +5,6 @@ continuous latents by emcee or importance sampling, discrete ones by enumeration
 by an ensemble over the continuous ones with the discrete ones summed out exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ and compares. Every start begins with zero force, under which the posterior is t
 first M-step sees draws from the prior, never its mean (equal latents look like constants).
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field, replace
 

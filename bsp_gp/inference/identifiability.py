@@ -6,8 +6,6 @@ the joint optimum, in logarithms (a free direction is then a product of powers),
 correlations of the posterior.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

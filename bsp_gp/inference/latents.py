@@ -4,8 +4,6 @@ A latent belongs to one property of one or several entities. With ``share = "ent
 ``entities.csv`` has its own value: an entity listed without a scene is one body in all scenes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """How a law is compared with the data when properties are unknown: a choice of likelihood."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The M-step: laws proposed by any search on a regression averaged over posterior draws."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Posteriors: named draws with weights, how far they can be trusted, and their tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from html import escape
 

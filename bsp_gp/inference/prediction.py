@@ -1,7 +1,5 @@
 """What a posterior predicts: one-step errors averaged over draws, and rollouts with bands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

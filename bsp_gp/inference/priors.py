@@ -4,8 +4,6 @@ Every prior has a *coordinate* in which it is sampled and fitted: the property i
 logarithm for a log-uniform prior (in which that prior is flat). scipy.stats does the mathematics.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A data set made ready for inference: unknowns, likelihood, and scenes with stand-in values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

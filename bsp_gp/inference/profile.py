@@ -5,8 +5,6 @@ a bound that the data push outwards are held there), vectorised over starts. Lat
 scenes are differenced together, since they touch no common residual.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -4,8 +4,6 @@ Nearly every law is such a product. Then the motion is evaluated once, and a new
 properties costs a few numbers instead of all instants.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

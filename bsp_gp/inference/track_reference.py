@@ -6,8 +6,6 @@ constants fitted together, and nodes settled under them, until nothing moves. Th
 linearised at the end are what posteriors are read from.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracks of scenes under drawn latents and constants, ready to be integrated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ An `Expression` says how a grammar derives a law; `to_formula` says what the law
 `derive` finds the expression of a formula again.
 """
 
-from __future__ import annotations
-
 import threading
 import weakref
 

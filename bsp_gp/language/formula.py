@@ -5,8 +5,6 @@ How a grammar derives it is an `Expression` (expression.py). Nodes are immutable
 structure, and know their `Type`, so that an ill-typed formula cannot exist.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

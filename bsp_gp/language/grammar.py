@@ -9,8 +9,6 @@ for searches that draw laws). Rule bodies are read with `ast` from whitelisted n
 evaluated.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib

@@ -8,8 +8,6 @@ Two operators exist in the paper's version and in a mended one (DESIGN §3): `di
 for every divisor <= 1e-9 and `project_abs` sums absolute products; grammars choose by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

@@ -6,8 +6,6 @@ brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[bo
 components of place and velocity; ``pi`` is the number.
 """
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import math

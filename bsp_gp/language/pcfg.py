@@ -1,7 +1,5 @@
 """Probabilistic grammars: sampling under a bound on levels, log-probabilities, refitting."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Rule k is the primitive ``r<k>``; its argument types are its nonterminals, left 
 rule without nonterminals is a terminal. DEAP trees and expressions are in bijection.
 """
 
-from __future__ import annotations
-
 import zlib
 
 from deap import gp

@@ -7,8 +7,6 @@ T. Hesterberg, The American Statistician 69 (2015) 371); with fewer, the spread 
 copies, what the measured errors have beyond noise carried over.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Backward removal: what was adopted early and what came later has made superfluous."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

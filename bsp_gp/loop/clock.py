@@ -1,7 +1,5 @@
 """How much time a run has."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """Closing the loop on a data set: made ready, rounds, removal of what is superfluous, report."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

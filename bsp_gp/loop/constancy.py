@@ -5,8 +5,6 @@ every term that was found, the term times smooth functions of one variable is a 
 term times the logarithm of speed or distance tells the power with its interval.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

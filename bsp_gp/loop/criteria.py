@@ -1,7 +1,5 @@
 """Every level on which a verdict depends, and the closed lists of codes that are told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 __all__ = [

@@ -1,7 +1,5 @@
 """What a table of hypotheses says: the one place in which the loop decides."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One class with the habits of scikit-learn: fit, predict, score, get_params."""
 
-from __future__ import annotations
-
 import inspect
 
 import numpy as np

@@ -5,8 +5,6 @@ ten of what the data could show (log-uniform); an exponent is normal about what 
 prior names metres or seconds.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Where something is left beside them, so are the last ones that make them no better.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

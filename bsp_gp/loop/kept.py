@@ -3,8 +3,6 @@
 What was fitted is not kept: fits are made without chance, and made again they are the same.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Mapping

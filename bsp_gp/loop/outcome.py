@@ -4,8 +4,6 @@
 intervals. Words are made of this in the room of reports.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

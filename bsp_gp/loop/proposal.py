@@ -1,7 +1,5 @@
 """What proposers answer: causes that may be missing, and how much chance alone would show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 

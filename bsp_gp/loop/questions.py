@@ -5,8 +5,6 @@ time, so that what a law lacks is not taken for noise. How a projection changes 
 off noise that was simulated and projected in the same way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

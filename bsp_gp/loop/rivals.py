@@ -5,8 +5,6 @@ all that rivals differ by. Where one law was fitted and explains all, what it do
 own tracks: the moments of its force, on which the columns of any other law are set anew.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import EvaluationError

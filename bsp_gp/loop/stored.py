@@ -1,7 +1,5 @@
 """A report that was written, read back: everything but the fit itself."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """The table of everything that was fitted: one row per hypothesis."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Results in the units in which the data were declared; what is stored stays SI."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ variable: cosines of its rank among all instants, or a number for each body or s
 Where masses differ the push is an acceleration or a force, whichever shows more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

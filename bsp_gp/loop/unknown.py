@@ -10,8 +10,6 @@ amplitude, in parts of what was found, is as likely in every factor of ten betwe
 speaks neither for nor against the law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A fit as proposers look at it: its tangent, its response to forces, noise that was simulated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cached_property

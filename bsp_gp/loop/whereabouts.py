@@ -4,8 +4,6 @@ Draws are those of Laplace's approximation, weighed by the priors: where the dat
 a number, these do.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.law_fit import widening

@@ -1,7 +1,5 @@
 """From rounds to a report: what is told of each, of the data, and of the tracks held out."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import asdict, replace

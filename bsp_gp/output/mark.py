@@ -3,8 +3,6 @@
 What the mark does not list, or lists with another digest, belongs to the user.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

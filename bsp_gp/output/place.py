@@ -1,7 +1,5 @@
 """The place that a result goes to: checked and locked before the work, filled whole after it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

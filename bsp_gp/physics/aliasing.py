@@ -1,7 +1,5 @@
 """Frequencies of a law that rows are too far apart to show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -5,8 +5,6 @@ into a `Batch`; leading axes of arrays are ``[time, scene, entity, xy(z)]``, sho
 padded with nan. `PairInputs` and `FieldInputs` look up what a formula names, computed on demand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Divided differences on any grid, and the covariance that they give to white noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError

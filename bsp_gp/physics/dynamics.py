@@ -6,8 +6,6 @@ classical fourth-order rule, the default for smooth laws. Entities that forces d
 their measured track.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

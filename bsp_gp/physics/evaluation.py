@@ -4,8 +4,6 @@ What does not change along a track (properties, directions, constants, and all t
 them alone) is computed once; what several terms share is computed once a step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input

@@ -1,7 +1,5 @@
 """Force laws: sums of terms, some declared and some found, and the accelerations they give."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Contact geometry of discs, walls and mats, as the paper's data have it (DESIGN §8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -25,8 +25,6 @@ Several ways to read them off a track, one interface (`Regression`):
     The same for data made by steps: forces act at rows, with backward velocities.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError, SettingsError

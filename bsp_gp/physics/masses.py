@@ -1,7 +1,5 @@
 """Masses and other properties that a law needs, known or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors that people read: the paper's nRMSE, and residual accelerations."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.bodies import stack

@@ -5,8 +5,6 @@ the loop see it as a `Regression`: columns, targets, residuals and gradients as 
 independent errors of size one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

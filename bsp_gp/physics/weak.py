@@ -10,8 +10,6 @@ alone.
 The width is chosen from the tracks, never from a law: see `weak_width`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

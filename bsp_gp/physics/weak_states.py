@@ -6,8 +6,6 @@ one motion. Evaluated at finite differences of noisy positions, a law that depen
 would feel their noise, which integrals sum up to more than the noise of the positions itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.weak_tracks import DEGREE, design, knots_of

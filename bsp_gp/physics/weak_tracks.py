@@ -15,8 +15,6 @@ two neighbouring splines that see no constant velocity, and test functions that 
 between rows.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ Technometrics 15, 661) of the motion in that space: the corner between signal an
 which have energy at all frequencies, make it narrow by themselves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

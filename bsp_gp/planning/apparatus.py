@@ -1,7 +1,5 @@
 """Programs as apparatus: one experiment as a line of JSON in, one line of what was seen out."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import subprocess

@@ -6,8 +6,6 @@ Then the law is fitted to whole recordings, asked what it lacks, and its rivals 
 that was seen. Experiments are chosen by what they promise to tell the rivals apart.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field, replace

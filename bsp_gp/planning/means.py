@@ -17,8 +17,6 @@ A file of means, TOML; all numbers are SI. ``"a..b"`` is a range, a list a choic
     at_once = 4
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

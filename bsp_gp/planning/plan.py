@@ -7,8 +7,6 @@ information is that between the law and the rows, by Monte Carlo over rows that 
 and a part of what forces do beyond.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

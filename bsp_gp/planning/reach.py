@@ -4,8 +4,6 @@ After a close pass what is unknown of a constant leads to anywhere: laws seem fa
 no law is fitted to such rows. Rows are measured against the way to the next body.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["n_calm", "n_foreseen", "nearest"]

@@ -1,7 +1,5 @@
 """What may be true: laws with their probabilities, and what is known of their constants."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

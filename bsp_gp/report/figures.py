@@ -1,7 +1,5 @@
 """The figures of a report: tracks, residuals, constants, errors round by round."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

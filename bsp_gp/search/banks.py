@@ -5,8 +5,6 @@ likeliest, is kept), so that a bank holds a few hundred distinct values where th
 millions of derivations.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field, replace
 

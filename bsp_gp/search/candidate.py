@@ -1,7 +1,5 @@
 """What a search returns: candidates, and a result with its front, ties and certificate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ others report their regret; a learner may look at deeper trees, so that its regr
 negative.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

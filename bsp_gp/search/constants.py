@@ -5,8 +5,6 @@ exact gradients (paper, section 3.3.1), from several starts where asked, each st
 linear ones solved first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """How a grammar's start symbol factors: constant * scalars * direction [* condition]."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.errors import GrammarError

@@ -8,8 +8,6 @@ variation takes the generator as an argument: DEAP's picks types from a set in m
 draws from the global `random`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deap import base, tools

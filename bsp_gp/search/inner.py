@@ -5,8 +5,6 @@ Strengths are projected out (variable projection, Golub and Pereyra 1973): what 
 function of its inner constants alone. It is scored on a grid, and where it does best on finer ones.
 """
 
-from __future__ import annotations
-
 import re
 from copy import copy
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ Constants that multiply the terms of a law are solved in closed form, many laws 
 go through `fit_constants`. Laws that are equal on the data are scored once (`recognition`).
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """All products of two banks of scalar factors, and the law that each of them is."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 from dataclasses import dataclass

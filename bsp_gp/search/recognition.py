@@ -7,8 +7,6 @@ Formulas, values and classes are kept per subtree, so that a new tree pays only 
 in it.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ expressions under "population". The loop spawns one random stream per step, so t
 draws what the uninterrupted one would have.
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import json

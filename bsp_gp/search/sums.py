@@ -7,8 +7,6 @@ removed. What that guarantees is said in the certificate: no law of the grammar 
 in the place of one term, or left out, to shorten the description.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 

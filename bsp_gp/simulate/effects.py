@@ -4,8 +4,6 @@
 which there are.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ with the velocity of the half step before, then velocities, with the force at th
 forces are computed for all worlds at once and handed to pymunk, one space per world.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

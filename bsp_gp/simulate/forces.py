@@ -4,8 +4,6 @@ They are written apart from `bsp_gp.physics`, so that data made with them test i
 work on several worlds at once: positions and velocities have the shape (S, N, 2).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

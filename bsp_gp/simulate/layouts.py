@@ -3,8 +3,6 @@
 NBODY, BOUNCE and MAT have the ranges of the paper's own generator (section 4; appendix C.1).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import ClassVar
@@ -48,17 +46,17 @@ class Layout:
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.type == "Range":
+            if item.type == Range:
                 bounds = value if isinstance(value, tuple | list) else (value, value)
                 if len(bounds) != 2 or not -math.inf < bounds[0] <= bounds[1] < math.inf:
                     raise SettingsError(
                         f"{item.name} must be a number or a range (low, high), got {value!r}"
                     )
                 object.__setattr__(self, item.name, (float(bounds[0]), float(bounds[1])))
-            low = np.min(getattr(self, item.name)) if item.type in ("Range", "int", "float") else 1
+            low = np.min(getattr(self, item.name)) if item.type in (Range, int, float) else 1
             if item.name in self.positive and low <= 0:
                 raise SettingsError(f"{item.name} must be positive, got {value!r}")
-            if item.type == "int" and (isinstance(value, bool) or int(value) != value):
+            if item.type is int and (isinstance(value, bool) or int(value) != value):
                 raise SettingsError(f"{item.name} must be a whole number, got {value!r}")
 
     @property

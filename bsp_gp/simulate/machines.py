@@ -4,8 +4,6 @@ Each has an equation of motion of its own, never that of our engine, columns as 
 them, a declared model, and effects that the model may lack.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

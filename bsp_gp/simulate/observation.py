@@ -1,7 +1,5 @@
 """What a camera makes of the motion: noise on the positions of bodies that move."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scenes of stars, and of beads that are kicked: what goes with `close --declare nothing`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

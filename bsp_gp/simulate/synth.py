@@ -4,8 +4,6 @@
 them can be set. Motion is pymunk's (or another engine's), never that of our own integrator.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 

@@ -4,8 +4,6 @@ The folder of a truth stands beside the data set's, not in it, so that a loop ca
 test can score its verdict.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a made-up scene starts from: bodies with places and velocities, some of them unseen."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

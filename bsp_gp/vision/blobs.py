@@ -7,8 +7,6 @@ hull. The covariance comes from how far the centroid moves with the threshold, a
 calibration of the whole track (`bsp_gp.vision.smoothing`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """From pixels to the world: scale, origin, axes, or a homography from known points of a plane."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

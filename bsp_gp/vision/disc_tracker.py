@@ -5,8 +5,6 @@ the search window; discs of one colour are told apart by assigning all found pla
 predictions at once (least total squared distance).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ left out, so that a touching or half-hidden disc is placed by the arc that is se
 covariance that is wide across the hidden direction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

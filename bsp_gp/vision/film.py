@@ -5,8 +5,6 @@ x points right and y down, as trackers have it. A disc covers of a pixel what it
 it, so that the centre of gravity of what is drawn is the true centre to a hundredth of a pixel.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a video to a folder: tracks of several objects joined, as a data set, a film and a page."""
 
-from __future__ import annotations
-
 import html
 import math
 import re

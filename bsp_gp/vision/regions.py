@@ -5,8 +5,6 @@ another mat, so each colour is explained by the fewest rectangles that hold all 
 that show another mat's pixels, at most, besides.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ worse) but not always in size, since neighbouring pixels err together. Its facto
 track's own third differences, q from the likelihood of the innovations (Harvey 1989, ch. 3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Frames of a video file, in order, with their times; opened and closed in one place."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

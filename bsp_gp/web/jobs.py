@@ -1,7 +1,5 @@
 """Commands of bsp-gp that the page runs: each a process of its own, a few at a time."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

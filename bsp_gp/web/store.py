@@ -1,7 +1,5 @@
 """What the page was given: one private folder for each data set, films and tables alike."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import secrets

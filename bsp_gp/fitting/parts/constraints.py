@@ -3,8 +3,6 @@
 A string is none of them: it is a force while it is taut, and nothing else.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from itertools import product

@@ -1,7 +1,5 @@
 """Contacts that nobody declared: the velocity of a body jumps at one instant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces

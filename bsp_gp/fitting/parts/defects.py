@@ -4,8 +4,6 @@ What is left out is not explained by the rest of a hypothesis: it may lie anywhe
 shows, with the same density, so that its evidence stays comparable.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -3,8 +3,6 @@
 It is at rest, moves straight on, or is a body that the law moves like the others.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 

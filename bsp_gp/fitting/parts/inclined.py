@@ -1,7 +1,5 @@
 """A plane of motion that is inclined to the picture: what is seen of it is foreshortened."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ coordinates with exact derivatives (`bsp_gp.physics.engine.seen`). The last part
 Numbers are 0 where the measurement is as declared.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part

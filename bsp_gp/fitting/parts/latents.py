@@ -1,7 +1,5 @@
 """Properties of bodies that are unknown: masses, charges, frictions, fitted with their priors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part

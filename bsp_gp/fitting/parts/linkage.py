@@ -1,7 +1,5 @@
 """Arms that hang on one another, as a part of a hypothesis: a double pendulum in angles."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Bodies that do not move along an axis whatever pulls: carts on a track, pucks on a table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forces with constants inside, each with the range in which the data can show it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces

@@ -1,7 +1,5 @@
 """Places that count from a body which the others pull: all that is seen is accelerated with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.fitting.hypothesis import Forces

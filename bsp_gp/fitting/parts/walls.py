@@ -1,7 +1,5 @@
 """A wall, floor or cushion that bodies bounce off, as a part of a hypothesis."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Proposers: each turns a fit into causes that may be missing, one short file each."""
 
-from __future__ import annotations
-
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.proposers.companions import Companions

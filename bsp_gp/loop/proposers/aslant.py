@@ -1,7 +1,5 @@
 """What a lone body of the sky goes round, in planes that are inclined to the picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.loop.proposal import PATIENT, Family

@@ -1,7 +1,5 @@
 """Laws with a constant of each scene or body: a spin, a wind, a roughness that nobody noted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

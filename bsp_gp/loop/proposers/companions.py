@@ -5,8 +5,6 @@ body in the plane of the tracks; the best are improved by drawing about them. Sc
 the pull along the track that the visible bodies give a body of no weight.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Undeclared contacts: jumps of velocity, at every instant, of every body."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ All but swaps are read off the residual by deletion: how much chi-squared falls 
 out and the initial states of their chain are fitted again. What is left out is paid for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

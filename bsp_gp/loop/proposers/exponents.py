@@ -1,7 +1,5 @@
 """Declared terms with a power of distance or speed that is not quite right, or another number."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

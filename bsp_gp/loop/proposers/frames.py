@@ -1,7 +1,5 @@
 """A frame that turns: Coriolis and centrifugal forces as one cause with one Omega."""
 
-from __future__ import annotations
-
 from itertools import combinations_with_replacement
 
 import numpy as np

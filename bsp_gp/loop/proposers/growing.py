@@ -1,7 +1,5 @@
 """Strengths that grow or fade steadily: a mass that is lost, a battery that runs down."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input, Number

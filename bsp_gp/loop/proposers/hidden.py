@@ -4,8 +4,6 @@ Beside that an attraction as the inverse square of the distance is asked for: on
 bodies of which no force on each other is declared, may go round what nobody sees.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The plane of an orbit on the sky: an inclined one is seen foreshortened, whatever the force."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Random kicks beside linear forces, where nothing is declared: see `bsp_gp.fitting.langevin`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

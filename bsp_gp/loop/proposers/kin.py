@@ -5,8 +5,6 @@ in mind only the declared law says; and that a friction is another one in anothe
 grain of a lawn, the ribs of a carpet) is a matter of that friction.
 """
 
-from __future__ import annotations
-
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors, product, quotient
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.loop.proposers.exponents import base_of, is_size

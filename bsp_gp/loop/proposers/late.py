@@ -1,7 +1,5 @@
 """Logs that are late: measured inputs of the law looked up at other times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

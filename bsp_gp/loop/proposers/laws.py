@@ -1,7 +1,5 @@
 """Laws of a grammar: every one of them scored on the moments of the tracks."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

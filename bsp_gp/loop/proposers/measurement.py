@@ -1,7 +1,5 @@
 """What a measurement may have done to places and times, every kind scored as columns on rows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import combinations

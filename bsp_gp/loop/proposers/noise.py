@@ -1,7 +1,5 @@
 """Noise of another kind as a cause: what looks like a force may be noise with a memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

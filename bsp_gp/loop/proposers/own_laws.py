@@ -1,7 +1,5 @@
 """Laws of their own for each of a few bodies: one that hunts, one that flees, each as it does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A push with a period: one for all bodies, or in proportion to their masses or coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

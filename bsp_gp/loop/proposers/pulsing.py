@@ -1,7 +1,5 @@
 """Terms whose strength has a period: a pivot that shakes, a field that alternates."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.tangent import as_pair

@@ -1,7 +1,5 @@
 """Places that count from a body which the others pull, as a proposer: heliocentric tables."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import EvaluationError

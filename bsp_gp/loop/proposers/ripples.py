@@ -1,7 +1,5 @@
 """Forces that repeat along an axis: a washboard, an egg crate, an optical lattice."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

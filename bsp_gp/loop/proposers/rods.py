@@ -1,7 +1,5 @@
 """Constraints that tracks betray: a distance, a line or a plane that stays what it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

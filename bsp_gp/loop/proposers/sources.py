@@ -1,7 +1,5 @@
 """Bodies that pull or push all others by strengths of their own: charges, unknown masses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

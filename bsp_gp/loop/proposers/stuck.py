@@ -4,8 +4,6 @@ Standing still shows in the places whatever the law. It counts as far as the fit
 unexplained, since what comes to rest looks the same.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.parts.defects import LeftOut

@@ -5,8 +5,6 @@ laws are always weighed, and where even the best law leaves more than noise, who
 from all laws that share its property factors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import stats
 

@@ -4,8 +4,6 @@ A swap shows in the places whatever the law: tracks go on more smoothly with nam
 counts as far as the fit leaves the two tracks unexplained, since what collides may look the same.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

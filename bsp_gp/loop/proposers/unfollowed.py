@@ -1,7 +1,5 @@
 """Laws beside one that no path follows: fitted from the data, as its own tracks tell nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.canonical import canonical_key

@@ -1,7 +1,5 @@
 """Constants that are not the same everywhere: a strength of its own for every body, or scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

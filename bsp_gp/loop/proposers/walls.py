@@ -5,8 +5,6 @@ wall. What acts between jumps is proposed with it, since no track is followed ac
 under a law that is far off.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from itertools import count, product

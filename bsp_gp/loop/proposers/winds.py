@@ -5,8 +5,6 @@ So does friction of constant size on a belt or a table that moves under the bodi
 Where all forces depend on velocities alone a camera that drifts looks the same, and is told too.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ where the others were seen: chains of one body, beside all others on curves thro
 these curves err by is the noise of the rows, which a force at a distance hardly feels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 A motion is packed unless an operator of a user's acts in it, which only NumPy can call.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.engine import kernel

@@ -7,8 +7,6 @@ fitted or searched beside them stays as it is. Bodies that no force moves take p
 measured.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.inputs import property_of

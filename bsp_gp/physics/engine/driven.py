@@ -1,7 +1,5 @@
 """Where bodies that forces do not move are between the measured rows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

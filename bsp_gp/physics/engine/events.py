@@ -5,8 +5,6 @@ the instant by dt shifts the state behind it by (f_before - f_after) dt: without
 by a threshold, or by anything that a contact depends on, is wrong (LOOP §2, "saltation").
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.engine.motion import CREEP, Points

@@ -10,8 +10,6 @@ then frozen (a `Mesh`), so that a fit sees one smooth function of its unknowns. 
 changes within a step, the step ends there, and the derivatives jump (saltation).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

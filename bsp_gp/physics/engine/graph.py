@@ -6,8 +6,6 @@ operations that some outputs need; what depends on properties and constants alon
 by `Tape.prepare`. `kernel` runs it compiled, `Tape.run` with NumPy.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.operators import GUARD, OPERATORS, bessel_k0, bessel_k1

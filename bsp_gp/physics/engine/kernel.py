@@ -5,8 +5,6 @@ stage, is here one call for a step. Few points are left waiting by no interprete
 a stage needs stays in the cache. `compiled` packs laws into the arrays that are read here.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 
 import numba

@@ -9,8 +9,6 @@ instants at which its margin is zero. It is lowered to an input, its *mode*, and
 beside it: the integrator changes the mode where the margin changes its sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.errors import LawError

@@ -4,8 +4,6 @@ States have the shape ``(2, R, d, M)``: places and velocities of R bodies at M p
 belongs to a chain and an instant; all points are computed at once.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ A property that is fitted (`bsp_gp.fitting.parts.latents`) is a constant named a
 ``mass_i`` or ``mass_j``; its values and parameters are those of its bodies, here put in rows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.inputs import property_of

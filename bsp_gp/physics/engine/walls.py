@@ -7,8 +7,6 @@ wall (both sheets go on a little beyond the instant), and its derivatives jump a
 (saltation).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["Walls", "walls_of"]
