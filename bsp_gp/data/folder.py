@@ -27,7 +27,6 @@ def save_dataset(
 
     Parameters
     ----------
-    dataset : Dataset
     folder : path-like
         Created, with its parents.
     overwrite : bool

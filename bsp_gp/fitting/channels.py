@@ -45,7 +45,6 @@ class Channels:
 
         Parameters
         ----------
-        batches : sequence of Batch
         speeds : sequence of ndarray, shape (T, S, R, d), m/s, optional
             Fitted or smoothed velocities of the receivers.
         """

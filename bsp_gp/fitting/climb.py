@@ -77,7 +77,6 @@ class Climb:
     run : _Run
         The law, its parameters and bounds, the chains, what was given to start from.
     noises : sequence of ChainNoise
-    scales : Scales
     paper_steps : bool
     """
 
@@ -645,7 +644,6 @@ class Climb:
 
         Parameters
         ----------
-        minimum : Minimum
         motions : sequence of Motion
             Of the run's law with the terms behind it.
         n_most : int

@@ -50,7 +50,6 @@ class Coordinates:
 
     Parameters
     ----------
-    law : ForceLaw
     parameters : sequence of (name, entity)
     bases : dict of Formula to float
         Typical value of every base of a fitted power.

@@ -218,8 +218,6 @@ def fit(
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-    dataset : Dataset
     rng : numpy.random.Generator, int or None
         Unused so far: starts are chosen without chance.
     starts : mapping of str to float, optional

@@ -93,7 +93,6 @@ def held_out_errors(found, dataset, scenes, *, deadline=None):
     found : Fit
     dataset : Dataset
         For its axes, units and rows of evaluation.
-    scenes : sequence of Scene
     deadline : float, optional
         Seconds.
 
@@ -131,8 +130,6 @@ def predictions(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
         Seconds.
 
@@ -274,8 +271,6 @@ def with_states(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
 
     Returns
@@ -329,8 +324,6 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
 
     Returns

@@ -201,12 +201,7 @@ class TrackNoise(Part):
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Parts that together make recordings; hypotheses add up part by part.
-
-    Attributes
-    ----------
-    parts : tuple of Part
-    """
+    """Parts that together make recordings; hypotheses add up part by part."""
 
     parts: tuple[Part, ...] = field(default=())
 
@@ -216,7 +211,6 @@ class Hypothesis:
 
         Parameters
         ----------
-        dataset : Dataset
         laws : ForceLaw or sequence of str
             Constants of a ForceLaw are where a fit begins; texts are one force each, as for
             ``--law``.
@@ -307,12 +301,7 @@ class Hypothesis:
         return {name: value for name, value in (values or {}).items() if name in names}
 
     def seen(self, dataset):
-        """The rows with all edits of the parts, one after the other.
-
-        Parameters
-        ----------
-        dataset : Dataset
-        """
+        """The rows with all edits of the parts, one after the other."""
         for part in self.parts:
             dataset = part.seen(dataset)
         return dataset
@@ -327,7 +316,6 @@ def read_law(dataset, texts: Sequence[str]):
 
     Parameters
     ----------
-    dataset : Dataset
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
         ``"norm(p_i - (0, 1.2)) = L"``, or a string, ``"norm(p_i - (0, 1.2)) <= L"``. Named

@@ -251,8 +251,6 @@ def training_part(dataset, scenes, said):
 
     Parameters
     ----------
-    dataset : Dataset
-    scenes : tuple of Scene
     said : NoiseEstimate
 
     Returns

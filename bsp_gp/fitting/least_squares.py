@@ -47,12 +47,10 @@ def minimise(problem, start, *, low=None, high=None, settings=None, is_over=None
 
     Parameters
     ----------
-    problem : Problem
     start : object
         A point of the problem, inside of the bounds.
     low, high : array_like, shape (k,), optional
         Bounds of the shared unknowns; equal ones hold an unknown fixed.
-    settings : Settings, optional
     is_over : callable, optional
         Asked before every linearisation; true ends the search ("unconverged", code "stopped").
 

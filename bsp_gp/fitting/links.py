@@ -73,7 +73,6 @@ def link(pieces, changes, white, nodes, n_state):
 
     Parameters
     ----------
-    pieces : Pieces
     changes : ndarray, shape (L, W, n, F + n + k + 1)
         Of states at every instant, see `_Group.linearised`.
     white : ndarray, shape (W, rows, F + n + k + 1)

@@ -36,7 +36,6 @@ def estimate(
     ----------
     model : NoiseModel
         What is known; levels serve as a first guess.
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     columns : ndarray, shape (p, T, C), optional
         Derivatives of the residual to what the fit has free everywhere.

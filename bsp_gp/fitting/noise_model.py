@@ -178,7 +178,6 @@ class NoiseModel:
 
         Parameters
         ----------
-        channels : Channels
         weights : ndarray, shape (T, C), optional
             Of rows, as `tail_weights` gives them: white variances are divided by them.
         """

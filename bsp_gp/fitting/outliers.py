@@ -39,7 +39,6 @@ def without_outliers(scenes, sigma):
 
     Parameters
     ----------
-    scenes : sequence of Scene
     sigma : array-like, shape (d,), metres
         Standard deviation of a position; nan = an axis that is left out.
 

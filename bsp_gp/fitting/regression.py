@@ -17,7 +17,6 @@ def regressed(flows, nodes, noises, constants, free):
 
     Parameters
     ----------
-    flows : sequence of Flow
     nodes : sequence of ndarray, shape (2, R, d, T, S)
         Read off the data.
     noises : sequence of ChainNoise

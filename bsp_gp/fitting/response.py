@@ -253,7 +253,6 @@ def respond(fit, dataset, is_quick=False):
 
     Parameters
     ----------
-    fit : Fit
     dataset : Dataset
         That it was fitted to.
     is_quick : bool

@@ -28,7 +28,6 @@ def roll(law, chains, first, tolerance, paper_steps=False):
     ----------
     law : ForceLaw
         Its constants have values.
-    chains : Chains
     first : ndarray, shape (2, R, d, S)
         States at the first row.
     tolerance : ndarray, shape (S,), metres

@@ -173,7 +173,6 @@ def known_states(chains, noise):
 
     Parameters
     ----------
-    chains : Chains
     noise : ChainNoise
         Of their rows.
 
@@ -200,9 +199,7 @@ class Shooting:
 
     Parameters
     ----------
-    flow : Flow
     noise : ChainNoise
-    windows : Windows
     """
 
     def __init__(self, flow, noise, windows):
@@ -252,7 +249,6 @@ class Shooting:
         values : ndarray, shape (k,)
             Of the constants.
         nodes : ndarray, shape (2, R, d, T, S)
-        mesh : Mesh
 
         Returns
         -------

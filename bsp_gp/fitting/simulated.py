@@ -20,10 +20,7 @@ def simulated(found, dataset, scenes, count, rng):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     count : int
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -60,9 +57,7 @@ def draw_noise(model, channels, count, rng):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     count : int
-    rng : numpy.random.Generator
     """
     white, amplitude = model.parts(channels)
     shape = (count, *white.shape)

@@ -27,7 +27,6 @@ def first_nodes(chains, is_coarse=False):
 
     Parameters
     ----------
-    chains : Chains
     is_coarse : bool
         Whether neighbouring rows show the acceleration above the noise: then the curve is a spline,
         else differences over two rows.
@@ -282,9 +281,7 @@ def candidates(law, parameters, scales, rates, most):
 
     Parameters
     ----------
-    law : ForceLaw
     parameters : sequence of (name, entity)
-    scales : Scales
     rates : sequence of float
         Angular frequencies at which the tracks show something, rad/s.
     most : int

@@ -22,7 +22,6 @@ def log_likelihood(model, channels, residual):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     """
     if math.isinf(model.degrees):
@@ -42,7 +41,6 @@ def weights_of(model, channels, residual):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     """
     if math.isinf(model.degrees):

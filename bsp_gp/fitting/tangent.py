@@ -58,10 +58,6 @@ class Score:
 class Tangent:
     """The tangent of a fit.
 
-    Parameters
-    ----------
-    fit : Fit
-
     Attributes
     ----------
     residual : ndarray, shape (n,)

@@ -105,7 +105,6 @@ class TrackProblem:
     ----------
     shootings : sequence of Shooting
         One per group of like-built chains.
-    meshes : sequence of Mesh
     coordinates : Coordinates
         Between the driver's unknowns and the constants of the law.
     ridge : tuple of ndarray, shape (k,), optional

@@ -36,8 +36,6 @@ def with_entity(scene, entity, track=None, values=()):
 
     Parameters
     ----------
-    scene : Scene
-    entity : Entity
     track : ndarray, shape (2, T, d), optional
         Its places and velocities; by default no row shows it.
     values : mapping of str to float
@@ -89,7 +87,6 @@ def carried(flow, nodes, constants):
 
     Parameters
     ----------
-    flow : Flow
     nodes : ndarray
     constants : ndarray, shape (k,)
     """
@@ -133,7 +130,6 @@ def as_driven(found, dataset):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
 
     Returns
     -------

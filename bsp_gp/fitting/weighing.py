@@ -47,10 +47,6 @@ def as_normal(fit):
     of that information had left. So what asks a residual for causes needs to know of no tails, and
     no outlier passes for one.
 
-    Parameters
-    ----------
-    fit : Fit
-
     Returns
     -------
     Fit
@@ -89,7 +85,6 @@ def weighed(run, climb, minimum, model):
     run : _Run
     climb : Climb
         With steps that fit the minimum.
-    minimum : Minimum
     model : NoiseModel
 
     Returns

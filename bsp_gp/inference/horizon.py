@@ -22,8 +22,6 @@ class HorizonMisfit(_Misfit):
 
     Parameters
     ----------
-    law : ForceLaw
-    latents : Latents
     scenes : sequence of Scene
         Without gaps, one time step per scene.
     n_ahead : int

@@ -205,7 +205,6 @@ class PropertyTable:
     bodies : Bodies
         S stacked scenes with N entities.
     scene_names : sequence of str, length S
-    latents : Latents
     """
 
     def __init__(self, bodies, scene_names, latents):

@@ -70,7 +70,6 @@ class MotionBank:
 
     Parameters
     ----------
-    regression : Regression
     is_smooth : bool
         Whether accelerations are averaged over three rows as Numerov's rule has it.
     """

@@ -55,10 +55,8 @@ class Accounts:
     ----------
     fits : sequence of Fit
         The last one makes the copies.
-    dataset : Dataset
     scenes : sequence of Scene
         Held out.
-    rng : numpy.random.Generator
     n_copies : int
         Simulated copies of the scenes behind intervals; 0 = neither floor nor intervals from them.
     crew : Crew, optional

@@ -85,13 +85,10 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
 
     Parameters
     ----------
-    rounds : sequence of Round
     dataset : Dataset
         Training scenes.
-    criteria : Criteria, optional
     bounds : dict, optional
         Of the constants of what is declared.
-    clock : Clock, optional
     progress : callable, optional
 
     Returns

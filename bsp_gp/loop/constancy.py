@@ -115,10 +115,6 @@ class Constancy:
 def constancy(view):
     """The constancy of the terms of a View that nobody declared.
 
-    Parameters
-    ----------
-    view : View
-
     Returns
     -------
     Constancy

@@ -40,7 +40,6 @@ def decide(table, criteria=None):
     Parameters
     ----------
     table : HypothesisTable
-    criteria : Criteria, optional
 
     Returns
     -------

@@ -26,7 +26,6 @@ def log_evidence(fit, hypothesis, criteria=None):
 
     Parameters
     ----------
-    fit : Fit
     hypothesis : Hypothesis
         That was fitted; its parameters may have priors of their own.
     criteria : Criteria, optional
@@ -129,7 +128,6 @@ def significance(fit, name):
 
     Parameters
     ----------
-    fit : Fit
     name : str or None
         Empty where the fit has none of that name.
     """

@@ -39,7 +39,6 @@ class Foresight:
     ----------
     refitted : callable
         ``refitted(fit, hypothesis)`` gives a fit as it would be without the held-out rows.
-    dataset : Dataset
     scenes : sequence of Scene
         Held out.
     streams : sequence of numpy.random.Generator
@@ -98,11 +97,6 @@ def that_foresee(rounds, foresight):
 
     Where something is left in the end, the last causes that make them no better go as well.
 
-    Parameters
-    ----------
-    rounds : sequence of Round
-    foresight : Foresight
-
     Returns
     -------
     list of Round
@@ -131,7 +125,6 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
     ----------
     found : Fit
         The final law, to the scenes that it was found in.
-    hypothesis : Hypothesis
     accounts : Accounts
         Errors of its predictions are the last there.
     whole : callable

@@ -27,12 +27,7 @@ BARE = ("entering", "fits", "families")
 
 
 def text_of(rounds):
-    """Rounds as JSON text.
-
-    Parameters
-    ----------
-    rounds : sequence of Round
-    """
+    """Rounds as JSON text."""
     out = []
     for done in rounds:
         told = _told(done)

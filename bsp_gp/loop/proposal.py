@@ -134,8 +134,6 @@ class Proposal:
         Parameters
         ----------
         base : Fit
-        dataset : Dataset
-        criteria : Criteria
         bounds : dict, optional
             Of the constants of what is declared.
         deadline : float, optional

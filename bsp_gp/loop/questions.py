@@ -61,7 +61,6 @@ def noise_findings(view, most=MOST_FUNCTIONS):
 
     Parameters
     ----------
-    view : View
     most : int
         Functions of time for each channel. What forces do quickly is taken for noise beside few,
         and memories that are long for forces beside many.

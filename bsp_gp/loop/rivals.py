@@ -74,10 +74,6 @@ class Explained:
         """Whether a law is the one that leaves nothing, where a power in it is a whole number.
 
         And no other power near it does better, as far as moments tell.
-
-        Parameters
-        ----------
-        proposal : Proposal
         """
         if len(proposal.formulas) != 1 or len(self.proposal.formulas) != 1:
             return False

@@ -133,7 +133,6 @@ class HypothesisTable:
         ----------
         best : Row
         unknown : sequence of Unknown
-        criteria : Criteria
         """
         first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
         rows = tuple(

@@ -245,7 +245,6 @@ def factors_of(law, units):
 
     Parameters
     ----------
-    law : ForceLaw
     units : UnitSystem
 
     Returns

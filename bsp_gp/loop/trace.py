@@ -116,7 +116,6 @@ def free_forces(view, count):
 
     Parameters
     ----------
-    view : View
     count : int
         Cosines of its rank beside a constant.
 
@@ -137,7 +136,6 @@ def smooth_variables(view, count=2, with_names=False):
 
     Parameters
     ----------
-    view : View
     count : int
         Cosines of its rank.
     with_names : bool

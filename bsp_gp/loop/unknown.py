@@ -68,7 +68,6 @@ def unknowns(view, terms, gain):
 
     Parameters
     ----------
-    view : View
     terms : sequence of Term
         Of its law, those whose strength may vary.
     gain : float
@@ -139,7 +138,6 @@ def _log_odds(view, columns, gain=None):
 
     Parameters
     ----------
-    view : View
     columns : ndarray, shape (n, F)
         At the greatest amplitude.
     gain : float, optional

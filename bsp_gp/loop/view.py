@@ -36,12 +36,8 @@ class View:
 
     Parameters
     ----------
-    fit : Fit
-    hypothesis : Hypothesis
     dataset : Dataset
         Training scenes.
-    rng : numpy.random.Generator
-    criteria : Criteria, optional
 
     Attributes
     ----------

@@ -29,7 +29,6 @@ def whereabouts(dataset, part, fit, rng):
     part : HiddenSource
     fit : Fit
         With it.
-    rng : numpy.random.Generator
 
     Returns
     -------

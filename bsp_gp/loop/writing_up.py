@@ -57,7 +57,6 @@ def record_of(
     done : Round
     scored : tuple of int or None
         Which fits of the accounts entered the round, and came out of it (None: none).
-    accounts : Accounts
     dataset : Dataset
         Training scenes.
     bounds : dict
@@ -65,7 +64,6 @@ def record_of(
         Whether backward removal has taken back what it adopted.
     constancy : Constancy or None
         Of the final law; None where there was no time to ask.
-    criteria : Criteria
     doubt : str
         Why the final law only describes the tracks, of `DESCRIBES`, or "".
     restated : Restated or None
@@ -117,7 +115,6 @@ def is_many(rounds, removed):
 
     Parameters
     ----------
-    rounds : sequence of Round
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
@@ -334,8 +331,6 @@ def about_data(dataset, split, notes):
 
     Parameters
     ----------
-    dataset : Dataset
-    split : Split
     notes : tuple of str
         What was found when the data were made ready.
     """
@@ -436,7 +431,6 @@ def overlays(accounts, begin):
 
     Parameters
     ----------
-    accounts : Accounts
     begin : int
         Which of its fits is the declared one.
 
@@ -464,8 +458,6 @@ def residual_table(first, last, dataset, split):
     Parameters
     ----------
     first, last : Fit
-    dataset : Dataset
-    split : Split
 
     Returns
     -------

@@ -97,7 +97,6 @@ def subset(bodies, scenes):
 
     Parameters
     ----------
-    bodies : Bodies
     scenes : ndarray of int, shape (S,)
     """
     shapes = bodies.shapes
@@ -169,7 +168,6 @@ class PairInputs(_Inputs):
 
     Parameters
     ----------
-    bodies : Bodies
     positions, velocities : ndarray, shape (..., S, N, d)
     times : ndarray, shape (..., S)
     """
@@ -240,7 +238,6 @@ def stack(scenes, up=None, velocity="ignore"):
 
     Parameters
     ----------
-    scenes : sequence of Scene
     up : str or None
         Declared vertical axis of the data set.
     velocity : str

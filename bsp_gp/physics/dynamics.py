@@ -57,7 +57,6 @@ class Tracks:
 
     Parameters
     ----------
-    batch : Batch
     substeps : int
         The places asked for are rows and the halves of every sub-step.
     """
@@ -120,7 +119,6 @@ def rollout(law, batch, positions, velocities, *, integrator="rk4", substeps=1, 
 
     Parameters
     ----------
-    law : ForceLaw
     batch : Batch
         Scenes to roll out: their times, bodies, and the tracks of entities that are not moved.
     positions, velocities : ndarray, shape (..., S, R, d)

@@ -26,8 +26,6 @@ class PreparedLaw:
 
     Parameters
     ----------
-    law : ForceLaw
-    bodies : Bodies
     values : dict, optional
         Constants as `ForceLaw.values` gives them; they may have leading axes for copies.
     skips : bool
@@ -175,8 +173,6 @@ class Settling:
 
     Parameters
     ----------
-    term : Term
-    bodies : Bodies
     per_entity : bool
     """
 

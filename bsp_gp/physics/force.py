@@ -523,10 +523,6 @@ def needs_masses(law):
     """Whether a number or a constant of a law has kilograms in its unit, so that masses count.
 
     A law per unit mass, such as `9.81 [m/s^2] * m_i * down`, is the same for every mass.
-
-    Parameters
-    ----------
-    law : ForceLaw
     """
     kg = BASE.index("kg")
     units = []

@@ -69,7 +69,6 @@ def build_regression(
 
     Parameters
     ----------
-    scenes : sequence of Scene
     method : str
         One of `METHODS`.
     sigma : array-like, shape (d,) or float, optional

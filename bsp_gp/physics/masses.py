@@ -45,7 +45,6 @@ def with_usable_masses(dataset, counts=True):
 
     Parameters
     ----------
-    dataset : Dataset
     counts : bool
         Whether the mass makes a difference, as far as the law is known.
 
@@ -100,7 +99,6 @@ def check_properties(batches, law):
     ----------
     batches : sequence
         With the `bodies` of some scenes.
-    law : ForceLaw
 
     Raises
     ------

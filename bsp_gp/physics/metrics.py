@@ -41,8 +41,6 @@ def one_step_errors(scenes, law, up=None, sources=True):
 
     Parameters
     ----------
-    scenes : sequence of Scene
-    law : ForceLaw
     up : str or None
     sources : bool
         Whether rows where any body is lost are left out, as they must be where laws name others.

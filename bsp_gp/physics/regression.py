@@ -150,7 +150,6 @@ class Regression:
 
         Parameters
         ----------
-        term : Term
         per_entity : bool
         cache : list of dict, one per batch, optional
             Values of sub-formulas, kept between calls for terms of one kind.

@@ -48,7 +48,6 @@ class WeakForm:
 
     Parameters
     ----------
-    batches : list of Batch
     sigma : ndarray, shape (d,)
         Standard deviation of positions, m (of velocities, m/s, where they are measured), in rows
         for which the scene quotes none; nan: the axis is left out.

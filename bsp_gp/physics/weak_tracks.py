@@ -249,7 +249,6 @@ class Track:
         Parameters
         ----------
         times : ndarray, shape (T,)
-        runs : list of Run
         spacing : float
             See `combs`.
         sigma : ndarray, shape (T,)

@@ -97,7 +97,6 @@ def recording_of(answer, experiment):
     Parameters
     ----------
     answer : mapping or Recording
-    experiment : Experiment
 
     Returns
     -------

@@ -104,8 +104,6 @@ def plan(rivals, means, *, rng=None, about="", n_tried=96, n_told=5, up=None):
 
     Parameters
     ----------
-    rivals : sequence of Rival
-    means : Means
     rng : numpy.random.Generator, int or None
     about : str
         A constant of the likeliest law about which something is asked, in place of which law.
@@ -172,11 +170,8 @@ def foreseen(rivals, draws, experiments, means, rng, up=None):
 
     Parameters
     ----------
-    rivals : sequence of Rival
     draws : sequence of dict
         Constants of each as they may be, the best first.
-    experiments : sequence of Experiment
-    means : Means
     rng : numpy.random.Generator
         Of the errors with which bodies are put and set off.
 
@@ -211,7 +206,6 @@ def _n_foreseeable(track, free, scene):
     track : ndarray, shape (D, T, R, d)
         Moving bodies under draws of the constants, the best first.
     free : ndarray, shape (T, R, d)
-    scene : Scene
     """
     still = np.delete(scene.positions[:1], scene.dynamic, axis=1)
     bodies = np.concatenate([track[0], np.repeat(still, track.shape[1], axis=0)], axis=1)
@@ -291,7 +285,6 @@ def information(weights, centres, roots, rng, count=N_ROWS):
     weights : ndarray, shape (H,)
     centres, roots : ndarray, shapes (H, n) and (H, n, n)
         Of the normals that the laws foresee.
-    rng : numpy.random.Generator
     count : int
         Rows per law.
 

@@ -69,10 +69,6 @@ class Rival:
 def in_common(law):
     """A law whose constants by scene or body are one for all, their median: it foretells.
 
-    Parameters
-    ----------
-    law : ForceLaw
-
     Returns
     -------
     ForceLaw
@@ -140,7 +136,6 @@ def kin_of(rival, dataset):
 
     Parameters
     ----------
-    rival : Rival
     dataset : Dataset
         For types and units.
 
@@ -190,10 +185,6 @@ def kin_of(rival, dataset):
 
 def less_a_term(rival):
     """Laws that lack one of the terms of a sum: what was found beside another form may be none.
-
-    Parameters
-    ----------
-    rival : Rival
 
     Returns
     -------

@@ -155,7 +155,6 @@ class Banks:
     ----------
     grammar : Grammar
         Masked to what the data supply.
-    rows : Rows
     log_probs : ndarray, shape (n_rules,)
         Under the uniform PCFG.
     """

@@ -72,7 +72,6 @@ class Searching:
     ----------
     searches : mapping of str to int
         As of `searches_for`.
-    grammar : Grammar
     budget : int
         Laws that each guided search may score for one kind of law.
     missing_inputs : tuple of str

@@ -22,7 +22,6 @@ class Columns:
 
     Parameters
     ----------
-    rows : Rows
     y : ndarray, shape (n,)
         Whitened target, free terms projected out.
     q : ndarray, shape (n, k)

@@ -230,7 +230,6 @@ class InnerSearch:
 
     Parameters
     ----------
-    regression : Regression
     target, draws : ndarray, shapes (n,) and (n, B)
         What is to be explained, and simulated noise, beside what constants of the law take up.
     beside : callable

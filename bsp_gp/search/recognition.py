@@ -66,7 +66,6 @@ class Recogniser:
     ----------
     grammar : Grammar
         Masked to the data.
-    rows : Rows
     """
 
     def __init__(self, grammar, rows):

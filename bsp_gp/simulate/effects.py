@@ -38,7 +38,6 @@ class ExtraBody:
 
     Parameters
     ----------
-    entity : Entity
     place : (float, float) or None
         None: drawn anew in every scene, so far from the middle of the bodies that `distance`
         (low, high) times their spread lies between.

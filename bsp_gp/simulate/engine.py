@@ -66,14 +66,12 @@ class Motion:
 
     Parameters
     ----------
-    forces : tuple of Force
     n_frames : int
         At least 3.
     dt : float, seconds
         Between frames.
     substeps : int
         Steps of the engine per frame.
-    contacts : Contacts
     """
 
     forces: tuple[Force, ...] = ()

@@ -54,7 +54,6 @@ class Settings:
         Of the declared model; by default those of the layout.
     effects : tuple of Effect
         What differs from that; undeclared ones are in the truth only.
-    observation : Observation
     up : str or None
         Axis that points up, as the data set declares it.
     train_share : float

@@ -47,7 +47,6 @@ class DiscTracker:
 
     Parameters
     ----------
-    video : Video
     colours : mapping of str to ndarray, shape (3,)
         BGR by the name of the kind.
     radius : float or mapping of str to float, optional

@@ -69,7 +69,6 @@ def read_constraint(dataset, text, pairs=None):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         An equation between places. Points are written as their coordinates, in the unit of the
         data; names in them, and elsewhere, are fitted. ``x_i, y_i, z_i`` are coordinates;
@@ -118,7 +117,6 @@ def read_string(dataset, text):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         As of `read_constraint`.
 

@@ -111,8 +111,6 @@ def unknown_properties(dataset, latents, scenes):
     ----------
     dataset : Dataset
         For units.
-    latents : Latents
-    scenes : sequence of Scene
     """
     mine = set(latents.of_scenes([scene.name for scene in scenes])[1].tolist())
     shown = tuple(item for k, item in enumerate(latents.items) if k in mine)

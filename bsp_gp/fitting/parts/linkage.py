@@ -55,7 +55,6 @@ def read_linkage(dataset, text):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
 
     Returns

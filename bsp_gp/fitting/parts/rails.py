@@ -36,7 +36,6 @@ def rail_of(dataset, still):
 
     Parameters
     ----------
-    dataset : Dataset
     still : collection of str
         Axes along which no body moves, see `NoiseEstimate.inactive_axes`.
     """

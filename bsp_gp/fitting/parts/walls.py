@@ -139,7 +139,6 @@ def read_wall(dataset, text):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         The place is a name, or a number where the fit begins, ``0.12 [m]`` or in the unit of the
         data; then follow names of what is fitted as well: the parts of the speed across and along

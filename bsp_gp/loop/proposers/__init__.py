@@ -36,7 +36,6 @@ def standard(grammar, dataset, **settings):
 
     Parameters
     ----------
-    grammar : Grammar
     dataset : Dataset
         Training scenes.
     **settings

@@ -22,12 +22,7 @@ class Aslant(Sources):
     name = "aslant"
 
     def propose(self, view):
-        """The family of the best place in the best plane, where no declared force names places.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of the best place in the best plane, where no declared force names places."""
         if not is_open(view) or any("p_i" in t.formula.inputs for t in view.fit.law.terms):
             return Family(self.name)
         stage, tried = Stage(view), []

@@ -36,12 +36,7 @@ class ByOwner:
         self.laws = laws
 
     def propose(self, view):
-        """The family of all such laws.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all such laws."""
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
@@ -78,7 +73,6 @@ def forms_of(laws, view, more=()):
     ----------
     laws : Laws
         Asked before in this round.
-    view : View
     more : sequence of Formula
         Forms beside those of textbooks and the leading ones of the search.
     """

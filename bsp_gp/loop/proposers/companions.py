@@ -42,12 +42,7 @@ class Companions(Sources):
     name = "companions"
 
     def propose(self, view):
-        """The family of bodies let go, and on circles.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of bodies let go, and on circles."""
         is_angle = view.dataset.units.is_angle
         if is_angle or len(view.dataset.scenes) > 1 or not _moves_anything(view):
             return Family(self.name)
@@ -81,8 +76,6 @@ class Orbits:
 
     Parameters
     ----------
-    view : View
-    stage : Stage
     terms : tuple of (Term, Term)
         By which the body acts, of `pulls_of`.
 

@@ -31,12 +31,7 @@ class Contacts:
     name = "contacts"
 
     def propose(self, view):
-        """The family of all instants and bodies.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all instants and bodies."""
         if view.fit.paper_steps:
             return Family(self.name)
         scans, first, spans = [], 0, _spans(view.dataset)

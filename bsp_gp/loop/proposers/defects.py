@@ -45,12 +45,7 @@ class Defects:
     """Some defects show without a fit."""
 
     def propose(self, view):
-        """The family of all rows and change-points.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all rows and change-points."""
         if view.fit.is_failed:
             return self._family(view, [], [], np.zeros(2))
         windows, shifts, even = [], {}, 0.0

@@ -27,12 +27,7 @@ class Declared:
     name = "declared"
 
     def propose(self, view):
-        """The family of changed exponents and numbers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of changed exponents and numbers."""
         proposals, numbers, null = [], [], np.zeros(view.moment_draws.shape[1])
         for index, term in view.single_terms:
             if not term.is_declared:

@@ -27,10 +27,6 @@ class Frames:
         """The family of both.
 
         An accelerated frame is a push in proportion to mass, which laws and periods propose.
-
-        Parameters
-        ----------
-        view : View
         """
         if view.dataset.units.is_angle or _is_turning(view.fit.law):
             return Family(self.name)

@@ -23,12 +23,7 @@ class Growing:
     name = "growing"
 
     def propose(self, view):
-        """The family of all terms of the law.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms of the law."""
         law, proposals, null = view.fit.law, [], np.zeros(view.moment_draws.shape[1])
         begin = min(float(scene.times[0]) for scene in view.dataset.scenes)
         span = max(float(scene.times[-1]) for scene in view.dataset.scenes) - begin

@@ -68,12 +68,7 @@ class Hidden(Sources):
     name = "hidden"
 
     def propose(self, view):
-        """The family of sources at rest, and for a single recording of moving ones.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of sources at rest, and for a single recording of moving ones."""
         if view.dataset.units.is_angle:  # no angle says where a source might be
             return Family(self.name)
         stage = Stage(view)
@@ -101,7 +96,6 @@ def pulls_of(view, strength):
 
     Parameters
     ----------
-    view : View
     strength : str
         Name of the constant that stands for the strength.
 

@@ -28,10 +28,6 @@ class Inclinations:
 
         The law of the fit, its constants as they are and its strength free, is weighed in planes
         of every inclination.
-
-        Parameters
-        ----------
-        view : View
         """
         law = view.fit.law
         if not is_open(view) or not any("p_i" in t.formula.inputs for t in law.terms):

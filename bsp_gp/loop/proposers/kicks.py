@@ -59,12 +59,7 @@ class Kicks:
     name = "kicks"
 
     def propose(self, view):
-        """The family of kicks; empty where something is declared, or forces are told instead.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of kicks; empty where something is declared, or forces are told instead."""
         fit = view.fit
         axes = np.flatnonzero(np.isfinite(fit.noise.levels))
         tracks = _tracks(view.dataset, axes)

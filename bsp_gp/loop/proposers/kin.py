@@ -28,7 +28,6 @@ def kin_of(law, n_dims, logged=()):
 
     Parameters
     ----------
-    law : ForceLaw
     n_dims : int
     logged : sequence of Input
         Columns with which the strength of every term, declared or found, may vary.

@@ -26,12 +26,7 @@ class LateLogs:
     name = "late"
 
     def propose(self, view):
-        """The family of all inputs, each with all delays.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all inputs, each with all delays."""
         law = view.fit.law
         named = {n for term in law.terms for n in term.formula.inputs}
         late = {n for part in law.frame if part.kind == "log" for n in part.inputs}

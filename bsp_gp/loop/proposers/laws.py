@@ -65,7 +65,6 @@ class Laws:
 
     Parameters
     ----------
-    grammar : Grammar
     dataset : Dataset
         Training scenes.
     max_levels : int
@@ -121,12 +120,7 @@ class Laws:
             self.common = [f for f in self.common if not _is_about_the_origin(f)]
 
     def propose(self, view):
-        """The family of all laws.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all laws."""
         target, _ = view.response.left()
         draws = view.moment_draws
         found, null, certificates, n_tried = self._searched(

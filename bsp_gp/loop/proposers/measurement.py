@@ -30,12 +30,7 @@ class Measurement:
     asks_rows = True
 
     def propose(self, view):
-        """The family of all kinds that make sense for the data.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all kinds that make sense for the data."""
         known = set(view.fit.law.constants)
         parts = [p for p in kinds_of(view.dataset, view.fit) if known.isdisjoint(p.names)]
         codes, tried = [part.code for part in parts], []

@@ -29,12 +29,7 @@ class Noise:
     asks_rows = True
 
     def propose(self, view):
-        """Noise that is estimated, or with a memory.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """Noise that is estimated, or with a memory."""
         model = view.fit.noise
         if "declared" in model.sources:
             return self.doubted(view)

@@ -50,12 +50,7 @@ class OwnLaws:
         self.laws = laws
 
     def propose(self, view):
-        """The family of the sum that suits each body best.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of the sum that suits each body best."""
         null = np.zeros(view.moment_draws.shape[1])
         names = {s.names[k] for s in view.dataset.scenes for k in s.dynamic}
         meet = any(len(s.dynamic) > 1 for s in view.dataset.scenes)

@@ -37,12 +37,7 @@ class Periods:
     name = "periods"
 
     def propose(self, view):
-        """The family of all periods.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all periods."""
         rates = rates_of(view)
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         if not len(rates):
@@ -123,7 +118,6 @@ def wave_beside(view, columns, alone):
 
     Parameters
     ----------
-    view : View
     columns : ndarray, shape (n, c)
     alone : tuple
         Of `waves_alone`.
@@ -320,7 +314,6 @@ def waving(view, axes, rate, angle_of, has_mass, is_placed=False):
 
     Parameters
     ----------
-    view : View
     axes : sequence of int
     rate : Constant
     angle_of : callable

@@ -19,12 +19,7 @@ class Pulsing:
     name = "pulsing"
 
     def propose(self, view):
-        """The family of all terms of the law, each with all rates.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms of the law, each with all rates."""
         rates, law = rates_of(view), view.fit.law
         null, proposals, best = np.zeros(view.moment_draws.shape[1]), [], 0.0
         if not len(rates):

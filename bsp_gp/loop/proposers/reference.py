@@ -16,12 +16,7 @@ class References:
     name = "reference"
 
     def propose(self, view):
-        """The family of that one cause, which has no free number.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of that one cause, which has no free number."""
         null = np.zeros(view.moment_draws.shape[1])
         is_known = any(isinstance(part, Reference) for part in view.hypothesis.parts)
         terms = tuple(t for term in view.fit.law.terms for t in pulls_on_origin(term))

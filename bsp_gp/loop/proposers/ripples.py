@@ -35,12 +35,7 @@ class Ripples:
     name = "ripples"
 
     def propose(self, view):
-        """The family of all wavenumbers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all wavenumbers."""
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         numbers = _wavenumbers(view, axes)
         if view.is_astronomical or not len(numbers):

@@ -72,12 +72,7 @@ class Rods:
     name = "constraints"
 
     def propose(self, view):
-        """The family of all distances and lines of bodies that are not held already.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all distances and lines of bodies that are not held already."""
         if view.is_astronomical:  # no rod is as long: an orbit of small eccentricity is a circle
             return Family(self.name)
         pairs = [pair for part in constraints_of(view.fit.law) for pair in part.pairs]

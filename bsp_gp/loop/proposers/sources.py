@@ -39,12 +39,7 @@ class Sources:
     name = "sources"
 
     def propose(self, view):
-        """The family of all powers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all powers."""
         names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
         together = max(len(scene.names) for scene in view.dataset.scenes)
         if together < FEWEST or len(names) > MOST or view.is_sky or view.dataset.units.is_angle:

@@ -21,12 +21,7 @@ STILL = 3.0
 
 
 def stuck(view):
-    """Every track that stands still from or up to some row: parts, gain less price, gain as pair.
-
-    Parameters
-    ----------
-    view : View
-    """
+    """Tracks that stand still from or up to some row: parts, gain less price, gain as pair."""
     share, levels = smooth_levels(view)
     axes, parts, excess, best = np.isfinite(levels), [], 0.0, 0.0
     for scene in view.dataset.scenes:

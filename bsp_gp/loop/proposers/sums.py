@@ -35,7 +35,6 @@ def pairs_of(view, found):
 
     Parameters
     ----------
-    view : View
     found : list of Candidate
         The likeliest first.
 
@@ -74,7 +73,6 @@ def sets_of(view, laws, found, declared):
 
     Parameters
     ----------
-    view : View
     laws : Laws
         The proposer: its grammar and bounds.
     found : list of Candidate

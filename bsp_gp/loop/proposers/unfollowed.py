@@ -31,12 +31,7 @@ class Unfollowed:
         self.laws = laws
 
     def propose(self, view):
-        """The family of all such laws; an empty one where the declared law was fitted.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all such laws; an empty one where the declared law was fitted."""
         if not view.is_lost:
             return Family(self.name)
         law, n_dims = view.hypothesis.law, view.dataset.n_dims

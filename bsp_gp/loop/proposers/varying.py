@@ -24,12 +24,7 @@ class Varying:
     name = "varying"
 
     def propose(self, view):
-        """The family of all terms, each by body and by scene.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms, each by body and by scene."""
         proposals, even, best = [], np.zeros(view.moment_draws.shape[1]), 0.0
         by_whom = owners(view)
         law = view.fit.law
@@ -57,7 +52,6 @@ def owners(view, fewest=2):
 
     Parameters
     ----------
-    view : View
     fewest : int
         Scenes, or bodies, that there have to be.
 
@@ -79,8 +73,6 @@ def columns_by(view, term, constants, by):
 
     Parameters
     ----------
-    view : View
-    term : Term
     constants : mapping of str to float
         Of the term.
     by : str
@@ -102,7 +94,6 @@ def _columns_of_owners(view, law, owner, count):
 
     Parameters
     ----------
-    view : View
     law : ForceLaw
         With values.
     owner : callable
@@ -150,7 +141,6 @@ def beside_unknown(view, proposals):
 
     Parameters
     ----------
-    view : View
     proposals : list of Proposal
         Of one law each.
     """

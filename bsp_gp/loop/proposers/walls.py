@@ -52,12 +52,7 @@ class Walls:
     name = "walls"
 
     def propose(self, view):
-        """The family of all walls that tracks turn back at.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all walls that tracks turn back at."""
         if view.is_astronomical or view.fit.paper_steps:
             return Family(self.name)
         found = _jumps_of(view)
@@ -244,7 +239,6 @@ def _flights(dataset, jumps_of, groups):
 
     Parameters
     ----------
-    dataset : Dataset
     jumps_of : dict of (str, int) to list of Jump
         By scene and number of the body.
     groups : dict of (int, int) to list of Jump

@@ -41,12 +41,7 @@ class Winds:
     name = "winds"
 
     def propose(self, view):
-        """One cause where drag was declared, and one where friction of constant size was.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """One cause where drag was declared, and one where friction of constant size was."""
         terms = [(k, t) for k, t in view.single_terms if t.is_declared]
         drags = [(k, t) for k, t in terms if _is_drag(t.formula)]
         rubs = [(k, t) for k, t in terms if _is_friction(t.formula)]

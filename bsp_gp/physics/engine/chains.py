@@ -192,8 +192,6 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_l
 
     Parameters
     ----------
-    law : ForceLaw
-    scenes : sequence of Scene
     up : str or None
     velocity : str
         "measured" keeps the scenes' velocities.

@@ -19,12 +19,7 @@ NONE = np.zeros((1, 0, 0, 0))
 
 
 class Compiled:
-    """The programs of a motion, packed.
-
-    Parameters
-    ----------
-    motion : Motion
-    """
+    """The programs of a motion, packed."""
 
     def __init__(self, motion):
         self.motion = motion
@@ -177,7 +172,6 @@ class Compiled:
 
         Parameters
         ----------
-        scheme : Scheme
         state : ndarray, shape (2, R, d, M)
         h : ndarray, shape (M,), s
         inputs : Inputs

@@ -85,10 +85,7 @@ class Constraints:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
-    owners : Owners
     """
 
     def __init__(self, law, chains, parameters, owners):

@@ -13,12 +13,7 @@ MOST_KEPT = 1 << 27
 
 
 class Driven:
-    """Tracks of the driven bodies of some chains: at rest, or a curve through what was measured.
-
-    Parameters
-    ----------
-    chains : Chains
-    """
+    """Tracks of the driven bodies of some chains: at rest, or a curve through what was measured."""
 
     def __init__(self, chains):
         track = chains.driven

@@ -37,8 +37,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
 
     Parameters
     ----------
-    flow : Flow
-    scheme : Scheme
     stages : _Stages
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.

@@ -134,7 +134,6 @@ class Flow:
 
     Parameters
     ----------
-    motion : Motion
     tolerance : ndarray, shape (S,), metres
         Error that one interval of a chain may have.
     paper_steps : bool
@@ -505,7 +504,6 @@ class Flow:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        mesh : Mesh
         slopes : bool
 
         Returns

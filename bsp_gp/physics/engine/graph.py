@@ -288,7 +288,6 @@ class Tape:
 
     Parameters
     ----------
-    graph : Graph
     outputs : sequence of int
         Nodes to compute.
     moving : collection of str

@@ -33,8 +33,6 @@ class Linkages:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
     """
 

@@ -48,7 +48,6 @@ class Lowering:
 
     Parameters
     ----------
-    graph : Graph
     n_dims : int
     direction : callable
         ``direction(name)`` gives the components of a lab axis.
@@ -317,10 +316,6 @@ def fades_at_rest(formula):
 
     Told from its factors: drag ``norm(v_i)^2 * normalize(v_i)`` does, friction and what has a
     power that is fitted do not. Where it acts against a medium, the speed in that is meant.
-
-    Parameters
-    ----------
-    formula : Formula
     """
     above, below = factors(formula)
     powers = {}

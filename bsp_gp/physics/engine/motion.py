@@ -187,8 +187,6 @@ class Motion:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
         The constants that derivatives are taken by; entity "" = one for all.
     """

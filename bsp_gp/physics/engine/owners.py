@@ -23,8 +23,6 @@ class Owners:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
     others : ndarray of int, shape (R, J)
         Sources of every receiver.
