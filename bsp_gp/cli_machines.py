@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["MachineSettings", "make_machine", "read_machine", "undeclared_of"]
-
 
 @dataclass(frozen=True)
 class MachineSettings:

@@ -6,8 +6,6 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["Random", "generator"]
-
 Random = np.random.Generator | int | None
 """What may be given; see `generator`."""
 

@@ -15,11 +15,6 @@ from types import MappingProxyType
 
 from bsp_gp.errors import UnitError
 
-__all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "OF_THE_SKY",
-    "UNCALIBRATED", "Unit", "UnitSystem", "parse_unit",
-]  # fmt: skip
-
 
 def _frozen(mapping):
     return MappingProxyType(mapping)

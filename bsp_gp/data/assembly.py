@@ -32,8 +32,6 @@ from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = ["Rows", "along_named_axis", "axes_of", "build_rows", "build_scenes", "inputs_of"]
-
 MAX_CELLS = 100_000_000
 
 

@@ -15,8 +15,6 @@ from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
 
-__all__ = ["Declaration", "read_declaration", "select_scenes", "split_prior", "toml_text"]
-
 PROVENANCE_KEYS = (
     "description", "source", "license", "licence", "authors", "url", "doi", "citation", "date",
     "version", "contact",

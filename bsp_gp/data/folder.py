@@ -15,8 +15,6 @@ from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
 from bsp_gp.units import OF_THE_SKY, UNCALIBRATED
 
-__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
-
 TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
 
 

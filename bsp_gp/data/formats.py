@@ -33,8 +33,6 @@ from bsp_gp.data.untimed import COUNTED, rows_as_frames
 from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
 
-__all__ = ["Table", "long_table", "read_table"]
-
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _HEAD_LINES = 60
 

@@ -25,13 +25,6 @@ from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
-__all__ = [
-    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
-    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_doubt", "is_error",
-    "is_frame_name", "is_height", "is_ignored", "is_no_place", "is_own_speed", "is_rate", "is_run",
-    "number_columns", "property_of_words", "run_of", "told",
-]  # fmt: skip
-
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
 )  # fmt: skip

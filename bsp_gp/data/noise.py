@@ -9,11 +9,6 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import Unit, parse_unit
 
-__all__ = [
-    "FLOOR", "NoiseEstimate", "checked_noise", "declare_noise", "estimate_noise", "finest_noise",
-    "is_declared_noisy",
-]  # fmt: skip
-
 ORDERS = range(2, 9)
 FLOOR = 1e-12
 """Part of the range of the positions below which no noise is taken to lie."""

@@ -10,11 +10,6 @@ import pandas as pd
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
 
-__all__ = [
-    "WITHIN", "Roster", "fail_at", "numbers_of", "read_roster", "require_columns", "roster_within",
-    "tracks_of",
-]  # fmt: skip
-
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 WITHIN = ("mass", "charge")
 """Properties that a table of tracks may say itself, where it says their unit."""

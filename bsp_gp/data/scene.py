@@ -15,11 +15,6 @@ import numpy as np
 from bsp_gp.errors import DataError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
 
-__all__ = [
-    "CHECK", "SHAPES", "Dataset", "Entity", "Evaluation", "FirstState", "LatentDeclaration",
-    "Scene",
-]  # fmt: skip
-
 CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""
 SHAPES = ("point", "disc", "rect_wall", "rect_mat")

@@ -8,8 +8,6 @@ from bsp_gp.data.conversion import is_unit
 from bsp_gp.data.headings import Heading, has_place, headings, is_ignored, number_columns
 from bsp_gp.errors import DataError, in_python
 
-__all__ = ["DELIMITER_NAMES", "Layout", "sniff", "split_line"]
-
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _COMMENT = re.compile(r"^\ufeff?[#%]\s*")

@@ -12,8 +12,6 @@ from pathlib import Path
 from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.errors import DataError, MissingDependencyError
 
-__all__ = ["Source", "open_source"]
-
 MAX_BYTES = 4 * 2**30
 MAX_ROWS = 20_000_000
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f\x7f]")

@@ -8,8 +8,6 @@ import numpy as np
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, in_python
 
-__all__ = ["Split", "choose_split"]
-
 MIN_SCENES = 4
 TEST_SHARE = 0.25
 HELD_OUT_TIME = 0.3

@@ -8,8 +8,6 @@ import pandas as pd
 from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
 from bsp_gp.errors import DataError
 
-__all__ = ["Group", "groups_of", "stack"]
-
 _AXES = ("x", "y", "z")
 
 

@@ -9,8 +9,6 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
-__all__ = ["maximise"]
-
 _STEP = 1e-6
 """Of slopes; the numbers are logarithms, of which half of it is far below their errors."""
 _STEP_OF_CURVATURE = 1e-3

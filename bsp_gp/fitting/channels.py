@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Channels", "join"]
-
 
 @dataclass(frozen=True, eq=False)
 class Channels:

@@ -27,8 +27,6 @@ from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
 from bsp_gp.physics.engine.walls import walls_of
 
-__all__ = ["Climb"]
-
 GROWTH = 8
 """Times that pieces are longer from level to level."""
 GROUPS_GROWTH = 3

@@ -9,8 +9,6 @@ import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, factors, walk
 
-__all__ = ["Coordinates", "powers_of"]
-
 
 def powers_of(formula):
     """Powers with a fitted exponent in a term: (base, name of the exponent, sign).

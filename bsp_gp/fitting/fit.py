@@ -34,8 +34,6 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.geometry import POINT
 
-__all__ = ["FAILED", "STATUSES", "Fit", "FitTolerances", "fit"]
-
 STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "converged")
 """How a fit can end; the first that applies."""
 FAILED = STATUSES[:3]

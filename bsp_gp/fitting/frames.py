@@ -8,8 +8,6 @@ import re
 
 from bsp_gp.errors import LawError
 
-__all__ = ["expanded"]
-
 _ROTATING = re.compile(r"\brotating\(([^(),]+)(?:,([^(),]+))?\)(?:\s*about\s*\(([^()]*)\))?")
 _NAME = re.compile(r"\s*[A-Za-z_]\w*\s*")
 

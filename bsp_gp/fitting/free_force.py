@@ -10,8 +10,6 @@ from functools import cached_property
 
 import numpy as np
 
-__all__ = ["STRENGTHS", "FreeForce", "in_units"]
-
 STRENGTHS = np.logspace(-4, 14, 73)
 """Variances, in units of what one moment would show."""
 MEMORIES = 2.0 ** np.arange(1, 8)

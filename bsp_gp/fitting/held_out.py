@@ -25,11 +25,6 @@ from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = [
-    "errors_of", "held_out_errors", "held_out_rows", "initial_states", "predictions",
-    "regression_of", "with_states",
-]  # fmt: skip
-
 LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
 STEP_ERROR = 0.02

@@ -16,11 +16,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import ACCELERATION, FORCE, Unit
 
-__all__ = [
-    "NOTHING", "Forces", "Hypothesis", "Numbered", "Parameter", "Part", "Positions", "TrackNoise",
-    "read_law",
-]  # fmt: skip
-
 NOTHING = "nothing"
 """What is declared where bodies move on as they are."""
 

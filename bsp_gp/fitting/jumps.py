@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SIDE_ROWS", "WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
-
 SIDE_ROWS = (4, 7, 12, 20)
 """Rows on each side of a jump that are looked at."""
 LONGEST, CURVED = 20, 6

@@ -14,8 +14,6 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import minimize
 from scipy.stats import chi2, kurtosistest
 
-__all__ = ["COST", "Langevin", "Track", "best_of", "models_of"]
-
 COST = 4.0
 """Nats that a force must gain: a rate that is not there gains as much in less than one of a
 hundred recordings (a random walk's own test, which no chi-squared is)."""

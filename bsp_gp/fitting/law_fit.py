@@ -35,11 +35,6 @@ from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
 from bsp_gp.units import Unit
 
-__all__ = [
-    "SCHEMA", "LawFit", "about_noise", "about_outliers", "constant_estimates", "fit_law",
-    "training_part", "unset", "widening",
-]  # fmt: skip
-
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
 """Constants that a fit tells unasked."""

@@ -5,11 +5,6 @@ import math
 from bsp_gp.data.scene import CHECK
 from bsp_gp.fitting.starts import roles_of
 
-__all__ = [
-    "doubts", "fit_text", "how_it_ended", "strong_correlations", "variables",
-    "without_prediction",
-]  # fmt: skip
-
 MIN_CORRELATION = 0.1
 UNKNOWN = "—"
 """In the place of an interval that there is not."""

@@ -17,8 +17,6 @@ from scipy.optimize import lsq_linear
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.problem import Linearised, Minimum, Settings
 
-__all__ = ["minimise"]
-
 _EPS = np.finfo(float).eps
 _REFUSALS = 8
 """Steps that are refused in a row, each shorter, after which none is expected to be taken."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from bsp_gp.fitting.jumps import scatter
 
-__all__ = ["led_by"]
-
 LEAST_ROWS = 6
 NEAR = 2.0
 """Errors of a coordinate, as neighbouring rows tell them, within which a track is where a body was

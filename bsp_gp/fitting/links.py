@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Links", "less_exact", "link", "orthonormal"]
-
 MOST_NUMBERS = 2 * 10**7
 """Bound on a matrix of states by forces."""
 GROWN = 1e7

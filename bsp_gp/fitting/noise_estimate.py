@@ -15,8 +15,6 @@ from bsp_gp.fitting.noise_model import NoiseFinding
 from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
 from bsp_gp.fitting.student import fit_student
 
-__all__ = ["estimate", "estimate_beside", "needs"]
-
 PARTS = ("correlation", "scenes", "bodies", "speed", "tails")
 _N_TIMES = 6
 NORMAL = 100.0

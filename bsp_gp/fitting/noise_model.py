@@ -15,8 +15,6 @@ import numpy as np
 from bsp_gp.data.noise import estimate_noise, finest_noise
 from bsp_gp.fitting.whitening import Whitener
 
-__all__ = ["NoiseFinding", "NoiseModel", "NoiseParameter"]
-
 KNOWN = ("quoted", "declared")
 
 

@@ -17,8 +17,6 @@ from bsp_gp.fitting.ascent import maximise
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import fit_degrees, scaled_without_tails
 
-__all__ = ["NoiseTask", "NoiseTolerances"]
-
 _SCALE = (math.log(1e-6), math.log(1e6))
 _SHARE = (-6.0, 14.0)
 """Logit of the correlated part of the variance: 0.0025 to all but a millionth."""

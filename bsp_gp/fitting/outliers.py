@@ -12,8 +12,6 @@ import numpy as np
 
 from bsp_gp.data.point_errors import are_smooth, gross_errors
 
-__all__ = ["is_exact", "without_outliers"]
-
 LISTED = 5
 EXACT = 1e-9
 """Noise below this part of the extent is numerical."""

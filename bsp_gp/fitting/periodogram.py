@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["leading_rates"]
-
 OVERSAMPLING = 4
 MOST_RATES = 8
 MOST_FREQUENCIES = 20_000

@@ -16,8 +16,6 @@ from bsp_gp.physics.engine.lowering import ORIGIN
 from bsp_gp.physics.force import Term
 from bsp_gp.units import Unit
 
-__all__ = ["PROBE", "probe_terms"]
-
 PROBE = "probe "
 """Names of the strengths of probes begin so: no constant of a law has a blank."""
 ROWS_PER_PROBE = 3.0

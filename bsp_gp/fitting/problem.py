@@ -6,8 +6,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-__all__ = ["Linearised", "Minimum", "Problem", "Settings", "dense_problem"]
-
 
 @dataclass(frozen=True, eq=False)
 class Linearised:

@@ -7,8 +7,6 @@ weight). Good enough to begin with, and for nothing else.
 
 import numpy as np
 
-__all__ = ["regressed"]
-
 PASSES = 30
 
 

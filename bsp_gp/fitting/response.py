@@ -36,8 +36,6 @@ from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 
-__all__ = ["RESOLVED", "Response", "ResponseBatch", "ResponseRegression", "respond"]
-
 PHASE = 0.4
 """Radians that a motion may turn between two instants at which forces are evaluated."""
 MOST_INSTANTS = 8

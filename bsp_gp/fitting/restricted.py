@@ -13,8 +13,6 @@ import numpy as np
 
 from bsp_gp.errors import FitError
 
-__all__ = ["PureError", "Restricted"]
-
 _RANK = 1e-10
 _LOG_2_PI = math.log(2.0 * math.pi)
 

@@ -12,8 +12,6 @@ from bsp_gp.fitting.starts import first_nodes
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = ["flow_of", "roll"]
-
 JOINED = 1e-3
 """Largest correction of a place at which a stretch is joined, in errors that it may have."""
 MOST_PASSES = 12

@@ -16,11 +16,6 @@ import numpy as np
 from bsp_gp.fitting.unseen import tied
 from bsp_gp.physics.engine.seen import sight
 
-__all__ = [
-    "Condensed", "Shooting", "Windows", "cut_windows", "in_groups", "known_states",
-    "most_steps",
-]  # fmt: skip
-
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
 determines what the data do not, and nothing else."""

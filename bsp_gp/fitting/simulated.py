@@ -11,8 +11,6 @@ from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import filled
 from bsp_gp.physics.force import COPY
 
-__all__ = ["draw_noise", "simulated"]
-
 
 def simulated(found, dataset, scenes, count, rng):
     """Copies of scenes: the best tracks of a law through them, and noise as it was estimated.

@@ -17,8 +17,6 @@ from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import generator
 
-__all__ = ["simulate_law"]
-
 MAX_SUBSTEPS = 64
 STEP_TOLERANCE = 1e-9
 """Simulated positions must not change by more than this part of their range with the step."""

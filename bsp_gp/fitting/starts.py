@@ -9,8 +9,6 @@ from scipy.interpolate import CubicSpline
 from bsp_gp.fitting.coordinates import powers_of
 from bsp_gp.language.formula import Call, Constant, Input, walk
 
-__all__ = ["EXPONENTS", "Scales", "candidates", "first_nodes", "scales_of", "stepped_nodes"]
-
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
 HURRIED = 0.3

@@ -6,11 +6,6 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-__all__ = [
-    "expected_weights", "fit_degrees", "fit_student", "information", "log_likelihood",
-    "scaled_without_tails", "weights_of",
-]  # fmt: skip
-
 _DEGREES = (1.0, 200.0)
 _N_PASSES = 10
 _LEAST = 1e-300

@@ -20,8 +20,6 @@ from bsp_gp.fitting.weighing import as_normal
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
-
 ENDLESS = 1e100
 """Changes of a track, metres for each unit of a number, beyond which they are none."""
 INDEPENDENT = 1e-9

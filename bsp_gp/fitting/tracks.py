@@ -8,8 +8,6 @@ from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import Whitener
 from bsp_gp.physics.engine.flow import Flow
 
-__all__ = ["ChainNoise", "FlownProblem", "TrackLinearised", "TrackPoint", "TrackProblem"]
-
 
 class ChainNoise:
     """The noise of the rows of some chains.

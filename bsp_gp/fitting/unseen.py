@@ -14,9 +14,6 @@ from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = ["MARK", "as_driven", "carried", "shown", "tied", "with_entity",
-           "without_unseen"]
-
 MARK = "unseen"
 """Property that is 1 of a body that no row shows, and 0 of others."""
 STEP_ERROR = 0.02

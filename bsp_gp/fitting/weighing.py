@@ -16,8 +16,6 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.student import expected_weights, information, log_likelihood, weights_of
 
-__all__ = ["as_normal", "bears_outliers", "informed", "to_begin_with", "weighed"]
-
 ROUNDS = 50
 """Times that rows are weighed; they settle in three to ten."""
 SMALL_GAIN = 1e-4

@@ -21,8 +21,6 @@ from scipy.linalg import lapack
 
 from bsp_gp.errors import FitError
 
-__all__ = ["Whitener"]
-
 _MIN_BLOCKED = 64
 _MAX_BLOCKED = 128
 """Rows from which, and channels up to which, blocks of time are cheaper than rows one by one."""

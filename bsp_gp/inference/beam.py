@@ -17,8 +17,6 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["Beam", "Contender", "contains_latent"]
-
 CHANGES = 1e-6
 """Relative change of the pull on a body, between draws, above which a law contains a latent."""
 HOPELESS = 200.0

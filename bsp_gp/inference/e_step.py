@@ -26,8 +26,6 @@ from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.tracks import Softened, is_point, reweighted
 from bsp_gp.randomness import generator
 
-__all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
-
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 
 

@@ -19,8 +19,6 @@ from bsp_gp.inference.m_step import Exhaustive, averaged_regression
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.randomness import generator
 
-__all__ = ["CLASS_NATS", "EmIteration", "EmResult", "EmSettings", "fit_em"]
-
 CLASS_NATS = 3.0
 """Laws within this many nats of the best fit as well: the class that the data do not separate."""
 NOTHING_TO_GAIN = 1e-3

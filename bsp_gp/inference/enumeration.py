@@ -6,8 +6,6 @@ import numpy as np
 
 from bsp_gp.inference.posterior import Posterior, effective_size
 
-__all__ = ["MOST_COMBINATIONS", "combinations", "enumerate_posterior", "n_combinations"]
-
 MOST_COMBINATIONS = 200_000
 """Products of discrete supports up to this size are enumerated."""
 NEGLIGIBLE = 1e-12

@@ -14,8 +14,6 @@ from bsp_gp.inference.separation import coefficient, separate
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 
-__all__ = ["HorizonMisfit"]
-
 
 class HorizonMisfit(_Misfit):
     """Of any law under the K-step likelihood.

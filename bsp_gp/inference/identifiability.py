@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["FreeDirection", "Identifiability", "identifiability"]
-
 FREE = 1.0
 """Information (in units of the prior's) below which the data add nothing to a direction."""
 WEAK = 10.0

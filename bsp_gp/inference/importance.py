@@ -13,8 +13,6 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.inference.posterior import Posterior, effective_size
 
-__all__ = ["COLLAPSED", "PROPOSALS", "sample_importance"]
-
 logger = logging.getLogger(__name__)
 PROPOSALS = ("prior", "laplace", "tempered")
 COLLAPSED = 0.02

@@ -13,8 +13,6 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.priors import Prior, prior_of
 from bsp_gp.physics.force import key_of
 
-__all__ = ["Latent", "Latents", "PropertyTable", "declared_latents", "latents_of"]
-
 
 @dataclass(frozen=True)
 class Latent:

@@ -12,8 +12,6 @@ from bsp_gp.inference.propagation import PropagatedBank
 from bsp_gp.inference.tracks import track_misfit
 from bsp_gp.physics.likelihood import build_regression
 
-__all__ = ["KINDS", "Likelihood"]
-
 KINDS = ("one_step", "gls", "propagated", "track", "ahead")
 REFERENCES = 2
 """Times that the propagated covariance is found anew at the optimum under the last one."""

@@ -10,8 +10,6 @@ from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import run_search
 
-__all__ = ["Exhaustive", "WithSearch", "averaged_regression"]
-
 
 def averaged_regression(scenes, latents, draws, weights, likelihood):
     """One regression whose loss is the expected loss over draws of the latents.

@@ -17,8 +17,6 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import Bodies, law_inputs
 from bsp_gp.physics.regression import checked
 
-__all__ = ["DirectMisfit", "MotionBank", "ReducedMisfit", "misfit_of", "repeated"]
-
 CHUNK_NUMBERS = 1 << 17
 """Numbers of one work array: what stays in the cache of a processor."""
 

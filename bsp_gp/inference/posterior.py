@@ -7,8 +7,6 @@ import numpy as np
 
 from bsp_gp.errors import MissingDependencyError, SettingsError
 
-__all__ = ["Posterior", "effective_size", "split_r_hat", "weighted_quantile"]
-
 INTERVAL = 0.9
 """Probability of the intervals in tables."""
 

@@ -10,8 +10,6 @@ from bsp_gp.physics.bodies import Batch, stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
 
-__all__ = ["Bands", "posterior_nrmse", "predictive_bands"]
-
 
 def posterior_nrmse(law, scenes, latents, draws, *, reference=None, up=None):
     """The paper's nRMSE of every scene, averaged over draws of the latents.

@@ -11,8 +11,6 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["KINDS", "Prior", "prior_of"]
-
 KINDS = ("uniform", "log_uniform", "truncated_normal", "discrete")
 _ALIASES = {"loguniform": "log_uniform", "log-uniform": "log_uniform", "set": "discrete",
             "truncnorm": "truncated_normal", "truncated normal": "truncated_normal",

@@ -10,8 +10,6 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.latents import Latents, declared_latents
 from bsp_gp.inference.likelihood import Likelihood
 
-__all__ = ["LatentProblem", "latent_problem", "stand_ins"]
-
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the positions count as exact."""
 NOMINAL = 1e-4

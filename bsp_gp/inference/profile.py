@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["FixedConstants", "Profile", "fit_profile", "linear_constants"]
-
 MAX_ITERATIONS = 100
 STIFF = 1e3
 """Damping at which a step is so short that a failure means an optimum."""

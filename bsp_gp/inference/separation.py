@@ -12,8 +12,6 @@ from bsp_gp.language.formula import Call, Number, evaluate
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.force import split_linear
 
-__all__ = ["Separated", "coefficient", "depends_on", "separate", "split_formula"]
-
 ONE = Number(1.0)
 SHAPES = frozenset(("s_i", "s_j"))
 

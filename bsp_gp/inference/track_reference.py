@@ -19,8 +19,6 @@ from bsp_gp.inference.track_path import curve_paths, paths_of
 from bsp_gp.inference.track_world import RISE, SETTLINGS, Tracks, TrackWorld
 from bsp_gp.physics.bodies import stack
 
-__all__ = ["Reference", "find_reference"]
-
 GROWTH, LEAST_ROWS = 3, 4
 """Times that pieces are longer from level to level, and the shortest ones."""
 CURVE_ROWS = 5

@@ -10,8 +10,6 @@ from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 
-__all__ = ["RISE", "SETTLINGS", "TrackWorld", "Tracks"]
-
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
 SETTLINGS = 12

@@ -13,23 +13,6 @@ from bsp_gp.errors import UnitError
 from bsp_gp.language.operators import OPERATORS, Type
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = [
-    "Call",
-    "Constant",
-    "Formula",
-    "Input",
-    "Number",
-    "evaluate",
-    "evaluate_with_gradient",
-    "factors",
-    "product",
-    "quotient",
-    "rename_constants",
-    "substitute",
-    "summands",
-    "walk",
-]
-
 
 class Formula:
     """Base of the four kinds of node; `type` is the node's `Type`."""

@@ -25,8 +25,6 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS, SHAPES, Type
 from bsp_gp.units import Unit, parse_unit
 
-__all__ = ["Grammar", "Rule", "Slot", "grammar_directory", "load_grammar", "read_grammar"]
-
 KINDS = ("pair", "field")
 PLACED = ("origin", "middle", "centre")
 """Points that rules ``[beyond]`` may name: zero, the middle of the data, one that is sought."""

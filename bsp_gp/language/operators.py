@@ -18,8 +18,6 @@ import numpy as np
 from bsp_gp.errors import UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["OPERATORS", "SHAPES", "Operator", "Type", "bessel_k0", "bessel_k1", "is_across_in"]
-
 SHAPES = ("scalar", "vector", "point", "bool", "shape")
 GUARD = 1e-9
 """Divisors at or below this give 0 in the paper's guarded division."""

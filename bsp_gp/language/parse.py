@@ -19,8 +19,6 @@ from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.units import DIMENSIONLESS, parse_unit
 
-__all__ = ["parse_formula"]
-
 MAX_LENGTH = 2000
 MAX_NESTING = 60
 MAX_DEPTH = 200

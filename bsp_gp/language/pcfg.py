@@ -8,8 +8,6 @@ import numpy as np
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import Expression
 
-__all__ = ["Pcfg"]
-
 
 @dataclass(frozen=True, eq=False)
 class Pcfg:

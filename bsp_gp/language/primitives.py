@@ -11,8 +11,6 @@ from deap import gp
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import Expression
 
-__all__ = ["from_tree", "primitive_set", "to_tree"]
-
 
 class _StableHash(type):
     """Hash type classes by name: DEAP keeps them in sets, whose order must not vary by process."""

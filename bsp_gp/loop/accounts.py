@@ -19,8 +19,6 @@ from bsp_gp.fitting.simulated import simulated
 from bsp_gp.physics.metrics import ERRORS, METRICS
 from bsp_gp.workers import Crew
 
-__all__ = ["Accounts", "Ratio"]
-
 FEWEST_SCENES = 5
 """That are resampled."""
 N_RESAMPLES = 999

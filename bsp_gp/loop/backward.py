@@ -16,8 +16,6 @@ from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, continued, without_term
 from bsp_gp.physics.force import split_linear
 
-__all__ = ["Pruned", "Restated", "prune"]
-
 OF_ONE = {
     "constant_per_scene": "number", "constant_per_body": "number", "law_by_scene": "law",
     "law_by_body": "law",

@@ -3,8 +3,6 @@
 import math
 import time
 
-__all__ = ["Clock", "TimeIsUp"]
-
 
 class TimeIsUp(Exception):
     """Raised out of long work that has no result unless it is finished."""

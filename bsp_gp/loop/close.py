@@ -59,8 +59,6 @@ from bsp_gp.randomness import Random, generator
 from bsp_gp.search.choice import BUDGET
 from bsp_gp.workers import Crew
 
-__all__ = ["close_loop"]
-
 LATE_S = 3.0
 """Seconds after a time limit that errors on held-out rows may take; then they are left out."""
 WRITING_SHARE = 0.25

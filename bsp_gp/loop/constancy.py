@@ -20,8 +20,6 @@ from bsp_gp.loop.trace import moments_of, smooth_variables
 from bsp_gp.loop.view import selected
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["Constancy", "Exponent", "Varies", "constancy", "logarithms", "powers_in", "varied"]
-
 BASES = {"field": ("norm(v_i)",), "pair": ("norm(p_i - p_j)",)}
 """Whose power is told of every term of a kind, beside those that it names."""
 Z_90 = 1.6448536269514722

@@ -2,11 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = [
-    "CAUSES", "KINDS", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS",
-    "Criteria",
-]  # fmt: skip
-
 VERDICTS = (
     "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",
     "cannot tell", "nothing missing",

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.table import SAME_MINIMUM
 
-__all__ = ["Decision", "decide", "share_of_listed"]
-
 
 @dataclass(frozen=True)
 class Decision:

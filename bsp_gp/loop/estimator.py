@@ -9,8 +9,6 @@ from bsp_gp.fitting.law_fit import fit_law
 from bsp_gp.fitting.simulation import simulate_law
 from bsp_gp.loop.close import close_loop
 
-__all__ = ["LawRegressor"]
-
 
 class LawRegressor:
     """A force law learned from tracks.

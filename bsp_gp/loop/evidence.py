@@ -12,8 +12,6 @@ import numpy as np
 from bsp_gp.fitting.starts import roles_of
 from bsp_gp.loop.criteria import Criteria
 
-__all__ = ["WEAK", "log_evidence", "significance"]
-
 WEAK = 3.0
 """Standard errors of its strength below which a term of a sum may be one too many."""
 LEAST = 2.0

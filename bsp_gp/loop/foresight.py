@@ -13,8 +13,6 @@ from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.proposal import FAULTS, continued
 
-__all__ = ["FORESEEING", "Foresight", "is_refuted", "that_foresee"]
-
 N_COPIES = 40
 """Simulated copies of the held-out scenes that say whether predictions are surely worse."""
 LEVEL = 0.01

@@ -20,8 +20,6 @@ from bsp_gp.loop.view import View
 from bsp_gp.loop.writing_up import LEAST_LIKELY
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["joined_texts", "rounds_from", "text_of"]
-
 BARE = ("entering", "fits", "families")
 """Fields of a round that are made again."""
 

@@ -21,9 +21,6 @@ from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.units import FORCE
 
-__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord",
-           "law_record"]  # fmt: skip
-
 SCHEMA = "bsp_gp/report/2"
 
 

@@ -14,9 +14,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "both_of", "continued", "with_term",
-           "with_term_at", "without_term"]  # fmt: skip
-
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
 PATIENT = 5

@@ -14,10 +14,6 @@ from bsp_gp.fitting.tangent import p_of_gain
 from bsp_gp.loop.trace import moments_of
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = [
-    "MOST_QUICK", "Finding", "HiddenBound", "hidden_bound", "least_chance", "noise_findings",
-]  # fmt: skip
-
 MOST_FUNCTIONS, MOST_QUICK = 8, 64
 ROWS_EACH = 4
 """Rows for each of the smooth functions, at the least."""

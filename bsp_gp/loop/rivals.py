@@ -14,8 +14,6 @@ from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Explained"]
-
 NEXT = 0.1
 """Change of a power over which moments are about linear in it."""
 FREE = 5.0

@@ -20,8 +20,6 @@ from bsp_gp.loop.trace import Channel, Trace
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit, UnitSystem
 
-__all__ = ["law_of", "load_report"]
-
 _TUPLES = ("hypotheses", "held_out", "varies_with", "noise_findings", "equivalents", "entities",
            "exponents", "at", "values", "errors")  # fmt: skip
 

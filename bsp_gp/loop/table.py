@@ -5,8 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-__all__ = ["SAME_MINIMUM", "HeldOut", "HypothesisTable", "Row", "held_out_gain"]
-
 SAME_MINIMUM = 1e-3
 """Nats within which two descents have come to one minimum."""
 

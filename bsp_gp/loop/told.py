@@ -9,8 +9,6 @@ from bsp_gp.errors import UnitError
 from bsp_gp.physics.force import constant_units
 from bsp_gp.units import BASE, FORCE, Unit, parse_unit
 
-__all__ = ["Told", "factors_of", "fit_retold", "retold"]
-
 _ASTRONOMICAL = 1e10
 """Metres of a unit of length from which on kilograms are told as masses of the Sun."""
 _SUN = "Msun"

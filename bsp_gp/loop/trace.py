@@ -12,8 +12,6 @@ import numpy as np
 
 from bsp_gp.fitting.tangent import INDEPENDENT
 
-__all__ = ["Channel", "Trace", "free_forces", "moments_of", "smooth_variables", "trace"]
-
 COUNTS = (2, 4, 8)
 """Cosines beside a constant; that of the greatest evidence is told."""
 MOST_GROUPS = 40

@@ -20,8 +20,6 @@ from bsp_gp.loop.constancy import logarithms, powers_in, varied
 from bsp_gp.loop.trace import free_forces
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Unknown", "unknowns"]
-
 CODES = ("varying_strength", "free_force")
 FALL = 4.5
 """Weights of cosines fall as ``exp(-k^2 / FALL)``."""

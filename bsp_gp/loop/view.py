@@ -18,8 +18,6 @@ from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["MOST_PAIRS", "View", "gains", "selected"]
-
 MOST_PAIRS = 100_000
 """Pairs of bodies, at all instants, for which every law is evaluated; of more only the best are."""
 

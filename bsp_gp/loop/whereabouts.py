@@ -11,8 +11,6 @@ from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.inference.posterior import effective_size
 from bsp_gp.units import Unit
 
-__all__ = ["whereabouts"]
-
 N_PROPOSED, N_DRAWS = 8000, 600
 SHARE_90 = 0.9
 SHOWN_ROWS = 60

@@ -20,11 +20,6 @@ from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_recor
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
-__all__ = [
-    "about_data", "bound_of", "dataset_digest", "judged_together", "overlays", "record_of",
-    "residual_table", "told", "versions",
-]  # fmt: skip
-
 CHANGES = (
     "exponent", "number", "pulsing", "growing", "wind", "belt", "constant_per_body",
     "constant_per_scene",

@@ -9,17 +9,6 @@ import os
 import stat
 from dataclasses import dataclass, field
 
-__all__ = [
-    "MARK",
-    "Mark",
-    "all_files",
-    "file_digest",
-    "mark_folder",
-    "read_mark",
-    "strangers",
-    "write_mark",
-]
-
 MARK = ".bsp_gp"
 _SCHEMA = "bsp_gp/mark/1"
 _REPORT = b'"schema": "bsp_gp/report/'

@@ -12,8 +12,6 @@ from bsp_gp.output.lock import take_lock
 from bsp_gp.output.mark import MARK, mark_folder, read_mark
 from bsp_gp.output.replacing import discard, new_folder, put_in_place, recover, sibling
 
-__all__ = ["Place", "claim", "require_free", "told", "whole_file"]
-
 _HELD: dict = {}
 """Places that this process holds, by path; who holds one may claim it again further in."""
 

@@ -10,8 +10,6 @@ from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.units import Unit
 
-__all__ = ["aliasing_notes"]
-
 WAVES = ("sin", "cos")
 SAME = 0.9
 """Resultant length of the phases by which two frequencies differ, from which on rows are alike."""

@@ -17,11 +17,6 @@ from bsp_gp.physics.geometry import Shapes, contact_point
 from bsp_gp.physics.series import Series
 from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
 
-__all__ = [
-    "Batch", "Bodies", "FieldInputs", "PairInputs", "angles_of", "dataset_types",
-    "input_types_of", "law_inputs", "signed_of", "stack", "subset", "under",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class Bodies:

@@ -16,10 +16,6 @@ from bsp_gp.physics.evaluation import PreparedLaw
 from bsp_gp.physics.masses import with_unit_masses
 from bsp_gp.physics.series import Series
 
-__all__ = [
-    "INTEGRATORS", "Tracks", "rollout", "simulated_scene", "step_euler", "step_leapfrog",
-    "step_rk4",
-]  # fmt: skip
 _HEAD = 6
 """First rows to which a start is fitted that is not given."""
 

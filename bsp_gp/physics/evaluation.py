@@ -11,8 +11,6 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.physics.bodies import law_inputs, under
 
-__all__ = ["PreparedLaw", "Settling", "unknown_receivers"]
-
 CHANGING = ("p_i", "p_j", "v_i", "v_j", "p_c", "t")
 """Inputs that differ from instant to instant; all others belong to the scene."""
 FEW = 8

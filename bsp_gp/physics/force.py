@@ -28,12 +28,6 @@ from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import BASE, FORCE, Unit
 
-__all__ = [
-    "COPY", "FRAMING", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry",
-    "fresh_name", "fresh_names", "key_of", "kind_of", "needs_masses", "split_linear", "tabled",
-    "term_gradient",
-]  # fmt: skip
-
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
 FRAMING = (*HOLDING, "rail")

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["POINT", "DISC", "MAT", "WALL", "Shapes", "contact_point"]
-
 POINT, DISC, WALL, MAT = 0, 1, 2, 3
 CODES = {"point": POINT, "disc": DISC, "rect_wall": WALL, "rect_mat": MAT}
 

@@ -10,9 +10,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
 from bsp_gp.units import Unit
 
-__all__ = ["NO_MASS", "ONE_KILOGRAM", "are_units", "check_properties", "has_masses",
-           "with_unit_masses", "with_usable_masses", "without_masses"]  # fmt: skip
-
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set without any mass."""
 ONE_KILOGRAM = "no mass is given: every body is taken as 1 kg"

@@ -5,12 +5,6 @@ import numpy as np
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.likelihood import build_regression
 
-__all__ = [
-    "ERRORS", "METRICS", "error_of", "one_step_errors", "one_step_nrmse", "residual_acceleration",
-    "residual_accelerations",
-]  # fmt: skip
-
-
 METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "endpoint_mean")
 """Errors of a model on held-out data, as `Errors` has them."""
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["relative_sizes", "sizes_of"]
-
 
 def relative_sizes(batch, sigma):
     """Size of the error of every point as a part of the typical one, shape (T, S, N).

@@ -15,8 +15,6 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import term_gradient
 
-__all__ = ["Regression", "RegressionBatch", "checked", "stack_draws"]
-
 
 @dataclass(frozen=True, eq=False)
 class RegressionBatch:

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-__all__ = ["Series", "interpolated", "late_inputs"]
-
 
 @dataclass(frozen=True, eq=False)
 class Series:

@@ -20,8 +20,6 @@ from bsp_gp.physics.weak_states import states_of
 from bsp_gp.physics.weak_tracks import Track, reach_of, runs_of
 from bsp_gp.physics.weak_width import Widths, choose_spacing
 
-__all__ = ["WeakForm", "WeakPart"]
-
 BRIDGED = 1.8
 """Steps longer than this many usual ones part a track, where test functions are narrow."""
 LEAST_ROWS = 5

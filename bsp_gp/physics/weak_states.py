@@ -10,8 +10,6 @@ import numpy as np
 
 from bsp_gp.physics.weak_tracks import DEGREE, design, knots_of
 
-__all__ = ["states_of"]
-
 LEAST_ROWS_PER_SPLINE = 2.0
 """With fewer rows a spline follows the noise, and its slope at the ends is worse than a step."""
 

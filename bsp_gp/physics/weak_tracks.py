@@ -20,8 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "reach_of", "runs_of", "seen_through"]
-
 DEGREE = 3
 RANK_CUT = 1e-10
 """Test functions (of unit size) whose part independent of the others is below this are left out."""

@@ -15,8 +15,6 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.physics.weak_tracks import seen_through
 
-__all__ = ["Widths", "choose_spacing", "estimated_level"]
-
 RATIO = 2**0.5
 """Between the widths that are tried."""
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from bsp_gp.errors import DataError, SettingsError
 
-__all__ = ["Command", "Recording", "recording_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Recording:

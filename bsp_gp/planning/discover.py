@@ -31,8 +31,6 @@ from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import Rival, in_common, kin_of, less_a_term, rivals_of
 from bsp_gp.randomness import generator
 
-__all__ = ["Discovery", "calm", "discover"]
-
 LEAST_ROWS = 4
 ENOUGH = 2
 """Experiments for every number that may be chosen before a law is looked for."""

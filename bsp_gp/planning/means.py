@@ -32,8 +32,6 @@ from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import UnitSystem
 
-__all__ = ["Body", "Experiment", "Means", "load_means"]
-
 AXES = "xyz"
 _RANGE = re.compile(r"\s*([^\s.]+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*\.\.\s*(\S+)\s*")
 WIDE = 8.0

@@ -21,8 +21,6 @@ from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import rivals_of
 from bsp_gp.randomness import generator
 
-__all__ = ["NONE", "Option", "Plan", "foreseen", "information", "next_experiment", "plan"]
-
 NONE = 0.05
 """Chance, beforehand, that none of the rivals holds."""
 FOREIGN = 0.1

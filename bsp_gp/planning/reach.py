@@ -6,8 +6,6 @@ no law is fitted to such rows. Rows are measured against the way to the next bod
 
 import numpy as np
 
-__all__ = ["n_calm", "n_foreseen", "nearest"]
-
 CALM = 0.4
 """Part of the distance to the next body within which forces may have led a body off."""
 REACH = 10.0

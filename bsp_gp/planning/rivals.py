@@ -15,8 +15,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.stored import law_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Rival", "in_common", "kin_of", "less_a_term", "rivals_of"]
-
 LEAST = 1e-3
 """Less likely rivals are left out."""
 MOST = 8

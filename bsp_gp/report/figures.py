@@ -34,8 +34,6 @@ from bsp_gp.report.tracks import (
     wants_errors,
 )
 
-__all__ = ["ReportFigure", "build_figures", "units_of"]
-
 MAX_POINTS = 4000
 _NARROW = 4.8
 """Inches: letters stay readable on a telephone."""

@@ -16,8 +16,6 @@ from bsp_gp.report.numbers import format_constant, is_number
 from bsp_gp.report.page import page_of
 from bsp_gp.report.typeset import law_document
 
-__all__ = ["KIND", "RESIDUALS", "write_report"]
-
 KIND = "report"
 
 RESIDUALS = (

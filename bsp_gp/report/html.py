@@ -49,8 +49,6 @@ from bsp_gp.report.sentences import (
 from bsp_gp.report.traces import trace_section
 from bsp_gp.report.typeset import to_svg
 
-__all__ = ["render_html"]
-
 _MAX_ROWS = 300
 _ERRORS = (
     ("rollout_rmse", "Position error of rollouts (RMS)", "unit"),

@@ -17,8 +17,6 @@ from bsp_gp.language.grammar import fill
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.bodies import law_inputs
 
-__all__ = ["Banks", "Entry", "Rows", "distinct_directions", "fingerprints", "merge_proportional"]
-
 MOST_TIES = 60
 """Entries remembered as merged into one."""
 DIGITS = 11

@@ -6,8 +6,6 @@ import numpy as np
 
 from bsp_gp.language.render import to_text
 
-__all__ = ["Candidate", "Certificate", "SearchResult", "front_of", "merge_equal"]
-
 
 @dataclass(frozen=True)
 class Candidate:

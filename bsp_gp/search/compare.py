@@ -13,8 +13,6 @@ from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.run import run_search
 from bsp_gp.search.sums import search_sums
 
-__all__ = ["STRATEGIES", "Outcome", "certified", "compare", "run_one"]
-
 STRATEGIES = {
     "cross_entropy": CrossEntropy(),
     "genetic": Genetic(),

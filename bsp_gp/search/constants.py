@@ -13,8 +13,6 @@ import numpy as np
 from bsp_gp.errors import EvaluationError
 from bsp_gp.physics.force import Term, split_linear
 
-__all__ = ["ConstantFit", "fit_constants", "linear_columns"]
-
 START_SCALES = (1.0, 0.1, 10.0, 0.01, 100.0, -1.0, 1e-3, 1e3, 2.0, 0.5)
 
 

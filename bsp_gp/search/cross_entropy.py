@@ -14,8 +14,6 @@ import numpy as np
 
 from bsp_gp.language.pcfg import Pcfg
 
-__all__ = ["PRESETS", "CrossEntropy", "RandomSearch"]
-
 
 @dataclass(frozen=True)
 class CrossEntropy:

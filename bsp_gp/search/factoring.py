@@ -6,8 +6,6 @@ from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Constant
 from bsp_gp.language.grammar import Slot
 
-__all__ = ["Plan", "plan_of"]
-
 
 @dataclass(frozen=True)
 class Plan:

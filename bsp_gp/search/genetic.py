@@ -15,8 +15,6 @@ from deap import base, tools
 from bsp_gp.language.expression import Expression
 from bsp_gp.language.pcfg import Pcfg
 
-__all__ = ["Genetic"]
-
 
 class _Fitness(base.Fitness):
     """Loss and complexity, both minimised."""

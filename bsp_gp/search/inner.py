@@ -22,8 +22,6 @@ from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import Term, kind_of, split_linear
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 
-__all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
-
 N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
 """Values of a constant that is alone inside, of each of several; places, and along an axis."""
 BEYOND = 4.0

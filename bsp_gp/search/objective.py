@@ -22,8 +22,6 @@ from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.recognition import Recogniser
 from bsp_gp.search.scoring import COLLINEAR
 
-__all__ = ["CRITERIA", "Objective", "Score"]
-
 CRITERIA = ("prior", "bic", "mdl")
 
 

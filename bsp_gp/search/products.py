@@ -8,8 +8,6 @@ import numpy as np
 
 from bsp_gp.language.formula import Call, Constant
 
-__all__ = ["Block", "Kept", "Side"]
-
 
 class Side:
     """A bank of scalar factors: values (n, P), complexities, entries; entry 0 may be the 1."""

@@ -25,8 +25,6 @@ from bsp_gp.language.formula import (
 from bsp_gp.language.grammar import Slot, fill
 from bsp_gp.search.banks import fingerprints
 
-__all__ = ["BoundedCache", "CACHE_BYTES", "Law", "Recogniser"]
-
 _SOUGHT = frozenset(("centre", "middle"))
 CACHE_BYTES = 1 << 28
 """Bound on the values kept, and on those of subtrees."""

@@ -22,8 +22,6 @@ from bsp_gp.language.expression import from_lists, to_lists
 from bsp_gp.output.place import whole_file
 from bsp_gp.search.candidate import SearchResult
 
-__all__ = ["Budget", "run_search"]
-
 GRID = 5
 """Laws for which one counts whose inner constants are scored on a grid: it takes as long."""
 

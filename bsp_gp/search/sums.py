@@ -21,8 +21,6 @@ from bsp_gp.search.columns import Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import Exhaustive, search_exhaustive
 
-__all__ = ["search_sums", "terms_of"]
-
 BETTER = 1e-6
 """Gain in nats below which a change is rounding."""
 FLOOR = 1e-24

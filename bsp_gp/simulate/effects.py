@@ -28,9 +28,6 @@ from bsp_gp.simulate.forces import (
 from bsp_gp.simulate.layouts import polar, uniform
 from bsp_gp.simulate.world import mat
 
-__all__ = ["EFFECTS", "Effect", "ExtraBody", "NewProperty", "effect", "parse_effect",
-           "read_number"]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class ExtraBody:

@@ -14,8 +14,6 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.forces import Force
 from bsp_gp.simulate.world import Ensemble, States, World
 
-__all__ = ["Contacts", "Engine", "Motion", "acceleration", "run_pymunk"]
-
 BLOCK = 256
 """Worlds moved together: enough to share the cost of NumPy's calls."""
 _JUMP = 1e-9

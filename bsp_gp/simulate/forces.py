@@ -15,23 +15,6 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.language.inputs import SHORT
 from bsp_gp.units import DIMENSIONLESS, FORCE, Unit
 
-__all__ = [
-    "AnchorSpring",
-    "ContactDamping",
-    "Drag",
-    "DryFriction",
-    "Force",
-    "Kicks",
-    "MatFriction",
-    "PairForce",
-    "PeriodicPush",
-    "Perpendicular",
-    "PointSpring",
-    "QuadraticDrag",
-    "SoftContact",
-    "UniformField",
-]
-
 
 def unit_vector(angle):
     """Direction at an angle in degrees from x towards y, exact along the axes."""

@@ -19,8 +19,6 @@ from bsp_gp.simulate.forces import (
 )
 from bsp_gp.simulate.world import World, disc, mat, point, wall
 
-__all__ = ["Bounce", "Fall", "Fixed", "Layout", "Magnet", "Mat", "NBody", "Pucks", "Spring"]
-
 Range = tuple[float, float]
 _TRIES = 1000
 

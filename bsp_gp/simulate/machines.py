@@ -12,8 +12,6 @@ from scipy.integrate import solve_ivp
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["MACHINES", "Machine", "made_machine"]
-
 G = 9.81
 CREEP = 1e-4
 """Rate below which dry friction fades, so that an integrator can stop a body."""

@@ -7,8 +7,6 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["Observation"]
-
 
 @dataclass(frozen=True)
 class Observation:

@@ -10,8 +10,6 @@ from bsp_gp.simulate.forces import Drag, Kicks, PairForce
 from bsp_gp.simulate.layouts import Layout, Range, polar, uniform
 from bsp_gp.simulate.world import World
 
-__all__ = ["Beads", "Binary", "StarAboutUnseen"]
-
 AU, SUN, NEWTON = 1.495978707e11, 1.98841e30, 6.6743e-11
 
 

@@ -28,10 +28,6 @@ from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
 from bsp_gp.units import UnitSystem
 
-__all__ = [
-    "PRESETS", "RECORDED", "Settings", "configured", "make", "numbers_of", "preset", "read_numbers",
-]  # fmt: skip
-
 _DRAWS = 100
 _SI = {"length": "m", "time": "s", "mass": "kg"}
 

@@ -16,8 +16,6 @@ from bsp_gp.output.place import claim
 from bsp_gp.simulate.engine import acceleration
 from bsp_gp.simulate.world import Ensemble, States, World
 
-__all__ = ["KIND", "PIXELS", "STATES", "TRUTH", "Truth", "fill_truth", "save_truth"]
-
 TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
 KIND = "truth"
 _INSTANT = 1e-12

@@ -8,8 +8,6 @@ import numpy as np
 from bsp_gp.data.scene import Entity
 from bsp_gp.errors import SettingsError
 
-__all__ = ["Ensemble", "States", "World", "disc", "mat", "point", "wall"]
-
 
 def _known(properties):
     return {k: float(v) for k, v in properties.items() if v is not None}

@@ -16,8 +16,6 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.vision.colour import background
 from bsp_gp.vision.track import Track
 
-__all__ = ["BlobSettings", "chromaticity", "track_blob"]
-
 THRESHOLDS = (0.4, 0.5, 0.6)
 DARK = 40.0  # mean of the three channels: darker pixels have no colour
 CLOSE = 2.0  # coverage above this overshoots the object's colour: something else

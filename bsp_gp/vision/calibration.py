@@ -8,8 +8,6 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["Calibration"]
-
 
 @dataclass(frozen=True, eq=False)
 class Calibration:

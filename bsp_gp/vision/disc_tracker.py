@@ -16,8 +16,6 @@ from bsp_gp.vision.colour import background
 from bsp_gp.vision.discs import MIN_GAIN, calibrate_kind, find_discs, follow, gap, place
 from bsp_gp.vision.track import Track
 
-__all__ = ["DiscTracker"]
-
 log = logging.getLogger(__name__)
 
 N_SAMPLES = 12  # frames from which colours, radii, background and number of discs are learned

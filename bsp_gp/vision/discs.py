@@ -15,8 +15,6 @@ from scipy.special import erf
 from bsp_gp.errors import DataError
 from bsp_gp.vision.colour import coverage, is_colour
 
-__all__ = ["DiscKind", "Placed", "calibrate_kind", "find_discs", "follow", "gap", "place"]
-
 SCALE = 4  # the coarse search looks at every fourth pixel
 SEARCH = 28  # px: how far from the predicted place a disc is looked for
 MIN_SEEN = 0.12  # of the edge must be visible, otherwise the place is a gap

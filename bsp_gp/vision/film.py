@@ -15,8 +15,6 @@ import numpy as np
 from bsp_gp.errors import OutputError, SettingsError
 from bsp_gp.output.place import claim
 
-__all__ = ["Camera", "Look", "film_scene", "write_film", "write_frames"]
-
 # Okabe and Ito's colours, red-green-blue, and greys for what does not move.
 _COLOURS = np.array(
     [

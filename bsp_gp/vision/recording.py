@@ -24,8 +24,6 @@ from bsp_gp.vision.templates import track_point, track_template
 from bsp_gp.vision.track import Track
 from bsp_gp.vision.video import open_video
 
-__all__ = ["ObjectSpec", "parse_object", "track_video", "write_recording"]
-
 RECORDING = "recording"
 SPECS = (
     "disc:COLOUR[:RADIUS] | patch:X,Y,W,H@FRAME | moving:X,Y,W,H@FRAME | "

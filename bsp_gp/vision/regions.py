@@ -13,8 +13,6 @@ import numpy as np
 
 from bsp_gp.vision.colour import background, is_colour
 
-__all__ = ["Region", "arena", "mats", "still_background"]
-
 FILLED = 0.985  # share of a rectangle that must be its own (or another mat's) colour
 SPECK = 60  # px²: less is no mat
 TOLERANCE = 60.0

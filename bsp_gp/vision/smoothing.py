@@ -13,8 +13,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-__all__ = ["Smoothed", "calibrated", "measurement_factor", "process_power", "smooth_track"]
-
 FLOOR = 4e-6  # px²: least variance of a measured coordinate (8-bit pixels)
 LOSSY_FLOOR = 2.25e-4  # px²: what block compression leaves at best, from renders (0.015 px)
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e4

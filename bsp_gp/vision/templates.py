@@ -6,8 +6,6 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.vision.track import Track
 
-__all__ = ["track_point", "track_template"]
-
 LEAST_SCORE = 0.6  # normalised correlation below this is another thing
 REACH = 40  # px: half-width of the searched window beyond the template
 

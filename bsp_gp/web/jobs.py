@@ -13,8 +13,6 @@ from pathlib import Path
 
 from bsp_gp.workers import python_path
 
-__all__ = ["Job", "Jobs"]
-
 _STAGE = re.compile(r"\s*\d+ s  (.*)")
 _KEPT_LINES = 200
 MEMORY_SHARE = 0.75

@@ -9,8 +9,6 @@ from pathlib import Path, PurePosixPath
 
 from bsp_gp.errors import DataError, SettingsError
 
-__all__ = ["FILMS", "Given", "Store"]
-
 FILMS = (".mp4", ".avi", ".mov", ".m4v", ".mkv", ".webm")
 MAX_FILES = 200
 MAX_BYTES = 4 * 2**30

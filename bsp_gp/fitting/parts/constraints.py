@@ -19,8 +19,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, added_units
 from bsp_gp.units import Unit
 
-__all__ = ["Constraint", "extent_of", "is_string", "read_constraint", "read_string"]
-
 LENGTH = Unit.of(m=1)
 MOST_ROWS, MOST_STARTS = 400, 36
 """Rows of a body that constants are first guessed from, and from how many values."""

@@ -10,8 +10,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit
 
-__all__ = ["Kick"]
-
 SECOND, KILOGRAM = Unit.of(s=1), Unit.of(kg=1)
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Part
 
-__all__ = ["Edit", "LeftOut", "Resting", "Shifted", "Swapped"]
-
 
 @dataclass(frozen=True)
 class Edit(Part):

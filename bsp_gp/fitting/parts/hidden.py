@@ -17,11 +17,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = [
-    "HiddenBody", "HiddenSource", "about_origin", "beside_origin", "body_pulls", "pull_of",
-    "unit_pull",
-]  # fmt: skip
-
 SECOND = Unit.of(s=1)
 HELD = 4.0
 """Width of the normal that holds a place or a speed, in the scale of its prior."""

@@ -8,8 +8,6 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = ["STEEPEST", "Inclined", "stretched"]
-
 STEEPEST = 1.5
 """Inclination up to which a plane is no line, rad."""
 

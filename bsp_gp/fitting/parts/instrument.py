@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["LARGE", "Instrument"]
-
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import Unit
 
-__all__ = ["Late"]
-
 SECOND = Unit.of(s=1)
 
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.physics.force import key_of
 
-__all__ = ["About", "Properties", "filled", "unknown_beyond", "unknown_properties"]
-
 
 @dataclass(frozen=True)
 class About:

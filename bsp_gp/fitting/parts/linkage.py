@@ -10,8 +10,6 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Linkage", "is_linkage", "read_linkage"]
-
 _TEXT = re.compile(r"linked\(\s*([^\s(),]+)\s*,\s*([^\s(),]+)\s*\)")
 WINDOW, DEGREE = 9, 4
 """Rows and degree of the polynomials that couplings are first guessed from."""

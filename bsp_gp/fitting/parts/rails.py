@@ -6,8 +6,6 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Numbered
 
-__all__ = ["Rail", "rail_of"]
-
 
 @dataclass(frozen=True)
 class Rail(Numbered):

@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces
 
-__all__ = ["RangedForces"]
-
 
 @dataclass(frozen=True)
 class RangedForces(Forces):

@@ -7,8 +7,6 @@ from bsp_gp.fitting.parts.hidden import about_origin
 from bsp_gp.language.formula import Call, Input, Number
 from bsp_gp.physics.force import Term
 
-__all__ = ["Reference", "pulls_on_origin"]
-
 
 @dataclass(frozen=True)
 class Reference(Forces):

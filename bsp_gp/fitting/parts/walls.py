@@ -12,8 +12,6 @@ from bsp_gp.language.formula import Number
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Wall", "count_of", "is_wall", "places_of", "read_wall", "wall_of"]
-
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,\[\]]+(?:\s*\[[^\[\]]*\])?)\s*")
 LENGTH = Unit.of(m=1)

@@ -28,8 +28,6 @@ from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
 from bsp_gp.loop.proposers.winds import Winds
 
-__all__ = ["standard"]
-
 
 def standard(grammar, dataset, **settings):
     """All proposers; this list is the only place that knows them by name.

@@ -6,8 +6,6 @@ from bsp_gp.loop.proposal import PATIENT, Family
 from bsp_gp.loop.proposers.hidden import N_NEAR, Sources, Stage, attraction, still
 from bsp_gp.loop.proposers.inclined import is_open, planes_of
 
-__all__ = ["Aslant"]
-
 INCLINATIONS = np.radians([25.0, 40.0, 52.0, 62.0, 70.0, 77.0])
 N_NODES = 12
 

@@ -13,8 +13,6 @@ from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
-__all__ = ["ByOwner", "evidence_of", "forms_of"]
-
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
 SIZES = np.geomspace(1e-3, 1e3, 49)

@@ -23,8 +23,6 @@ from bsp_gp.physics.engine.motion import Motion, Points
 from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
 from bsp_gp.physics.masses import are_units
 
-__all__ = ["Companions", "Orbits"]
-
 N_STEPS = 96
 """Of the integration over the recording."""
 N_PEAKS = 24

@@ -9,8 +9,6 @@ from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import fresh_name
 
-__all__ = ["Contacts"]
-
 N_STARTS, MOST_KICKS = 2, 6
 """Single kicks that are proposed, and kicks at once."""
 LEAST_ROWS = 4

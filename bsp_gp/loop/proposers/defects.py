@@ -17,8 +17,6 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.stuck import LEAST_KEPT, stuck
 from bsp_gp.loop.proposers.swaps import swaps
 
-__all__ = ["Defects"]
-
 MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
 MOST_NUMBERS = 2_000_000

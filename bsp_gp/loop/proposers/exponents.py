@@ -12,8 +12,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 
-__all__ = ["Declared", "base_of", "is_size", "power_of", "rounding_of", "typical_value"]
-
 MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
 FEWEST_DIGITS = 3

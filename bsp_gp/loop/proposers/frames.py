@@ -15,8 +15,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Frames"]
-
 
 class Frames:
     """Rotating frames as a proposer: about the origin, and about a point that is fitted."""

@@ -9,8 +9,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
 
-__all__ = ["Growing"]
-
 MOST = 5.0
 """Times its strength by which a term may have grown at the end."""
 LEFT = 0.02

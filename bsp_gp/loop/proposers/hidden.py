@@ -21,8 +21,6 @@ from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
 
-__all__ = ["N_NEAR", "Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of", "still"]
-
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
 N_NEAR, N_RINGS, N_WAYS = 21, 12, 36

@@ -9,8 +9,6 @@ from bsp_gp.fitting.parts.inclined import Inclined, stretched
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["Inclinations", "is_open", "planes_of"]
-
 INCLINATIONS = np.radians([15.0, 30.0, 40.0, 50.0, 60.0, 68.0, 75.0, 81.0])
 N_NODES = 18
 N_STARTS = 2

@@ -15,8 +15,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["Kicks"]
-
 LEAST_ROWS = 100
 """Of a track: on fewer nobody tells kicks from a force that changes."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)

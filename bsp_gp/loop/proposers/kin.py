@@ -11,8 +11,6 @@ from bsp_gp.loop.proposers.exponents import base_of, is_size
 from bsp_gp.loop.proposers.sums import is_property
 from bsp_gp.physics.force import fresh_name, split_linear
 
-__all__ = ["kin_of"]
-
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _MOTION = Call("normalize", _VELOCITY)
 _AXES = ("e_x", "e_y", "e_z")

@@ -10,8 +10,6 @@ from bsp_gp.physics.force import ForceLaw, split_linear, term_gradient
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["LateLogs"]
-
 BELIEVED = 0.25
 """Delays that are believed, in the length of the shortest recording."""
 MOST_DELAYS = 160

@@ -25,8 +25,6 @@ from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
 from bsp_gp.search.inner import expanded
 
-__all__ = ["Laws"]
-
 MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
 MOST_ANEW, CLEAR = 20, 1000.0

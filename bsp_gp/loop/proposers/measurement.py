@@ -13,8 +13,6 @@ from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.view import gains
 
-__all__ = ["Measurement", "kinds_of"]
-
 FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
 FAR = 0.1

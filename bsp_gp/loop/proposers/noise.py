@@ -8,8 +8,6 @@ from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.questions import MOST_QUICK, least_chance, noise_findings
 
-__all__ = ["Noise"]
-
 TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.3, 0.6, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
 

@@ -17,8 +17,6 @@ from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_names
 
-__all__ = ["OwnLaws"]
-
 FEWEST, MOST = 2, 4
 """Bodies that may each have laws of their own."""
 MOST_FORMS = 4

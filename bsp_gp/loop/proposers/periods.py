@@ -15,11 +15,6 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
 
-__all__ = [
-    "Periods", "Scan", "Wave", "coordinate_of", "rates_of", "scanned", "text_of", "variants",
-    "wave_beside", "waves_alone", "waving",
-]  # fmt: skip
-
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
 NYQUIST = 0.9

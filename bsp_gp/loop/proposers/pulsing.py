@@ -10,8 +10,6 @@ from bsp_gp.loop.proposers.periods import Scan, rates_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Pulsing"]
-
 
 class Pulsing:
     """Strengths with a period as a proposer: a term times ``1 + a cos(w t) + b sin(w t)``."""

@@ -7,8 +7,6 @@ from bsp_gp.fitting.parts.reference import Reference, pulls_on_origin
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["References"]
-
 
 class References:
     """The acceleration of the body from which places count, by the declared pulls."""

@@ -21,8 +21,6 @@ from bsp_gp.loop.proposers.periods import (
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Ripples"]
-
 FEWEST = 2.0
 """Periods within the extent of the tracks; of fewer nobody knows that they repeat."""
 SHORTEST = 1.0

@@ -14,8 +14,6 @@ from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Rods"]
-
 CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
 BENT = 10.0

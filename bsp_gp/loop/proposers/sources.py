@@ -18,8 +18,6 @@ from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit
 
-__all__ = ["Sources"]
-
 FEWEST, MOST = 3, 60
 """Bodies of which strengths are asked; of a pair each has one that acts on the other alone."""
 POWERS = (-3, -2, -1, 1)

@@ -10,8 +10,6 @@ from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
 
-__all__ = ["LEAST_KEPT", "stuck"]
-
 LEAST_ROWS = 4
 """That stand still."""
 LEAST_KEPT = 0.25

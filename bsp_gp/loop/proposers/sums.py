@@ -18,8 +18,6 @@ from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
 from bsp_gp.search.subsets import best_subsets
 
-__all__ = ["is_property", "pairs_of", "properties_of", "sets_of"]
-
 MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
 """Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
 MOST_BEST = 12

@@ -11,8 +11,6 @@ import numpy as np
 from bsp_gp.fitting.parts.defects import Swapped
 from bsp_gp.fitting.tangent import as_pair
 
-__all__ = ["smooth_levels", "swaps", "unexplained"]
-
 WINDOW = 4
 """Rows before and after a swap through which a cubic is put."""
 MOST_BODIES = 12

@@ -9,8 +9,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.kin import kin_of
 from bsp_gp.physics.force import Term, fresh_names, split_linear
 
-__all__ = ["Unfollowed"]
-
 
 class Unfollowed:
     """Kin of the declared terms, or laws of textbooks where these have none, as a proposer.

@@ -12,8 +12,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 
-__all__ = ["MOST", "Varying", "beside_unknown", "columns_by", "owners"]
-
 MOST = 40
 """Bodies or scenes that may have strengths of their own."""
 

@@ -24,8 +24,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["Walls"]
-
 STEMS = ("h", "e", "k", "tilt")
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""

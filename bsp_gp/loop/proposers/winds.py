@@ -17,8 +17,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.loop.view import orthonormal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 
-__all__ = ["Winds"]
-
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _AXES = "xyz"
 _TOLD = {"wind": ("medium", "drag"), "belt": ("ground", "friction")}

@@ -18,8 +18,6 @@ from bsp_gp.physics.engine.rails import rails_of
 from bsp_gp.physics.geometry import DISC, MAT, WALL
 from bsp_gp.physics.series import Series
 
-__all__ = ["MOST_TOGETHER", "Chains", "build_chains", "is_coupled"]
-
 MOST_TOGETHER = 10
 """Moving bodies that fits follow in one state where a force passes between them."""
 

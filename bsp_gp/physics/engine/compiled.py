@@ -8,8 +8,6 @@ import numpy as np
 from bsp_gp.physics.engine import kernel
 from bsp_gp.physics.engine.kernel import OPS, Code, Inputs
 
-__all__ = ["Compiled"]
-
 STATES = {
     "p_i": kernel.PLACE, "v_i": kernel.VELOCITY,
     "p_j": kernel.PLACE_OF_SOURCE, "v_j": kernel.VELOCITY_OF_SOURCE,

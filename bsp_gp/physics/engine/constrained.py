@@ -14,8 +14,6 @@ from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.lowering import MOVING, Lowering
 
-__all__ = ["Constraints", "constraints_of"]
-
 APPROACHES = 8
 """Newton's steps by which states are put on constraints."""
 NEAR = 1e-8

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 
-__all__ = ["Driven"]
-
 N_POWERS = 6
 """Coefficients of a piece of a curve, of which the highest degree is 5."""
 MOST_KEPT = 1 << 27

@@ -10,8 +10,6 @@ import numpy as np
 from bsp_gp.physics.engine.motion import CREEP, Points
 from bsp_gp.physics.engine.roots import CLOSE, FEW, roots
 
-__all__ = ["chained", "passed_over", "through_events", "up_to_events"]
-
 MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
 WITHIN = tuple((k + 0.5) / 8 for k in range(8))

@@ -19,8 +19,6 @@ from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.events import chained, passed_over, through_events, up_to_events
 from bsp_gp.physics.engine.motion import Points
 
-__all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
-
 BLOCK, MOST_NUMBERS = 2048, 1 << 24
 """Intervals that are integrated together, and derivatives of accelerations in all stages of a
 step: bound the memory, and how long it is until the time is looked at."""

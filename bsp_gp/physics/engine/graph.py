@@ -10,8 +10,6 @@ import numpy as np
 
 from bsp_gp.language.operators import GUARD, OPERATORS, bessel_k0, bessel_k1
 
-__all__ = ["LEAVES", "Graph", "Tape"]
-
 
 def _inverse_positive(x):
     """1 / x where x > 0, else 0: the direction of a zero vector is zero."""

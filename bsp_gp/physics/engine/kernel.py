@@ -12,8 +12,6 @@ import numpy as np
 
 from bsp_gp.language.operators import GUARD
 
-__all__ = ["OPS", "Code", "carry", "slopes", "step"]
-
 Code = namedtuple("Code", "programs kept numbers loads steps outs parameters others n_registers")
 """A law packed: rows of integers for each program, and the numbers that do not change.
 

@@ -15,8 +15,6 @@ import numpy as np
 
 from bsp_gp.physics.engine.constrained import constraints_of
 
-__all__ = ["Linkages", "is_held", "linkages_of"]
-
 
 def linkages_of(law):
     """The parts of a law that link arms, tuple of Linkage."""

@@ -17,8 +17,6 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.physics.engine.graph import LEAVES
 
-__all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
-
 MOVING = ("p_i", "p_j", "v_i", "v_j", "t", "mode")
 """Inputs that differ from instant to instant; all others belong to the bodies of a scene."""
 ORIGIN = "origin"

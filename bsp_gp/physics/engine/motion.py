@@ -22,8 +22,6 @@ from bsp_gp.physics.engine.seen import Frame
 from bsp_gp.physics.engine.walls import Walls, walls_of
 from bsp_gp.physics.series import late_inputs
 
-__all__ = ["CREEP", "Motion", "Points"]
-
 CREEP = 1e-12
 """Speed at which it is asked which way friction acts on a body at rest, m/s."""
 ALIKE = 1e-9

@@ -9,8 +9,6 @@ import numpy as np
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.force import entry, key_of
 
-__all__ = ["Owners", "fitted_properties"]
-
 
 def fitted_properties(law):
     """Columns of properties that are fitted, tuple of str."""

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["CLOSE", "FEW", "roots"]
-
 BISECTIONS = 60
 FEW, FIRST = 8, 9
 """Instants up to which each is looked for at many lengths at once; lengths of the first look."""

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Frame", "Sight", "sight"]
-
 
 class Frame:
     """A graph whose inputs are the true states behind what parts show, for terms of a kind."""

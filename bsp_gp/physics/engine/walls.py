@@ -9,8 +9,6 @@ wall (both sheets go on a little beyond the instant), and its derivatives jump a
 
 import numpy as np
 
-__all__ = ["Walls", "walls_of"]
-
 AT_ONCE = 1e-3
 """Part of an interval that a step may end before or behind a contact."""
 UNDECIDED = 0.3
