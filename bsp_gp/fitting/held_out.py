@@ -10,7 +10,7 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.estimates import Errors
-from bsp_gp.fitting.fit import FitTolerances, fit
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import is_exact, without_outliers
@@ -29,8 +29,6 @@ LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
-ONE_START = FitTolerances(most_starts=1)
-"""Without constants there is nothing in which starts could differ."""
 STATES_EFFORT = 600
 """Steps after which states are taken as they are then: no path may lead where a track goes."""
 ROUNDING = 1e-13
@@ -288,9 +286,8 @@ def _fixed(law, paper_steps, noise, dataset, deadline=None):
     forces = FixedForces(law, paper_steps, own)
     more = unknown_beyond(law, dataset.scenes)
     hypothesis = Hypothesis((forces, *more, Positions(), TrackNoise(noise)))
-    return fit(
-        hypothesis, dataset, deadline=deadline, effort=STATES_EFFORT, tolerances=ONE_START
-    )
+    # Without constants there is nothing in which starts could differ.
+    return fit(hypothesis, dataset, deadline=deadline, effort=STATES_EFFORT, most_starts=1)
 
 
 def _stacked(chains, states, measured):

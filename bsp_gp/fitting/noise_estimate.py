@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtri, fdtrc
 
 from bsp_gp.fitting.noise_model import NoiseFinding
-from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
+from bsp_gp.fitting.noise_task import LEVEL, NoiseTask
 from bsp_gp.fitting.student import fit_student
 
 PARTS = ("correlation", "scenes", "bodies", "speed", "tails")
@@ -25,9 +25,7 @@ _NEEDED = 0.01
 """Chance of what probes take off, below which a law lacks something that they stand for."""
 
 
-def estimate(
-    model, channels, residual, columns=None, local=None, tolerances=None, adopt=True, parts=PARTS
-):  # fmt: skip
+def estimate(model, channels, residual, columns=None, local=None, adopt=True, parts=PARTS):
     """Estimate what is free of the noise from the residual of a fit.
 
     Parameters
@@ -39,7 +37,6 @@ def estimate(
         Derivatives of the residual to what the fit has free everywhere.
     local : ndarray, shape (q, T, C), optional
         Derivatives to what each chain has of its own.
-    tolerances : NoiseTolerances, optional
     adopt : bool
         Whether parts are chosen anew; otherwise those of `model` are estimated again.
     parts : collection of str
@@ -54,9 +51,8 @@ def estimate(
     FitError
         No row is left after what is free, though a level is to be estimated.
     """
-    tolerances = tolerances or NoiseTolerances()
     model = model.plain() if adopt else model
-    task = NoiseTask(model, channels, residual, columns, local, tolerances)
+    task = NoiseTask(model, channels, residual, columns, local)
     if not task.can_estimate:
         return model
     if not adopt:
@@ -128,7 +124,7 @@ def needs(model, channels, residual, columns, local, probes):
     """
     both = np.concatenate([local, probes])
     wide, plain = (
-        NoiseTask(model, channels, residual, columns, c, NoiseTolerances()) for c in (both, local)
+        NoiseTask(model, channels, residual, columns, c) for c in (both, local)
     )
     whitener = wide.rescale(wide.start)[0].whitener(channels)
     most, least = (
@@ -162,7 +158,7 @@ def _needed(task, part):
     if n_free is None:
         index = next(index for name, index, _ in task.groups if name == part)
         n_free = len(np.unique(index[task.free])) - 1
-    return 0.5 * float(chdtri(n_free, task.tolerances.level))
+    return 0.5 * float(chdtri(n_free, LEVEL))
 
 
 def _with_part(task, part, model):

@@ -11,7 +11,7 @@ from itertools import count, product
 
 import numpy as np
 
-from bsp_gp.fitting.fit import FitTolerances
+from bsp_gp.fitting.fit import REFUTED
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.jumps import SIDE_ROWS, WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
@@ -212,7 +212,7 @@ def _unexplained(view):
     fit = view.fit
     left = fit.residual / fit.noise.sizes(fit.channels)
     count = np.count_nonzero(np.isfinite(left))
-    chance = count + FitTolerances.refuted * math.sqrt(2 * count)
+    chance = count + REFUTED * math.sqrt(2 * count)
     return float(np.nansum(np.square(left))) - chance
 
 
