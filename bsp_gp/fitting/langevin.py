@@ -115,11 +115,6 @@ def _models_of(problem, near):
     return [replace(m, oddity=odd.get(id(m), m.oddity)) for m in found]
 
 
-def best_of(tracks, noise=None):
-    """The likeliest model, see `models_of`."""
-    return models_of(tracks, noise)[0]
-
-
 class _Problem:
     """Tracks in units of their own rows and steps."""
 

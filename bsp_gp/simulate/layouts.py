@@ -395,13 +395,3 @@ class Pucks(Layout):
         p = separate(rng, radii, place)
         v = polar(-uniform(rng, self.speed, n), angle)
         return World([disc(str(k + 1), radii[k], masses[k]) for k in range(n)], p, v)
-
-
-@dataclass(frozen=True)
-class Fixed(Layout):
-    """The same world every time, as given."""
-
-    world: World
-
-    def draw(self, rng):
-        return self.world

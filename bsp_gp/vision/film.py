@@ -80,11 +80,6 @@ class Camera:
         p = (np.asarray(positions, dtype=float) - self.centre) * (self.scale, -self.scale)
         return p + ((self.width - 1) / 2, (self.height - 1) / 2)
 
-    def metres(self, pixels):
-        """The inverse of `pixels`."""
-        p = np.asarray(pixels, dtype=float) - ((self.width - 1) / 2, (self.height - 1) / 2)
-        return p / (self.scale, -self.scale) + self.centre
-
 
 @dataclass(frozen=True)
 class Look:
