@@ -176,6 +176,14 @@ class Fit:
         return dict(zip(self.parameters, self.values.tolist(), strict=True))
 
     @property
+    def uncertain(self):
+        """Constants of the law, one for all, that the data determine: names, and covariance."""
+        known = [k for k, (name, entity) in enumerate(self.parameters)
+                 if name in self.law.names and not entity and np.isfinite(self.covariance[k, k])]
+        names = tuple(self.parameters[k][0] for k in known)
+        return names, self.covariance[np.ix_(known, known)]
+
+    @property
     def errors(self):
         """Standard errors of the constants, shape (k,)."""
         return np.sqrt(np.diag(self.covariance))

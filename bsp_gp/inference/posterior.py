@@ -285,6 +285,15 @@ def effective_size(weights):
     return float(1 / np.square(weights / weights.sum()).sum())
 
 
+def weights_of(log_weight):
+    """Normalised weights of their logarithms; None where none is finite."""
+    finite = np.isfinite(log_weight)
+    if not finite.any():
+        return None
+    weights = np.where(finite, np.exp(log_weight - log_weight[finite].max()), 0.0)
+    return weights / weights.sum()
+
+
 def split_r_hat(chain, n_groups=4):
     """Split R-hat of every parameter (Gelman et al. 2013, section 11.4).
 

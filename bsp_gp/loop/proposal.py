@@ -124,7 +124,6 @@ class Proposal:
         """Log posterior beside the law as it is, nats, up to what all proposals share."""
         return 0.5 * self.gain + self.log_prior + self.volume
 
-
     def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):
         """Its fit, from the tracks of the fit that it extends.
 

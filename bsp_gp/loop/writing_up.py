@@ -181,11 +181,8 @@ def _model(row, done):
         starts = done.proposals[row.id].starts
         law = law.with_constants({n: v for n, v in starts.items() if n in law.names})
     else:
-        law = found.law
-        known = [k for k, (n, entity) in enumerate(found.parameters)
-                 if n in law.names and not entity and np.isfinite(found.covariance[k, k])]
-        names = tuple(found.parameters[k][0] for k in known)
-        covariance = found.covariance[np.ix_(known, known)].tolist()
+        law, (names, covariance) = found.law, found.uncertain
+        covariance = covariance.tolist()
     return {**law_record(law), "uncertain": names, "covariance": covariance}
 
 

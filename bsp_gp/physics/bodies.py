@@ -227,6 +227,13 @@ class Batch:
     velocities: np.ndarray | None
     sigma: np.ndarray | None = None
 
+    @property
+    def is_still(self):
+        """Which entities are no receivers and stay where they are, in all scenes, (N,)."""
+        p = self.positions
+        static = np.array([i not in set(self.bodies.receivers) for i in range(p.shape[2])])
+        return static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
+
 
 def stack(scenes, up=None, velocity="ignore"):
     """Group scenes by build and stack each group; the order of scenes is kept within a group.

@@ -390,12 +390,17 @@ def fresh_name(law, stem="c"):
     return fresh_names(law, (stem,), stem)[stem]
 
 
+def numbered(stem, taken):
+    """The first of stem1, stem2, ... that is not taken."""
+    return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
+
+
 def fresh_names(law, names, stem=None):
     """New names for constants that the law does not use: their own or a stem, with numbers."""
     taken, out = {name.partition("[")[0] for name in law.names}, {}
     for name in names:
         own = name.rstrip("0123456789") if stem is None else stem
-        out[name] = next(n for k in count(1) if (n := f"{own}{k}") not in taken)
+        out[name] = numbered(own, taken)
         taken.add(out[name])
     return out
 

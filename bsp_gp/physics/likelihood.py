@@ -269,9 +269,7 @@ def _from_positions(batch, method, sigma):
     # Back to an error of position; the exact covariance does that by itself.
     correlated = method in ("gls", "one_step_gls")
     scale = np.ones_like(after) if correlated else after * (before + after) / 2
-    static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
-    still = static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
-    velocities = np.where(still[:, None] & np.isfinite(velocities), 0.0, velocities)
+    velocities = np.where(batch.is_still[:, None] & np.isfinite(velocities), 0.0, velocities)
     return (batch.times[1:-1], p[1:-1], velocities), target, None, np.nan_to_num(scale)
 
 

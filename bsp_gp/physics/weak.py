@@ -265,13 +265,8 @@ class WeakForm:
                 limit=self._limit(times, self.spacing),
                 is_stepped=self.is_stepped,
             )
-        p = batch.positions
-        static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
-        still = (static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3)))[:, None]
-        return (
-            np.where(still, p, positions),
-            np.where(still & np.isfinite(p), 0.0, velocities),
-        )
+        p, still = batch.positions, batch.is_still[:, None]
+        return np.where(still, p, positions), np.where(still & np.isfinite(p), 0.0, velocities)
 
     def _usable(self, batch, positions, velocities):
         """Rows at which a law can be evaluated, (T, S, R)."""

@@ -460,11 +460,8 @@ def _declared(law):
 
 def _fitted(rival, found):
     """A rival with the constants of a fit."""
-    known = [k for k, (n, entity) in enumerate(found.parameters)
-             if not entity and n in found.law.names and np.isfinite(found.covariance[k, k])]
-    names = tuple(found.parameters[k][0] for k in known)
-    return replace(rival, law=found.law, names=names,
-                   covariance=found.covariance[np.ix_(known, known)])  # fmt: skip
+    names, covariance = found.uncertain
+    return replace(rival, law=found.law, names=names, covariance=covariance)
 
 
 def _final(report):

@@ -58,6 +58,7 @@ _ERRORS = (
     ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
 )
 
+
 def render_html(report, run_info=None, figures=None):
     """Write the page of a report.
 

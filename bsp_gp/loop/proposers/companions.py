@@ -20,7 +20,7 @@ from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, attraction, pull
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
-from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
+from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name, numbered
 from bsp_gp.physics.masses import are_units
 
 N_STEPS = 96
@@ -87,7 +87,7 @@ class Orbits:
         self.view, self.stage, self.terms = view, stage, terms
         self.scene = _fitted_scene(view)
         self.own = {"mass": 1.0} if are_units(view.dataset) else {}
-        unknown = Entity(fresh_body(self.scene), properties=self.own)
+        unknown = Entity(numbered("unseen", self.scene.names), properties=self.own)
         blank = np.full((len(self.scene.times), 1, stage.n_dims), np.nan)
         whole = [np.concatenate([v, blank], axis=1)
                  for v in (self.scene.positions, self.scene.velocities)]  # fmt: skip
@@ -233,7 +233,7 @@ class Orbits:
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[:d])
         unit = view.dataset.property_units.get(self.column)
         known = {} if unit is None else {stage.strength: unit}
-        body = Unseen(fresh_body(self.scene), stage.names, speeds, known)
+        body = Unseen(numbered("unseen", self.scene.names), stage.names, speeds, known)
         starts = dict(zip((stage.strength, *body.names), map(float, (strength, *first)),
                           strict=True))  # fmt: skip
         declared = {term.formula for term in view.fit.law.terms}
@@ -256,14 +256,6 @@ class Orbits:
             view.odd_nats - view.criteria.cause_nats,
             patience=PATIENT if view.reference else 1, has_other_starts=bool(view.reference),
         )  # fmt: skip
-
-
-def fresh_body(scene):
-    """A name that no body of a scene has."""
-    number = 1
-    while f"unseen{number}" in scene.names:
-        number += 1
-    return f"unseen{number}"
 
 
 def _fitted_scene(view):

@@ -7,7 +7,7 @@ import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.physics.force import fresh_name
+from bsp_gp.physics.force import fresh_name, numbered
 
 N_STARTS, MOST_KICKS = 2, 6
 """Single kicks that are proposed, and kicks at once."""
@@ -221,10 +221,10 @@ def _proposal(view, spans, peaks, gain):
         time = float(np.clip(peak.time - BESIDE * interval, low, high))
         velocity = map(float, peak.velocity[moving])
         own = {**dict(zip(gains.values(), velocity, strict=True)), instant: time}
-        number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
-        taken.add(f"kicked{number}")
+        mark = numbered("kicked", taken)
+        taken.add(mark)
         part = Kick.of(
-            peak.scene, peak.body, f"kicked{number}", gains, instant, own, (low, high),
+            peak.scene, peak.body, mark, gains, instant, own, (low, high),
             BRIEF * interval,
         )  # fmt: skip
         hypothesis, starts = hypothesis + part, starts | own

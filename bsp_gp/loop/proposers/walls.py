@@ -7,7 +7,7 @@ under a law that is far off.
 
 import math
 from functools import lru_cache
-from itertools import count, product
+from itertools import product
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, numbered
 
 STEMS = ("h", "e", "k", "tilt")
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
@@ -138,7 +138,7 @@ def _proposals(view, groups, jumps_of, most):
     law, dataset, part = view.fit.law, view.dataset, view.hypothesis
     names, walls = list(law.names), []
     for (axis, side), own in groups.items():
-        mine = [_fresh(stem, names) for stem in STEMS[: count_of(dataset)]]
+        mine = [numbered(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
         values = _values(own, axis)
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
@@ -162,7 +162,7 @@ def _proposals(view, groups, jumps_of, most):
             continue
         strengths = []
         for _ in forms:
-            strengths.append(_fresh("c", [*names, *strengths]))
+            strengths.append(numbered("c", [*names, *strengths]))
         formulas = tuple(
             parse_formula(f"{name} * ({form})", types)
             for form, name in zip(forms, strengths, strict=True)
@@ -267,10 +267,6 @@ def _regressed(flights, forms):
     columns, target = (columns / errors[..., None]).reshape(v.size, -1), (forces / errors).ravel()
     values = np.linalg.lstsq(columns, target, rcond=None)[0]
     return values[1:].tolist(), float(np.square(target - columns @ values).sum())
-
-
-def _fresh(stem, taken):
-    return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
 
 
 def _values(own, axis):

@@ -194,22 +194,22 @@ class Flow:
 
     def held(self, nodes):
         """Nodes (2, R, d, T, S) put on the constraints of the law."""
-        if not self.motion.constraints:
-            return nodes
-        row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
-        nodes = nodes.copy()
-        nodes[..., row, chain] = self.motion.constraints.held(points)
-        return nodes
+        own = self.motion.constraints
+        return self._changed(nodes, own.held, []) if own else nodes
 
     def righted(self, nodes):
         """Nodes behind walls as they are in front of them."""
-        if not self.motion.walls:
+        walls = self.motion.walls
+        if not walls:
             return nodes
+        return self._changed(nodes, lambda points: walls.righted(points, self.motion.acceleration))
+
+    def _changed(self, nodes, change, modes=None):
+        """Nodes (2, R, d, T, S) with states in the place of those at measured rows."""
         row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain)
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
         nodes = nodes.copy()
-        nodes[..., row, chain] = self.motion.walls.righted(points, self.motion.acceleration)
+        nodes[..., row, chain] = change(points)
         return nodes
 
     def tangent(self, nodes, row, chain):
