@@ -93,10 +93,6 @@ def read_table(path, *, rename=None, as_text=False):
     as_text : bool
         Leave every cell a text (for ``entities.csv``, whose columns are the user's own).
 
-    Returns
-    -------
-    Table
-
     Raises
     ------
     DataError

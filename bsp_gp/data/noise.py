@@ -110,10 +110,6 @@ def estimate_noise(data):
     ----------
     data : Dataset or sequence of Scene
         Only dynamic entities count; scenes and entities are pooled.
-
-    Returns
-    -------
-    NoiseEstimate
     """
     is_dataset = isinstance(data, Dataset)
     scenes = data.scenes if is_dataset else tuple(data)

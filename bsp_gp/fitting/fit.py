@@ -211,10 +211,6 @@ def fit(
         last one if it converges.
     most_starts : int
 
-    Returns
-    -------
-    Fit
-
     Raises
     ------
     SettingsError

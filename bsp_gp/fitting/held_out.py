@@ -105,10 +105,6 @@ def errors_of(rows, units):
     rows : sequence of dict
     units : Units
         Of the data set.
-
-    Returns
-    -------
-    Errors
     """
     said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
     if not rows:

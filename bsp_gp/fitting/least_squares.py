@@ -52,10 +52,6 @@ def minimise(problem, start, *, low=None, high=None, settings=None, is_over=None
     is_over : callable, optional
         Asked before every linearisation; true ends the search ("unconverged", code "stopped").
 
-    Returns
-    -------
-    Minimum
-
     Raises
     ------
     SettingsError

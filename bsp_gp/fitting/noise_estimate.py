@@ -42,10 +42,6 @@ def estimate(model, channels, residual, columns=None, local=None, adopt=True, pa
     parts : collection of str
         Those that may be chosen.
 
-    Returns
-    -------
-    NoiseModel
-
     Raises
     ------
     FitError
@@ -88,10 +84,6 @@ def estimate_beside(model, channels, residual, columns, local, probes):
         As `estimate` takes them.
     probes : ndarray, shape (q, T, C)
         Further columns of every chain.
-
-    Returns
-    -------
-    NoiseModel
     """
     both = np.concatenate([local, probes])
     beside = estimate(model, channels, residual, columns, both)

@@ -255,10 +255,6 @@ def respond(fit, dataset, is_quick=False):
         That it was fitted to.
     is_quick : bool
         Whether forces count that change from row to row: of all others few moments tell as much.
-
-    Returns
-    -------
-    Response
     """
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):

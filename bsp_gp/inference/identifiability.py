@@ -83,10 +83,6 @@ def identifiability(profile, latents, posterior=None):
         In the order of the profile.
     posterior : Posterior, optional
         Of the latents, or of latents and constants, for correlations and gains.
-
-    Returns
-    -------
-    Identifiability
     """
     k = len(latents)
     constants = tuple(

@@ -88,10 +88,6 @@ def predictive_bands(
         Over the latents, and over the constants if they were sampled too.
     sigma : float, optional
         Measurement noise to add to the bands, metres.
-
-    Returns
-    -------
-    Bands
     """
     (batch,) = stack([scene], up)
     mine, _ = latents.of_scenes([scene.name])

@@ -58,10 +58,6 @@ def latent_problem(dataset, *, rng, kind="auto", noise=None, everything=False, t
     test : bool
         Whether held-out scenes are wanted.
 
-    Returns
-    -------
-    LatentProblem
-
     Raises
     ------
     SettingsError

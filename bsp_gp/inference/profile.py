@@ -78,10 +78,6 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
         Values of the latents to start from.
     give_up : float
         Losses above this are not worth finishing: the fit ends after a third of its iterations.
-
-    Returns
-    -------
-    Profile
     """
     problem = _Problem(misfit)
     first = problem.initial(np.atleast_2d(np.asarray(starts, dtype=float)))

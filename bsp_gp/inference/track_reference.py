@@ -89,10 +89,6 @@ def find_reference(world, starts, constants=None):
     constants : ndarray, shape (n_c,), optional
         Where constants begin; by default the law's own.
 
-    Returns
-    -------
-    Reference
-
     Raises
     ------
     EvaluationError

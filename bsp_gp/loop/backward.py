@@ -88,10 +88,6 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
     bounds : dict, optional
         Of the constants of what is declared.
     progress : callable, optional
-
-    Returns
-    -------
-    Pruned
     """
     run = _Pruning(rounds, dataset, criteria or Criteria(), bounds, clock or Clock(), progress)
     try:

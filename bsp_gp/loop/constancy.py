@@ -111,12 +111,7 @@ class Constancy:
 
 
 def constancy(view):
-    """The constancy of the terms of a View that nobody declared.
-
-    Returns
-    -------
-    Constancy
-    """
+    """The constancy of the terms of a View that nobody declared."""
     law = view.fit.law
     found = [term for term in law.terms if not term.is_declared]
     exponents, asked = [], []

@@ -187,10 +187,6 @@ def both_of(first, second):
     Parameters
     ----------
     first, second : Proposal
-
-    Returns
-    -------
-    Proposal
     """
     return replace(
         second, text=f"{first.text} + {second.text}", log_prior=first.log_prior + second.log_prior,

@@ -154,10 +154,6 @@ def law_of(record, dataset):
         With ``terms`` and ``values``.
     dataset : mapping
         That of the report.
-
-    Returns
-    -------
-    ForceLaw
     """
     terms = []
     for told in record.get("terms") or ():

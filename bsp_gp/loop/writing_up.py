@@ -63,10 +63,6 @@ def record_of(
         Why the final law only describes the tracks, of `DESCRIBES`, or "".
     restated : Restated or None
         How what it found is told beside what later rounds found.
-
-    Returns
-    -------
-    RoundRecord
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason

@@ -96,10 +96,6 @@ def recording_of(answer, experiment):
     ----------
     answer : mapping or Recording
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     DataError

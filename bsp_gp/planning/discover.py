@@ -441,10 +441,6 @@ def calm(scene):
     ----------
     scene : Scene
         With known first states; others are returned as they are.
-
-    Returns
-    -------
-    Scene
     """
     if scene.first is None or len(scene.entities) < 2:
         return scene

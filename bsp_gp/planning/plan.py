@@ -111,10 +111,6 @@ def plan(rivals, means, *, rng=None, about="", n_tried=96, n_told=5, up=None):
     up : str, optional
         Axis that points up.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     SettingsError

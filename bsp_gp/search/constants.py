@@ -90,10 +90,6 @@ def fit_constants(regression, law, *, starts=1):
     starts : int
         Start points for constants that do not enter linearly; the first is the given one.
 
-    Returns
-    -------
-    ConstantFit
-
     Raises
     ------
     EvaluationError

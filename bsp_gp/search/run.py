@@ -101,10 +101,6 @@ def run_search(
         Of a larger work, which Ctrl-C is to end; by default it ends the search, and what was
         found until then is the result.
 
-    Returns
-    -------
-    SearchResult
-
     Raises
     ------
     OutputError

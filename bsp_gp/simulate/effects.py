@@ -206,12 +206,7 @@ def effect(name, value, *, is_declared=True, **options):
 
 
 def parse_effect(text, is_declared=True):
-    """Read ``NAME=VALUE[,OPTION=VALUE...]``, such as ``push=2,period=0.5``.
-
-    Returns
-    -------
-    Effect
-    """
+    """Read ``NAME=VALUE[,OPTION=VALUE...]``, such as ``push=2,period=0.5``."""
     pairs = []
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))

@@ -225,10 +225,6 @@ def made_machine(name, rng, *, n_scenes=1, n_frames=None, dt=None, noise=None, n
     undeclared : collection of str
         Those of them that the declared model lacks.
 
-    Returns
-    -------
-    Made
-
     Raises
     ------
     SettingsError

@@ -59,10 +59,6 @@ def track_template(video, name, box, frame, first=0, last=None):
     Whole pixels by normalised correlation, the fraction by Gauss-Newton steps on the grey values
     (Lucas and Kanade 1981) with a free brightness and contrast.
 
-    Returns
-    -------
-    Track
-
     Raises
     ------
     SettingsError
@@ -129,10 +125,6 @@ def track_point(video, name, point, frame, first=0, last=None, window=21):
     """Follow one point by pyramidal Lucas-Kanade optical flow, checked forth and back.
 
     Errors add up from frame to frame: the covariance grows with the distance from `frame`.
-
-    Returns
-    -------
-    Track
     """
     last = video.n_frames - 1 if last is None else min(last, video.n_frames - 1)
     state = {}

@@ -74,10 +74,6 @@ def read_constraint(dataset, text, pairs=None):
     pairs : sequence of (str, str), optional
         The bodies i and j ("" = none) that it is on, where the text does not say it.
 
-    Returns
-    -------
-    Constraint
-
     Raises
     ------
     LawError

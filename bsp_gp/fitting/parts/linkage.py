@@ -51,14 +51,6 @@ def is_linkage(text):
 def read_linkage(dataset, text):
     """Read ``linked(upper, lower)``: of two angles, the arms of which hang on one another.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Linkage
-
     Raises
     ------
     LawError

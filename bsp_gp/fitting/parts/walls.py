@@ -142,10 +142,6 @@ def read_wall(dataset, text):
         data; then follow names of what is fitted as well: the parts of the speed across and along
         the wall that are kept, and its tilt in rad.
 
-    Returns
-    -------
-    Wall
-
     Raises
     ------
     LawError
