@@ -23,8 +23,6 @@ from bsp_gp.cli_reports import run_again, run_record
 from bsp_gp.errors import BspError, DataError, SettingsError, on_command_line
 from bsp_gp.workers import hands
 
-__all__ = ["main"]
-
 CHECKED_LEVELS = 8
 """Levels up to which a grammar is checked: those that the loop searches by default."""
 LONGEST = 1000

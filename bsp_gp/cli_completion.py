@@ -2,8 +2,6 @@
 
 import argparse
 
-__all__ = ["completion_script"]
-
 _BASH = """\
 _bsp_gp() {{
     local word="${{COMP_WORDS[COMP_CWORD]}}" words="" first="" values=""

@@ -5,19 +5,6 @@ import re
 
 from bsp_gp.errors import LawError, SettingsError
 
-__all__ = [
-    "columns_said",
-    "excluded_inputs",
-    "masked_grammar",
-    "read_constants",
-    "read_dataset",
-    "read_fit_settings",
-    "read_laws",
-    "read_loop_settings",
-    "refuse_fit_settings",
-    "unit_of_length",
-]
-
 
 def read_dataset(args):
     """The data set with the options that stand in for dataset.toml."""

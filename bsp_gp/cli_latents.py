@@ -6,13 +6,6 @@ from io import BytesIO
 from bsp_gp.data.declaration import PRIOR_FORMS, split_prior
 from bsp_gp.errors import SettingsError
 
-__all__ = [
-    "read_priors",
-    "run_infer",
-    "run_learn",
-    "with_declared_latents",
-]
-
 MOST_TOGETHER = 30
 """Unknowns up to this number are sampled together with the constants of a law."""
 PRIOR_HELP = (

@@ -1,13 +1,9 @@
 """The work of ``bsp-gp make`` for machines: a table with its units, its truth, its model."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["MachineSettings", "make_machine", "read_machine", "undeclared_of"]
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 from bsp_gp.cli_machines import MachineSettings, make_machine, read_machine, undeclared_of
 from bsp_gp.errors import SettingsError
 
-__all__ = ["claim_places", "make_data", "read_settings"]
-
 _TRUTH, _FILM, _MODEL, _PICTURE = "-truth", "-film", "-model.toml", "-scenes.png"
 _CAMERA = "camera.toml"
 _NO_MODEL = "none (bsp-gp fit looks from no force at all)"

@@ -6,8 +6,6 @@ import re
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["build_parser", "joined"]
-
 MAX_LEVELS, MAX_COUNTED_LEVELS, MAX_ROUNDS, MAX_WORKERS = 20, 16, 100, 256
 MAX_SCENES, MAX_SCORED = 100_000, 10**9
 MIN_ALPHA = 1e-4

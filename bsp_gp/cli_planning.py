@@ -5,8 +5,6 @@ from pathlib import Path
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["discovered", "planned"]
-
 _MARKED = "discovery.json"
 
 

@@ -5,8 +5,6 @@ import shutil
 import sys
 import time
 
-__all__ = ["Progress", "time_left"]
-
 QUIET_S = 1.0
 """Work that is done within this time shows no progress."""
 LEAST_TOLD_S = 3.0

@@ -11,8 +11,6 @@ from pathlib import Path
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.workers import python_path
 
-__all__ = ["first_difference", "run_again", "run_record"]
-
 _ALONE = ("--overwrite", "--resume", "--json", "--quiet")
 _WITH_VALUE = ("--out",)
 _CHANGES = ("wall_s", "seconds", "versions")

@@ -7,8 +7,6 @@ from functools import partial
 from bsp_gp.cli_inputs import excluded_inputs, read_dataset, read_loop_settings
 from bsp_gp.errors import BspError
 
-__all__ = ["run_sweep"]
-
 READING = (
     "units", "columns", "property", "sky", "up", "fps", "dt", "train", "test", "noise", "command",
 )  # fmt: skip

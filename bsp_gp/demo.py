@@ -26,8 +26,6 @@ from bsp_gp.report.folder import KIND, write_report
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.units import UnitSystem
 
-__all__ = ["GRAVITY", "run_demo", "solar_system"]
-
 GRAVITY = "6.67430e-11 [m^3/kg/s^2] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 J2000 = 2451545.0
 YEAR = 365.25

@@ -8,22 +8,6 @@ import contextlib
 import re
 from contextvars import ContextVar
 
-__all__ = [
-    "BspError",
-    "DataError",
-    "EvaluationError",
-    "FitError",
-    "GrammarError",
-    "LawError",
-    "MissingDependencyError",
-    "OutputError",
-    "ResourceError",
-    "SettingsError",
-    "UnitError",
-    "in_python",
-    "on_command_line",
-]
-
 _IS_SHELL = ContextVar("on the command line", default=False)
 _OPTION = re.compile(
     r"""(?<![\w-])--([a-z][a-z-]*)"""

@@ -1,14 +1,10 @@
 """Random numbers as public functions take them: an int, a Generator, or None."""
 
-from __future__ import annotations
-
 from numbers import Integral
 
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["Random", "generator"]
 
 Random = np.random.Generator | int | None
 """What may be given; see `generator`."""

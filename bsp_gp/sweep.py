@@ -24,8 +24,6 @@ from bsp_gp.output.place import claim, whole_file
 from bsp_gp.report.sweep_page import sweep_page
 from bsp_gp.workers import Crew
 
-__all__ = ["COLUMNS", "find_datasets", "sweep"]
-
 KIND = "sweep"
 ROWS, SUMMARY, PAGE = "rows.jsonl", "summary.csv", "index.html"
 COLUMNS = (

@@ -5,8 +5,6 @@ unit in the place of the SI one), and a `Unit` is only a tuple of exponents: the
 of the grammar.
 """
 
-from __future__ import annotations
-
 import copyreg
 import functools
 import math
@@ -16,11 +14,6 @@ from fractions import Fraction
 from types import MappingProxyType
 
 from bsp_gp.errors import UnitError
-
-__all__ = [
-    "ACCELERATION", "ANGLES", "BASE", "DIMENSIONLESS", "FORCE", "OF_THE_SKY",
-    "UNCALIBRATED", "Unit", "UnitSystem", "parse_unit",
-]  # fmt: skip
 
 
 def _frozen(mapping):

@@ -12,8 +12,6 @@ from pathlib import Path
 
 from bsp_gp.errors import ResourceError, SettingsError
 
-__all__ = ["Crew", "Work", "hands", "python_path", "worker_pool"]
-
 WORTH_S = 3.0
 """Seconds that parts have taken here before others are handed out: starting a process costs one."""
 MOST_KNOWN = 2

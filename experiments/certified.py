@@ -10,17 +10,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.fitting.problem import Linearised
 from bsp_gp.language.formula import evaluate_with_gradient
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = ["Regression", "read_problem"]
+__all__ = ["Dense", "Regression", "read_problem"]
 
 MOST_DIGITS = 11
 """Of the certificates."""
 _DATA = 60
 """Lines above the data in every file."""
+
+
+@dataclass(frozen=True)
+class Dense:
+    """A plain problem: ``residual(x) -> (n,)`` and ``jacobian(x) -> (n, k)``, points are arrays."""
+
+    residual: Callable
+    jacobian: Callable
+
+    def values(self, point):
+        return np.asarray(point, dtype=float)
+
+    def linearise(self, point):
+        point = self.values(point)
+        residual = np.asarray(self.residual(point), dtype=float)
+        if not np.isfinite(residual).all():
+            return None
+        jacobian = np.asarray(self.jacobian(point), dtype=float)
+        return Linearised(residual, jacobian) if np.isfinite(jacobian).all() else None
+
+    def move(self, point, linearised, values, share, reins):
+        return values
 
 
 @dataclass(frozen=True, eq=False)

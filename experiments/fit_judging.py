@@ -22,7 +22,7 @@ FAULTS = (BspError, ArithmeticError, ValueError)
 """What counts as a failed fit, and does not end a study."""
 
 
-def fitted(dataset, laws, *, rng, starts=None, bounds=None, deadline=None):
+def fitted(dataset, laws, *, starts=None, bounds=None, deadline=None):
     """Fit laws to a data set.
 
     Returns
@@ -37,7 +37,7 @@ def fitted(dataset, laws, *, rng, starts=None, bounds=None, deadline=None):
     began, wall = time.process_time(), time.perf_counter()
     try:
         found = fit(
-            Hypothesis.from_laws(dataset, list(laws)), dataset, rng=rng, starts=starts or None,
+            Hypothesis.from_laws(dataset, list(laws)), dataset, starts=starts or None,
             bounds=bounds or None, deadline=deadline,
         )  # fmt: skip
         facts = {
@@ -118,7 +118,7 @@ def _against_truth(world, rng, deadline):
     dataset = dataset_of(world, rng)
     limits = bound(world)
     found, row = fitted(
-        dataset, world.laws, rng=rng, starts=world.starts, bounds=world.bounds, deadline=deadline
+        dataset, world.laws, starts=world.starts, bounds=world.bounds, deadline=deadline
     )
     row |= {**world.facts, "kind": world.kind, "passed": False, "wrong_converged": False}
     if found is None or not np.isfinite(found.values).all():
@@ -146,7 +146,7 @@ def judge_agreement(case, rng, deadline):
     """Against scipy's least squares from the truth: values and standard errors."""
     world = case.world
     dataset = dataset_of(world, rng)
-    found, row = fitted(dataset, world.laws, rng=rng, bounds=world.bounds, deadline=deadline)
+    found, row = fitted(dataset, world.laws, bounds=world.bounds, deadline=deadline)
     row |= {"passed": False, "right_status": row["status"] in case.status}
     if found is None or not np.isfinite(found.values).all():
         return row
@@ -180,7 +180,7 @@ def judge_noise(world, rng, deadline):
     row = {"kind": world.kind, **world.facts, "passed": False}
     evidence = {}
     for label, laws in (("with", world.laws), ("without", world.laws[:-1])):
-        found, facts = fitted(dataset, laws, rng=rng, deadline=deadline)
+        found, facts = fitted(dataset, laws, deadline=deadline)
         row |= {f"{key}_{label}": value for key, value in facts.items()}
         if is_fit(found):
             row[f"level_{label}"] = noise_level(found) / true
@@ -196,7 +196,7 @@ def judge_noise(world, rng, deadline):
 def calibrated(world, rng, deadline):
     """Ranks of the true constants in the fitted Gaussian, uniform if it is a posterior."""
     dataset = dataset_of(world, rng)
-    found, row = fitted(dataset, world.laws, rng=rng, bounds=world.bounds, deadline=deadline)
+    found, row = fitted(dataset, world.laws, bounds=world.bounds, deadline=deadline)
     row |= {"kind": world.kind, "passed": False}
     if is_fit(found):
         values, covariance = constants_of(found, world)

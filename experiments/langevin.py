@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from common import options, run_jobs, write_study
 
-from bsp_gp.fitting.langevin import Track, best_of
+from bsp_gp.fitting.langevin import Track, models_of
 
 N_SETS, QUICK_SETS = 200, 4
 N_ROWS = (300, 500, 1000)
@@ -69,7 +69,7 @@ def _driven(rng, n_rows, step, drag, trap, kicks, speed):
 def work(kind, seed):
     """One track: a row."""
     track, truth = made(kind, seed)
-    found = best_of([track])
+    found = models_of([track])[0]
     row = {
         "kind": kind, "seed": seed, "terms": " ".join(sorted(found.terms)),
         "is_overdamped": found.is_overdamped, "is_right": set(found.terms) == KINDS[kind],

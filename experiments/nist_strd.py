@@ -7,12 +7,12 @@ with 1e-15, as sharp as they go. A run is right with six digits in every paramet
 
 import warnings
 
-from certified import read_problem
+from certified import Dense, read_problem
 from common import options, reference_data, run_jobs, write_text
 from scipy.optimize import least_squares
 
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Settings, dense_problem
+from bsp_gp.fitting.problem import Settings
 
 SOLVERS = ("driver", "lm 1e-8", "lm 1e-15", "trf 1e-8", "trf 1e-15", "dogbox 1e-8",
            "dogbox 1e-15")  # fmt: skip
@@ -38,7 +38,7 @@ def work(name, start, solver):
 
 def _driver(problem, start, _):
     settings = Settings(absolute=0.0, max_linearised=MOST)
-    plain = dense_problem(problem.residual, problem.jacobian)
+    plain = Dense(problem.residual, problem.jacobian)
     found = minimise(plain, start, settings=settings)
     return found.values, found.status, found.n_linearised
 

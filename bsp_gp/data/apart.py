@@ -9,8 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-__all__ = ["recordings_apart"]
-
 MAX_NAMES = 3
 """Bodies that the name of a scene tells, and scenes that a note lists times four."""
 

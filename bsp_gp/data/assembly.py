@@ -1,7 +1,5 @@
 """From rows of a table to scenes: validation, gaps, and the merging of times."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, replace
 
@@ -33,8 +31,6 @@ from bsp_gp.data.roster import (
 from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
-
-__all__ = ["Rows", "along_named_axis", "axes_of", "build_rows", "build_scenes", "inputs_of"]
 
 MAX_CELLS = 100_000_000
 

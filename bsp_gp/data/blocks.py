@@ -13,8 +13,6 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.scene import Evaluation
 
-__all__ = ["MOST_ROWS", "in_blocks"]
-
 MOST_ROWS = 5000
 """Rows of a scene that are handled as they are; blocks make so many of more."""
 BENT, COARSER = 0.02, 4

@@ -9,8 +9,6 @@ import re
 
 import pandas as pd
 
-__all__ = ["plain_cell", "safe_cell", "safe_table"]
-
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 _MARKED = re.compile(r"''*[=+\-@\t\r]")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")

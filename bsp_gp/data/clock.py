@@ -4,8 +4,6 @@ import numpy as np
 
 from bsp_gp.data.scene import CHECK
 
-__all__ = ["check_declared_rate", "clock_jumps"]
-
 SAME_RATE = 0.01
 """Part by which a declared step and the steps of the times may differ."""
 MOST_FRAMES = 25

@@ -15,10 +15,6 @@ from bsp_gp.units import (
     parse_unit,
 )
 
-__all__ = [
-    "COLUMN_KINDS", "KINDS", "Conversion", "is_inertia", "is_unit", "ratio_of", "unit_of",
-]  # fmt: skip
-
 _WORDS = {
     "m": "meter metern mètre mètres metri metro metros metre metres meters",
     "cm": "zentimeter centimètre centimètres centimetri centímetros",

@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pandas as pd
 
-__all__ = ["seconds_of"]
-
 _FORMATS = (
     (re.compile(r"\d{4}-\d\d(-\d\d.*)?"), "ISO8601"),
     (re.compile(r"\d{4}/\d\d/\d\d"), "%Y/%m/%d"),

@@ -1,7 +1,5 @@
 """What a data set says about itself: ``dataset.toml`` in and out, checked key by key."""
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import json
@@ -16,8 +14,6 @@ from bsp_gp.data.headings import ALIASES, NUMBER_COLUMNS, is_angle_name, is_fram
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
-
-__all__ = ["Declaration", "read_declaration", "select_scenes", "split_prior", "toml_text"]
 
 PROVENANCE_KEYS = (
     "description", "source", "license", "licence", "authors", "url", "doi", "citation", "date",

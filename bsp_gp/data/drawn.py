@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["new_axes", "plot_constants", "plot_models", "plot_tracks"]
-
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, told apart by colour-blind readers."""
 _MOST_NAMES = 8

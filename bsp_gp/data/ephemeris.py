@@ -5,8 +5,6 @@ import numpy as np
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.errors import DataError, MissingDependencyError
 
-__all__ = ["BODIES", "GRAVITATIONAL_CONSTANT", "load_ephemeris"]
-
 GRAVITATIONAL_CONSTANT = 6.67430e-11
 """m^3/(kg s^2), CODATA 2018. Only GM is known well; mass = GM / G with exactly this G."""
 DAY_S = 86400.0

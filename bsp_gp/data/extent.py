@@ -4,8 +4,6 @@ import numpy as np
 
 from bsp_gp.units import OF_THE_SKY, Unit
 
-__all__ = ["is_astronomical", "is_of_the_sky", "spans_the_sky"]
-
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
 

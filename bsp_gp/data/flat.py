@@ -12,8 +12,6 @@ from scipy import fft, stats
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.scene import Evaluation
 
-__all__ = ["held_flat"]
-
 LEAST_ROWS, SLOW = 8, 3
 """Rows that tell whether a body moves, and waves over a track by which slow motion is told."""
 SWEPT = 30.0

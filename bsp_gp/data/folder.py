@@ -1,7 +1,5 @@
 """Write a data set as a folder, whole or not at all, so that it reads back bit for bit."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path
@@ -17,8 +15,6 @@ from bsp_gp.errors import OutputError
 from bsp_gp.output.place import claim
 from bsp_gp.units import OF_THE_SKY, UNCALIBRATED
 
-__all__ = ["ENTITIES", "TOML", "TRAJECTORIES", "fill_dataset", "save_dataset"]
-
 TRAJECTORIES, ENTITIES, TOML = "trajectories.csv", "entities.csv", "dataset.toml"
 
 
@@ -29,7 +25,6 @@ def save_dataset(
 
     Parameters
     ----------
-    dataset : Dataset
     folder : path-like
         Created, with its parents.
     overwrite : bool

@@ -4,8 +4,6 @@ Read here: plain CSV, exports of Tracker and of loggers, of one run or body or o
 side, workbooks, and long tables of trackpy. The result is one `Table` whatever the dialect was.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass, field, replace
@@ -34,8 +32,6 @@ from bsp_gp.data.sources import open_source
 from bsp_gp.data.untimed import COUNTED, rows_as_frames
 from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
-
-__all__ = ["Table", "long_table", "read_table"]
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _HEAD_LINES = 60
@@ -96,10 +92,6 @@ def read_table(path, *, rename=None, as_text=False):
         Our name of a column -> its name in the file.
     as_text : bool
         Leave every cell a text (for ``entities.csv``, whose columns are the user's own).
-
-    Returns
-    -------
-    Table
 
     Raises
     ------

@@ -4,8 +4,6 @@ from bsp_gp.data.headings import UNKNOWN
 from bsp_gp.data.sniffing import sniff, split_line
 from bsp_gp.data.sources import open_source
 
-__all__ = ["columns_of"]
-
 N_ROWS, N_LINES, N_COLUMNS = 5, 40, 60
 
 

@@ -5,8 +5,6 @@ meaning is guessed (``Höhe``, ``Versuch``); guesses are told. It may carry a un
 belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``, ``x2``).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 
@@ -26,13 +24,6 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
-
-__all__ = [
-    "NUMBER_COLUMNS", "TEXT_COLUMNS", "Heading", "bodies_beside", "has_place", "headings",
-    "is_acceleration", "is_angle", "is_angle_name", "is_body", "is_count", "is_doubt", "is_error",
-    "is_frame_name", "is_height", "is_ignored", "is_no_place", "is_own_speed", "is_rate", "is_run",
-    "number_columns", "property_of_words", "run_of", "told",
-]  # fmt: skip
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",

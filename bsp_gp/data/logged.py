@@ -27,8 +27,6 @@ from bsp_gp.data.headings import (
 from bsp_gp.errors import UnitError
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, parse_unit
 
-__all__ = ["asked_of", "logged_columns", "named_of"]
-
 MOST = 6
 """Columns that are asked."""
 AS_TIME, AS_PLACE, AS_MOTION, AS_OTHER = 1e-4, 1e-3, 5e-3, 1e-4

@@ -1,7 +1,5 @@
 """How accurate the positions are: quoted, declared, or estimated from the data themselves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -10,11 +8,6 @@ import numpy as np
 from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import Unit, parse_unit
-
-__all__ = [
-    "FLOOR", "NoiseEstimate", "checked_noise", "declare_noise", "estimate_noise", "finest_noise",
-    "is_declared_noisy",
-]  # fmt: skip
 
 ORDERS = range(2, 9)
 FLOOR = 1e-12
@@ -117,10 +110,6 @@ def estimate_noise(data):
     ----------
     data : Dataset or sequence of Scene
         Only dynamic entities count; scenes and entities are pooled.
-
-    Returns
-    -------
-    NoiseEstimate
     """
     is_dataset = isinstance(data, Dataset)
     scenes = data.scenes if is_dataset else tuple(data)

@@ -7,8 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = ["are_smooth", "gross_errors"]
-
 REACH = 5
 """Points before and after by which a point is predicted."""
 FAR = 5.0

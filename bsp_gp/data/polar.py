@@ -9,8 +9,6 @@ from bsp_gp.data.roster import GAP, fail_at, numbers_of, require_columns
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import parse_unit
 
-__all__ = ["POLAR_ALIASES", "POLAR_COLUMNS", "from_polar", "is_polar"]
-
 POLAR_COLUMNS = ("distance", "angle", "sdistance", "sangle")
 POLAR_ALIASES = {
     "separation": "distance", "position_angle": "angle", "sseparation": "sdistance",

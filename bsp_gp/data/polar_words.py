@@ -4,11 +4,6 @@ import re
 
 from bsp_gp.units import OF_THE_SKY
 
-__all__ = [
-    "date_unit", "error_of", "is_angle_word", "is_bare_error", "is_besselian", "is_far",
-    "is_julian", "is_of_sky", "is_position_angle", "plain_words", "sky_unit",
-]  # fmt: skip
-
 
 def _set(text):
     return frozenset(text.split())

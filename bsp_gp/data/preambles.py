@@ -12,8 +12,6 @@ import re
 
 from bsp_gp.errors import DataError
 
-__all__ = ["HEADS", "without_preamble"]
-
 _AXES = ("X", "Y", "Z")
 
 

@@ -11,8 +11,6 @@ from bsp_gp.data.scene import CHECK, PROPERTY_UNITS
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import UnitSystem, parse_unit
 
-__all__ = ["LEFT_OUT", "read_properties", "with_properties"]
-
 _VALUE = re.compile(
     r"(?:(?P<body>.+?)\s*:)?\s*(?P<number>[^:\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?"
 )

@@ -11,8 +11,6 @@ from bsp_gp.data.headings import property_of_words
 from bsp_gp.data.roster import WITHIN, tracks_of
 from bsp_gp.errors import in_python
 
-__all__ = ["quoted", "unread_masses", "with_properties_by_words"]
-
 
 def with_properties_by_words(table, units):
     """The table with such columns under the names that properties have with us, and notes of them.

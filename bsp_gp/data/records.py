@@ -1,14 +1,10 @@
 """Tables written as JSON: a list of records, records line by line, or columns by name."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 
 from bsp_gp.errors import DataError
-
-__all__ = ["ENDINGS", "as_table"]
 
 ENDINGS = (".json", ".jsonl", ".ndjson")
 _REMEDY = (

@@ -1,7 +1,5 @@
 """Who is in which scene: ``entities.csv`` to `Entity` records."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field, replace
@@ -11,11 +9,6 @@ import pandas as pd
 
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
-
-__all__ = [
-    "WITHIN", "Roster", "fail_at", "numbers_of", "read_roster", "require_columns", "roster_within",
-    "tracks_of",
-]  # fmt: skip
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 WITHIN = ("mass", "charge")

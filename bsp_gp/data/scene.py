@@ -4,8 +4,6 @@ Axes are always ``[time, entity, xy(z)]``; numbers are SI, or the data's own uni
 set is not calibrated (`Dataset.units` says which).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,11 +14,6 @@ import numpy as np
 
 from bsp_gp.errors import DataError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
-
-__all__ = [
-    "CHECK", "SHAPES", "Dataset", "Entity", "Evaluation", "FirstState", "LatentDeclaration",
-    "Scene",
-]  # fmt: skip
 
 CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""

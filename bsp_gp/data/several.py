@@ -10,8 +10,6 @@ from bsp_gp.data.folder import ENTITIES, TRAJECTORIES
 from bsp_gp.data.scene import Dataset
 from bsp_gp.errors import DataError
 
-__all__ = ["joined", "name_of_several", "tables_of"]
-
 TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq", ".jsonl", ".ndjson")
 """Endings of files that may be recordings."""
 

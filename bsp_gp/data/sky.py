@@ -14,8 +14,6 @@ from bsp_gp.data.roster import fail_at, numbers_of, require_columns
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
-__all__ = ["SKY_COLUMNS", "from_sky", "is_sky"]
-
 SKY_COLUMNS = ("ra", "dec", "sra", "sdec")
 _SEXAGESIMAL = re.compile(
     r"([+\-−]?)\s*(\d+)\s*[h:°d\s]\s*(\d+)\s*[m:'′\s]\s*(\d+(?:\.\d*)?)\s*[s\"″]?"

@@ -1,7 +1,5 @@
 """The layout of a delimited file, guessed from its first lines."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass
@@ -9,8 +7,6 @@ from dataclasses import dataclass
 from bsp_gp.data.conversion import is_unit
 from bsp_gp.data.headings import Heading, has_place, headings, is_ignored, number_columns
 from bsp_gp.errors import DataError, in_python
-
-__all__ = ["DELIMITER_NAMES", "Layout", "sniff", "split_line"]
 
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}

@@ -1,7 +1,5 @@
 """Where the text of a table comes from: a text file in its encoding, or a sheet of a workbook."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import hashlib
@@ -15,8 +13,6 @@ from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
 from bsp_gp.errors import DataError, MissingDependencyError
-
-__all__ = ["Source", "open_source"]
 
 MAX_BYTES = 4 * 2**30
 MAX_ROWS = 20_000_000

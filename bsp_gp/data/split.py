@@ -1,7 +1,5 @@
 """What is trained on and what is held out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from bsp_gp.data.scene import Scene
 from bsp_gp.errors import DataError, in_python
-
-__all__ = ["Split", "choose_split"]
 
 MIN_SCENES = 4
 TEST_SHARE = 0.25

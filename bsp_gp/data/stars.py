@@ -21,8 +21,6 @@ from bsp_gp.data.scene import Entity, FirstState
 from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 
-__all__ = ["PRIMARY", "read_stars", "with_primary"]
-
 PRIMARY = "primary"
 _DATES = (
     ((1500, 2200), "yr", "decimal years"),

@@ -10,8 +10,6 @@ import numpy as np
 
 from bsp_gp.data.scene import CHECK
 
-__all__ = ["held_still"]
-
 FEWEST_ROWS = 5
 JITTER = 2.0
 """Standard deviations of a track, in those that its steps from row to row show, up to which it is

@@ -5,8 +5,6 @@ A folder holds ``trajectories.csv``, and if there is more to say ``entities.csv`
 or a note in `Dataset.notes`; nothing is dropped silently.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import math

@@ -2,8 +2,6 @@
 
 import tomllib
 
-__all__ = ["TomlError", "parse_toml"]
-
 MOST_LEVELS = 50
 """Tables and lists within each other."""
 LARGEST = 2**63 - 1

@@ -22,8 +22,6 @@ import pandas as pd
 
 from bsp_gp.errors import DataError
 
-__all__ = ["read_trk"]
-
 MOST_BYTES = 100_000_000
 DEFAULT_FPS = 30.0
 DEFAULT_MASS = 1.0

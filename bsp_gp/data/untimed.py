@@ -7,8 +7,6 @@ from bsp_gp.data.conversion import unit_of
 from bsp_gp.data.headings import UNKNOWN
 from bsp_gp.units import Unit
 
-__all__ = ["COUNTED", "rows_as_frames"]
-
 COUNTED = "there is no column of times: every row is taken as a frame"
 RISES = 0.8
 """Part of the steps of a clock that go up; it may begin anew where another recording begins."""

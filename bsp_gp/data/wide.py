@@ -1,7 +1,5 @@
 """Tables with runs or bodies side by side: whose the columns are, and one long table of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 
@@ -9,8 +7,6 @@ import pandas as pd
 
 from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
 from bsp_gp.errors import DataError
-
-__all__ = ["Group", "groups_of", "stack"]
 
 _AXES = ("x", "y", "z")
 

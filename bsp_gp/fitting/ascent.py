@@ -4,14 +4,10 @@ The likeness gives the start and the curvature, the function itself the slopes: 
 where a search from anew would take fifty evaluations.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from scipy.optimize import minimize
-
-__all__ = ["maximise"]
 
 _STEP = 1e-6
 """Of slopes; the numbers are logarithms, of which half of it is far below their errors."""

@@ -7,11 +7,7 @@ have errors of a size of its own: then it counts in how many pieces a law leaves
 much it leaves in the worst.
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["steadied"]
 
 LEAST_PIECES = 8
 """Pieces from which some may be told from the others."""

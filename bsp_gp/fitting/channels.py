@@ -1,12 +1,8 @@
 """The coordinates of bodies in scenes, one channel each: when seen, and whose."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-__all__ = ["Channels", "join"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +43,6 @@ class Channels:
 
         Parameters
         ----------
-        batches : sequence of Batch
         speeds : sequence of ndarray, shape (T, S, R, d), m/s, optional
             Fitted or smoothed velocities of the receivers.
         """

@@ -5,8 +5,6 @@ minimum at every period. Pieces that show the acceleration just above the noise 
 and each level hands the nodes that it found to the next.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cached_property
@@ -29,8 +27,13 @@ from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
 from bsp_gp.physics.engine.walls import walls_of
 
-__all__ = ["Climb"]
-
+STEP_ERROR = 0.002
+"""Error of the integration over a whole track, in standard deviations of a position."""
+GAP = 1e-3
+"""How far intervals of a converged fit may fail to join, in the same."""
+PRIOR_WIDTH = 10.0
+"""Prior standard deviation of a constant, in changes that alter the acceleration by its typical
+size."""
 GROWTH = 8
 """Times that pieces are longer from level to level."""
 GROUPS_GROWTH = 3
@@ -79,7 +82,6 @@ class Climb:
     run : _Run
         The law, its parameters and bounds, the chains, what was given to start from.
     noises : sequence of ChainNoise
-    scales : Scales
     paper_steps : bool
     """
 
@@ -100,7 +102,7 @@ class Climb:
         """Error of one interval such that a whole track keeps to its tolerance."""
         sigma = self.sigma(noise)
         floor = 1e-13 * np.nanmax(np.abs(chains.observed))
-        return np.maximum(self.run.tolerances.step_error * sigma / chains.lengths, floor)
+        return np.maximum(STEP_ERROR * sigma / chains.lengths, floor)
 
     @staticmethod
     def sigma(noise):
@@ -156,7 +158,7 @@ class Climb:
         roles = [self.run.roles[name] for name, _ in self.run.parameters]
         linear = np.array([role == "linear" for role in roles], dtype=bool)
         known = linear & (size > 0)
-        width = self.run.tolerances.prior_width * np.where(known, size, 1.0)
+        width = PRIOR_WIDTH * np.where(known, size, 1.0)
         has_prior = np.isfinite(self.run.width)
         width = np.where(has_prior, self.run.width, np.where(known, width, np.inf))
         is_kept = np.array([role == "kept" for role in roles], dtype=bool)
@@ -231,7 +233,7 @@ class Climb:
         if self._is_good(ends):
             return True
         found = sum(end.linearised is not None for end in ends)
-        return found >= self.run.tolerances.most_starts
+        return found >= self.run.most_starts
 
     def _is_good(self, ends):
         """Whether starts agree on a minimum that the noise allows; declared noise vouches for one.
@@ -513,7 +515,7 @@ class Climb:
         """Points to begin with: nodes off the data, constants given, regressed or of their size."""
         run, nodes = self.run, self._read_off()
         inner = candidates(
-            run.law, run.parameters, self.scales, self._rates(), run.tolerances.most_starts
+            run.law, run.parameters, self.scales, self._rates(), run.most_starts
         )
         free = [
             k for k, (name, _) in enumerate(run.parameters)
@@ -529,7 +531,7 @@ class Climb:
             points.append(TrackPoint(self.coordinates.unknowns(constants), own))
         if len(inner) == 1 and free:
             points += self._sized(points[0], nodes, free)
-        return _unlike(points)[: run.tolerances.most_starts]
+        return _unlike(points)[: run.most_starts]
 
     def _read_off(self):
         """Nodes off the data, of every group."""
@@ -647,7 +649,6 @@ class Climb:
 
         Parameters
         ----------
-        minimum : Minimum
         motions : sequence of Motion
             Of the run's law with the terms behind it.
         n_most : int
@@ -688,7 +689,7 @@ class Climb:
             gaps[..., np.isin(shooting.flow.chain, shooting.chains_of(own))] = 0.0
             sigma = self.sigma(noise)[shooting.flow.chain]
             floor = 1e-10 * np.nanmax(np.abs(shooting.chains.observed))
-            allowed = np.maximum(self.run.tolerances.gap * sigma, floor)
+            allowed = np.maximum(GAP * sigma, floor)
             if not mesh.is_complete or not np.all(np.abs(gaps) <= allowed):
                 return False
         return True
@@ -750,7 +751,7 @@ class Climb:
         total = self.state_volume(minimum)
         if minimum.linearised is None:
             return total
-        width = self.run.tolerances.prior_width * self.typical_changes(
+        width = PRIOR_WIDTH * self.typical_changes(
             minimum.point, minimum.point.nodes
         )
         known = width > 0

@@ -5,13 +5,9 @@ and the distances of planets by 1e11. The fit's own unknown is k * s^n with s th
 over the data (DESIGN §1 point 3 of fits: "distances scaled by their median").
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, factors, walk
-
-__all__ = ["Coordinates", "powers_of"]
 
 
 def powers_of(formula):
@@ -52,7 +48,6 @@ class Coordinates:
 
     Parameters
     ----------
-    law : ForceLaw
     parameters : sequence of (name, entity)
     bases : dict of Formula to float
         Typical value of every base of a fitted power.

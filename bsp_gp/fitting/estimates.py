@@ -1,11 +1,7 @@
 """What is told of a fit: constants with intervals, errors on held-out data; as JSON can hold it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
-
-__all__ = ["ConstantEstimate", "Errors", "plain"]
 
 
 @dataclass(frozen=True)

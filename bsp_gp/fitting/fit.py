@@ -5,8 +5,6 @@ tracks are fitted first, then ever longer ones, at last the whole (`bsp_gp.fitti
 noise is estimated beside the law, and the law fitted again under it.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field, replace
@@ -36,57 +34,28 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.geometry import POINT
 
-__all__ = ["FAILED", "STATUSES", "Fit", "FitTolerances", "fit"]
-
 STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "converged")
 """How a fit can end; the first that applies."""
 FAILED = STATUSES[:3]
 """These say nothing about the law: a failed fit is never "nothing missing"."""
 SAME = 1e-9
 """Part of a log-likelihood by which two fits of exact data that are one may differ."""
-
-
-@dataclass(frozen=True)
-class FitTolerances:
-    """Numerical tolerances of a fit; none of them can change what a converged fit says.
-
-    Attributes
-    ----------
-    step_error : float
-        Error of the integration over a whole track, in standard deviations of a position.
-    gap : float
-        How far intervals of a converged fit may fail to join, in the same.
-    exact : float
-        Noise below this part of the extent is numerical: its level is that of what is left.
-    resolution : float
-        Part of the extent by which a law may miss exact data (another integrator, numbers cut
-        short): what it leaves is then their noise.
-    most_starts : int
-        Starts at the most; all are taken where no two agree.
-    noise_passes : int
-        Times that noise and law are fitted in turn, at the most.
-    led_passes : int
-        Times that bodies are led anew by the tracks that a fit gives the others, at the most.
-    refuted : float
-        Standard deviations of chi-squared above its mean from which declared errors refute a law.
-    misfit : float
-        Reduced chi-squared from which what is left is looked at for a force before its noise is
-        estimated.
-    prior_width : float
-        Prior standard deviation of a constant, in changes that alter the acceleration by its
-        typical size.
-    """
-
-    step_error: float = 0.002
-    gap: float = 1e-3
-    exact: float = 1e-9
-    resolution: float = 1e-7
-    most_starts: int = 16
-    noise_passes: int = 4
-    led_passes: int = 2
-    refuted: float = 5.0
-    misfit: float = 1.5
-    prior_width: float = 10.0
+# No tolerance changes what a converged fit says.
+EXACT = 1e-9
+"""Noise below this part of the extent is numerical: its level is that of what is left."""
+RESOLUTION = 1e-7
+"""Part of the extent by which a law may miss exact data (another integrator, numbers cut short):
+what it leaves is then their noise."""
+MOST_STARTS = 16
+"""Starts at the most; all are taken where no two agree."""
+NOISE_PASSES, LED_PASSES = 4, 2
+"""Times at the most that noise and law are fitted in turn, and that bodies are led anew by the
+tracks that a fit gives the others."""
+REFUTED = 5.0
+"""Standard deviations of chi-squared above its mean from which declared errors refute a law."""
+MISFIT = 1.5
+"""Reduced chi-squared from which what is left is looked at for a force before its noise is
+estimated."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,23 +176,27 @@ class Fit:
         return dict(zip(self.parameters, self.values.tolist(), strict=True))
 
     @property
+    def uncertain(self):
+        """Constants of the law, one for all, that the data determine: names, and covariance."""
+        known = [k for k, (name, entity) in enumerate(self.parameters)
+                 if name in self.law.names and not entity and np.isfinite(self.covariance[k, k])]
+        names = tuple(self.parameters[k][0] for k in known)
+        return names, self.covariance[np.ix_(known, known)]
+
+    @property
     def errors(self):
         """Standard errors of the constants, shape (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def fit(
-    hypothesis, dataset, *, rng=None, starts=None, bounds=None, deadline=None, effort=None,
-    near=None, tolerances=None,
+    hypothesis, dataset, *, starts=None, bounds=None, deadline=None, effort=None, near=None,
+    most_starts=MOST_STARTS,
 ):  # fmt: skip
     """Fit a hypothesis to all scenes of a data set.
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-    dataset : Dataset
-    rng : numpy.random.Generator, int or None
-        Unused so far: starts are chosen without chance.
     starts : mapping of str to float, optional
         Where constants begin, SI; the others are found from the data.
     bounds : mapping of str to (float, float), optional
@@ -236,11 +209,7 @@ def fit(
     near : Fit, optional
         Of a hypothesis that this one extends: the first descent begins at its tracks, and is the
         last one if it converges.
-    tolerances : FitTolerances, optional
-
-    Returns
-    -------
-    Fit
+    most_starts : int
 
     Raises
     ------
@@ -250,8 +219,7 @@ def fit(
         If nothing moves.
     """
     began = time.monotonic()
-    tolerances = tolerances or FitTolerances()
-    run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, tolerances)
+    run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, most_starts)
     run.near = near
     if near is not None:
         run.lead(near)
@@ -302,8 +270,8 @@ class _Patience:
 class _Run:
     """One call of `fit`."""
 
-    def __init__(self, hypothesis, dataset, starts, bounds, tolerances):
-        self.hypothesis, self.dataset, self.tolerances = hypothesis, dataset, tolerances
+    def __init__(self, hypothesis, dataset, starts, bounds, most_starts):
+        self.hypothesis, self.dataset, self.most_starts = hypothesis, dataset, most_starts
         self.law = hypothesis.law
         self.parameters = tuple((p.name, p.entity) for p in hypothesis.parameters)
         self.low = np.array([p.low for p in hypothesis.parameters], dtype=float)
@@ -384,7 +352,7 @@ class _Run:
 
     def led_further(self, found):
         """The fit with bodies that are led by the tracks that it gives the others."""
-        for _ in range(self.tolerances.led_passes):
+        for _ in range(LED_PASSES):
             if found.is_failed or self.is_over() or not self.lead(found):
                 break
             self.near = found
@@ -409,7 +377,7 @@ class _Run:
     def is_exact(self):
         model = self.hypothesis.noise
         levels = np.array(model.levels)
-        if not np.nanmax(levels) <= self.tolerances.exact * self.extent:
+        if not np.nanmax(levels) <= EXACT * self.extent:
             return False
         # What was declared is believed as far as numbers carry it.
         return bool(model.is_free.any() or np.nanmax(levels) <= 10 * np.nanmax(model.floors))
@@ -428,7 +396,7 @@ class _Run:
             minimum = climb.again(minimum, meshes)
         elif self.is_noise_estimated and minimum.linearised is not None:
             new = self.noise_beside(climb, minimum, paper_steps)
-            for _ in range(self.tolerances.noise_passes):
+            for _ in range(NOISE_PASSES):
                 is_settled, model = _same_noise(new, model), new
                 before = climb, minimum
                 climb, minimum = weighed(self, climb, minimum, model)
@@ -459,7 +427,7 @@ class _Run:
         """
         dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
         levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / dof), 1.0)
-        if not np.nanmax(levels) <= self.tolerances.resolution * self.extent:
+        if not np.nanmax(levels) <= RESOLUTION * self.extent:
             return model
         return replace(model, levels=tuple(map(float, levels)))
 
@@ -487,7 +455,7 @@ class _Run:
         dataset = to_begin_with(self.dataset, model)
         if dataset is self.dataset:
             return self
-        led = _Run(self.hypothesis, dataset, self.starts, {}, self.tolerances)
+        led = _Run(self.hypothesis, dataset, self.starts, {}, self.most_starts)
         led.low, led.high, led.near = self.low, self.high, self.near
         led.is_over, led.lost = self.is_over, self.lost
         if self.near is not None:
@@ -497,7 +465,7 @@ class _Run:
     def has_misfit(self, minimum):
         """Whether more is left than the noise that was assumed."""
         dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
-        return minimum.chisqr > self.tolerances.misfit * dof
+        return minimum.chisqr > MISFIT * dof
 
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""
@@ -524,7 +492,7 @@ class _Run:
         at the data, two steps of the linearisation lead as far.
         """
         parts = (Forces(self.probed_law, False), TrackNoise(model))
-        beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.tolerances)
+        beside = _Run(Hypothesis(parts), self.dataset, self.starts, {}, self.most_starts)
         beside.is_over, beside.groups = self.is_over, self.groups
         wider = Climb(beside, self.noises(model), climb.scales, False)
         nodes = self.near.nodes if self.near is not None and self.near.shows_tracks else None
@@ -667,7 +635,7 @@ class _Run:
             return "at_bound"
         if self.is_exact or not self.is_noise_estimated:
             dof = max(found.n_rows - found.n_free, 1)
-            if found.chisqr > dof + self.tolerances.refuted * np.sqrt(2 * dof):
+            if found.chisqr > dof + REFUTED * np.sqrt(2 * dof):
                 return "refuted"
         return "converged"
 

@@ -4,13 +4,9 @@ Places and velocities are those that an observer sees who turns with the frame. 
 needs nothing of its own: it is a push in proportion to mass.
 """
 
-from __future__ import annotations
-
 import re
 
 from bsp_gp.errors import LawError
-
-__all__ = ["expanded"]
 
 _ROTATING = re.compile(r"\brotating\(([^(),]+)(?:,([^(),]+))?\)(?:\s*about\s*\(([^()]*)\))?")
 _NAME = re.compile(r"\s*[A-Za-z_]\w*\s*")

@@ -5,14 +5,10 @@ it makes of a track is the track without noise: places and velocities at which l
 and noise that is told from what laws lack.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-
-__all__ = ["STRENGTHS", "FreeForce", "in_units"]
 
 STRENGTHS = np.logspace(-4, 14, 73)
 """Variances, in units of what one moment would show."""

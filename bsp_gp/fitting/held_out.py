@@ -4,15 +4,13 @@ The initial state of a held-out scene is fitted on its first rows, with the law 
 of the scene is foreseen from there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.estimates import Errors
-from bsp_gp.fitting.fit import FitTolerances, fit
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import is_exact, without_outliers
@@ -27,17 +25,10 @@ from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
 from bsp_gp.units import ACCELERATION, Unit
 
-__all__ = [
-    "errors_of", "held_out_errors", "held_out_rows", "initial_states", "predictions",
-    "regression_of", "with_states",
-]  # fmt: skip
-
 LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""
-ONE_START = FitTolerances(most_starts=1)
-"""Without constants there is nothing in which starts could differ."""
 STATES_EFFORT = 600
 """Steps after which states are taken as they are then: no path may lead where a track goes."""
 ROUNDING = 1e-13
@@ -95,7 +86,6 @@ def held_out_errors(found, dataset, scenes, *, deadline=None):
     found : Fit
     dataset : Dataset
         For its axes, units and rows of evaluation.
-    scenes : sequence of Scene
     deadline : float, optional
         Seconds.
 
@@ -115,10 +105,6 @@ def errors_of(rows, units):
     rows : sequence of dict
     units : Units
         Of the data set.
-
-    Returns
-    -------
-    Errors
     """
     said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
     if not rows:
@@ -133,8 +119,6 @@ def predictions(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
         Seconds.
 
@@ -276,8 +260,6 @@ def with_states(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
 
     Returns
@@ -300,9 +282,8 @@ def _fixed(law, paper_steps, noise, dataset, deadline=None):
     forces = FixedForces(law, paper_steps, own)
     more = unknown_beyond(law, dataset.scenes)
     hypothesis = Hypothesis((forces, *more, Positions(), TrackNoise(noise)))
-    return fit(
-        hypothesis, dataset, deadline=deadline, effort=STATES_EFFORT, tolerances=ONE_START
-    )
+    # Without constants there is nothing in which starts could differ.
+    return fit(hypothesis, dataset, deadline=deadline, effort=STATES_EFFORT, most_starts=1)
 
 
 def _stacked(chains, states, measured):
@@ -331,8 +312,6 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     deadline : float, optional
 
     Returns

@@ -1,7 +1,5 @@
 """A hypothesis is a machine that makes recordings: world + instrument + noise (LOOP §1)."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
@@ -17,11 +15,6 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import ACCELERATION, FORCE, Unit
-
-__all__ = [
-    "NOTHING", "Forces", "Hypothesis", "Numbered", "Parameter", "Part", "Positions", "TrackNoise",
-    "read_law",
-]  # fmt: skip
 
 NOTHING = "nothing"
 """What is declared where bodies move on as they are."""
@@ -203,12 +196,7 @@ class TrackNoise(Part):
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Parts that together make recordings; hypotheses add up part by part.
-
-    Attributes
-    ----------
-    parts : tuple of Part
-    """
+    """Parts that together make recordings; hypotheses add up part by part."""
 
     parts: tuple[Part, ...] = field(default=())
 
@@ -218,7 +206,6 @@ class Hypothesis:
 
         Parameters
         ----------
-        dataset : Dataset
         laws : ForceLaw or sequence of str
             Constants of a ForceLaw are where a fit begins; texts are one force each, as for
             ``--law``.
@@ -309,12 +296,7 @@ class Hypothesis:
         return {name: value for name, value in (values or {}).items() if name in names}
 
     def seen(self, dataset):
-        """The rows with all edits of the parts, one after the other.
-
-        Parameters
-        ----------
-        dataset : Dataset
-        """
+        """The rows with all edits of the parts, one after the other."""
         for part in self.parts:
             dataset = part.seen(dataset)
         return dataset
@@ -329,7 +311,6 @@ def read_law(dataset, texts: Sequence[str]):
 
     Parameters
     ----------
-    dataset : Dataset
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
         ``"norm(p_i - (0, 1.2)) = L"``, or a string, ``"norm(p_i - (0, 1.2)) <= L"``. Named

@@ -5,14 +5,10 @@ acceleration, a body was hit. Curves through rows on both sides would tell veloc
 had: states are read off the rows of one side.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["SIDE_ROWS", "WINDOW", "Jump", "between", "jumps", "nodes_between", "scatter"]
 
 SIDE_ROWS = (4, 7, 12, 20)
 """Rows on each side of a jump that are looked at."""

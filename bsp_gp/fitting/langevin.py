@@ -6,8 +6,6 @@ eliminated from their joint density with the rows, whose precision is a band, in
 likelihood that a Kalman filter gives.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -15,8 +13,6 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import minimize
 from scipy.stats import chi2, kurtosistest
-
-__all__ = ["COST", "Langevin", "Track", "best_of", "models_of"]
 
 COST = 4.0
 """Nats that a force must gain: a rate that is not there gains as much in less than one of a
@@ -117,11 +113,6 @@ def _models_of(problem, near):
     asked = [m for m in found if "kicks" in m.terms and found[0].score - m.score <= near]
     odd = {id(m): problem.oddity(m) for m in asked}
     return [replace(m, oddity=odd.get(id(m), m.oddity)) for m in found]
-
-
-def best_of(tracks, noise=None):
-    """The likeliest model, see `models_of`."""
-    return models_of(tracks, noise)[0]
 
 
 class _Problem:

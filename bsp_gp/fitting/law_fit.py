@@ -1,7 +1,5 @@
 """A law without the loop: constants fitted to a data set, errors on what is held out."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -36,11 +34,6 @@ from bsp_gp.physics.force import ForceLaw, constant_units, needs_masses
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
 from bsp_gp.units import Unit
-
-__all__ = [
-    "SCHEMA", "LawFit", "about_noise", "about_outliers", "constant_estimates", "fit_law",
-    "training_part", "unset", "widening",
-]  # fmt: skip
 
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
@@ -253,8 +246,6 @@ def training_part(dataset, scenes, said):
 
     Parameters
     ----------
-    dataset : Dataset
-    scenes : tuple of Scene
     said : NoiseEstimate
 
     Returns

@@ -1,16 +1,9 @@
 """A fitted law in words: the table for a terminal, how the fit ended, what is doubtful."""
 
-from __future__ import annotations
-
 import math
 
 from bsp_gp.data.scene import CHECK
 from bsp_gp.fitting.starts import roles_of
-
-__all__ = [
-    "doubts", "fit_text", "how_it_ended", "strong_correlations", "variables",
-    "without_prediction",
-]  # fmt: skip
 
 MIN_CORRELATION = 0.1
 UNKNOWN = "—"

@@ -8,8 +8,6 @@ such points, and what it calls success is often a stall (experiments/nist_strd.p
 see. Geodesic acceleration was measured and left out: 8 % fewer evaluations on those problems.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +16,6 @@ from scipy.optimize import lsq_linear
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.problem import Linearised, Minimum, Settings
-
-__all__ = ["minimise"]
 
 _EPS = np.finfo(float).eps
 _REFUSALS = 8
@@ -49,18 +45,12 @@ def minimise(problem, start, *, low=None, high=None, settings=None, is_over=None
 
     Parameters
     ----------
-    problem : Problem
     start : object
         A point of the problem, inside of the bounds.
     low, high : array_like, shape (k,), optional
         Bounds of the shared unknowns; equal ones hold an unknown fixed.
-    settings : Settings, optional
     is_over : callable, optional
         Asked before every linearisation; true ends the search ("unconverged", code "stopped").
-
-    Returns
-    -------
-    Minimum
 
     Raises
     ------

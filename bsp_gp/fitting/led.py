@@ -4,15 +4,11 @@ Of many bodies each is followed by itself. What was measured of the others has e
 of a body near by has them too, many times over; the track that the same law gives them has less.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from bsp_gp.fitting.jumps import scatter
-
-__all__ = ["led_by"]
 
 LEAST_ROWS = 6
 NEAR = 2.0

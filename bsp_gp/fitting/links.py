@@ -7,13 +7,9 @@ the track and in all forces up to there; with the former projected out, what is 
 moments of independent errors of size one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["Links", "less_exact", "link", "orthonormal"]
 
 MOST_NUMBERS = 2 * 10**7
 """Bound on a matrix of states by forces."""
@@ -75,7 +71,6 @@ def link(pieces, changes, white, nodes, n_state):
 
     Parameters
     ----------
-    pieces : Pieces
     changes : ndarray, shape (L, W, n, F + n + k + 1)
         Of states at every instant, see `_Group.linearised`.
     white : ndarray, shape (W, rows, F + n + k + 1)

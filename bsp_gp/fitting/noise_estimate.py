@@ -5,8 +5,6 @@ speed and tails are each tried in turn; the one whose gain of restricted likelih
 above what chance gives is adopted, and the others are asked again beside it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -14,10 +12,8 @@ import numpy as np
 from scipy.special import chdtri, fdtrc
 
 from bsp_gp.fitting.noise_model import NoiseFinding
-from bsp_gp.fitting.noise_task import NoiseTask, NoiseTolerances
+from bsp_gp.fitting.noise_task import LEVEL, NoiseTask
 from bsp_gp.fitting.student import fit_student
-
-__all__ = ["estimate", "estimate_beside", "needs"]
 
 PARTS = ("correlation", "scenes", "bodies", "speed", "tails")
 _N_TIMES = 6
@@ -29,39 +25,30 @@ _NEEDED = 0.01
 """Chance of what probes take off, below which a law lacks something that they stand for."""
 
 
-def estimate(
-    model, channels, residual, columns=None, local=None, tolerances=None, adopt=True, parts=PARTS
-):  # fmt: skip
+def estimate(model, channels, residual, columns=None, local=None, adopt=True, parts=PARTS):
     """Estimate what is free of the noise from the residual of a fit.
 
     Parameters
     ----------
     model : NoiseModel
         What is known; levels serve as a first guess.
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     columns : ndarray, shape (p, T, C), optional
         Derivatives of the residual to what the fit has free everywhere.
     local : ndarray, shape (q, T, C), optional
         Derivatives to what each chain has of its own.
-    tolerances : NoiseTolerances, optional
     adopt : bool
         Whether parts are chosen anew; otherwise those of `model` are estimated again.
     parts : collection of str
         Those that may be chosen.
-
-    Returns
-    -------
-    NoiseModel
 
     Raises
     ------
     FitError
         No row is left after what is free, though a level is to be estimated.
     """
-    tolerances = tolerances or NoiseTolerances()
     model = model.plain() if adopt else model
-    task = NoiseTask(model, channels, residual, columns, local, tolerances)
+    task = NoiseTask(model, channels, residual, columns, local)
     if not task.can_estimate:
         return model
     if not adopt:
@@ -97,10 +84,6 @@ def estimate_beside(model, channels, residual, columns, local, probes):
         As `estimate` takes them.
     probes : ndarray, shape (q, T, C)
         Further columns of every chain.
-
-    Returns
-    -------
-    NoiseModel
     """
     both = np.concatenate([local, probes])
     beside = estimate(model, channels, residual, columns, both)
@@ -133,7 +116,7 @@ def needs(model, channels, residual, columns, local, probes):
     """
     both = np.concatenate([local, probes])
     wide, plain = (
-        NoiseTask(model, channels, residual, columns, c, NoiseTolerances()) for c in (both, local)
+        NoiseTask(model, channels, residual, columns, c) for c in (both, local)
     )
     whitener = wide.rescale(wide.start)[0].whitener(channels)
     most, least = (
@@ -167,7 +150,7 @@ def _needed(task, part):
     if n_free is None:
         index = next(index for name, index, _ in task.groups if name == part)
         n_free = len(np.unique(index[task.free])) - 1
-    return 0.5 * float(chdtri(n_free, task.tolerances.level))
+    return 0.5 * float(chdtri(n_free, LEVEL))
 
 
 def _with_part(task, part, model):

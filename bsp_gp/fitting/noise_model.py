@@ -7,8 +7,6 @@ speed (time stamps that jitter by b seconds: (b * speed)^2), have the tails of S
 never below that of rounding, step^2 / 12. Quoted and declared sizes are taken as they are.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
@@ -16,8 +14,6 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise, finest_noise
 from bsp_gp.fitting.whitening import Whitener
-
-__all__ = ["NoiseFinding", "NoiseModel", "NoiseParameter"]
 
 KNOWN = ("quoted", "declared")
 
@@ -180,7 +176,6 @@ class NoiseModel:
 
         Parameters
         ----------
-        channels : Channels
         weights : ndarray, shape (T, C), optional
             Of rows, as `tail_weights` gives them: white variances are divided by them.
         """

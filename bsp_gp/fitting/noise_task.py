@@ -5,10 +5,8 @@ squares are as large as its degrees of freedom. What has a shape (memory, growth
 searched for by L-BFGS-B; weights of rows under Student's t come in turn with both.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +16,6 @@ from bsp_gp.errors import FitError
 from bsp_gp.fitting.ascent import maximise
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import fit_degrees, scaled_without_tails
-
-__all__ = ["NoiseTask", "NoiseTolerances"]
 
 _SCALE = (math.log(1e-6), math.log(1e6))
 _SHARE = (-6.0, 14.0)
@@ -40,33 +36,18 @@ _FEWER_FREE = 2e-3
 """The same where its maximum lies at that of the restricted likelihood, far within its errors."""
 _SAMPLE = 100
 """Chains that tell well where a search over all of four times as many may begin."""
-
-
-@dataclass(frozen=True)
-class NoiseTolerances:
-    """What an estimate of noise goes by.
-
-    Attributes
-    ----------
-    level : float
-        Chance of a further part in noise that lacks it, for each part. 0.001: five are asked for
-        in every fit, and a wrong memory hides effects.
-    max_time : float
-        Longest correlation time, as a part of the longest track: what lasts longer is a different
-        offset in every scene, and belongs to the motion.
-    min_time : float
-        Shortest correlation time, in median intervals between rows; a shorter one is white.
-    min_rows : float
-        Degrees of freedom left that a body or scene must have for a factor of its own.
-    precision : float
-        Largest change of the logarithm of a level in the last pass.
-    """
-
-    level: float = 1e-3
-    max_time: float = 0.2
-    min_time: float = 0.3
-    min_rows: float = 4.0
-    precision: float = 1e-6
+LEVEL = 1e-3
+"""Chance of a further part in noise that lacks it, for each part: five are asked for in every fit,
+and a wrong memory hides effects."""
+MAX_TIME = 0.2
+"""Longest correlation time, as a part of the longest track: what lasts longer is a different offset
+in every scene, and belongs to the motion."""
+MIN_TIME = 0.3
+"""Shortest correlation time, in median intervals between rows; a shorter one is white."""
+MIN_ROWS = 4.0
+"""Degrees of freedom left that a body or scene must have for a factor of its own."""
+PRECISION = 1e-6
+"""Largest change of the logarithm of a level in the last pass."""
 
 
 class NoiseTask:
@@ -74,7 +55,7 @@ class NoiseTask:
 
     Parameters
     ----------
-    model, channels, residual, columns, local, tolerances
+    model, channels, residual, columns, local
         As `estimate` takes them.
 
     Attributes
@@ -89,8 +70,8 @@ class NoiseTask:
         That tails give the rows; those of the last model with tails.
     """
 
-    def __init__(self, model, channels, residual, columns, local, tolerances):
-        self.channels, self.tolerances = channels, tolerances
+    def __init__(self, model, channels, residual, columns, local):
+        self.channels = channels
         self._known = model, residual, columns, local
         self.free = model.is_free[channels.axis]
         size = model.sizes(channels)
@@ -142,7 +123,7 @@ class NoiseTask:
         kept = np.isin(self.channels.chain, kept)
         model, residual, columns, local = self._known
         parts = (None if x is None else x[..., kept] for x in (residual, columns, local))
-        return NoiseTask(model, self.channels.only(kept), *parts, self.tolerances), kept
+        return NoiseTask(model, self.channels.only(kept), *parts), kept
 
     @property
     def has_many_rows(self):
@@ -200,8 +181,8 @@ class NoiseTask:
         steps = steps[np.isfinite(steps)]
         if not steps.size:  # bodies that are seen by turns: from one sight to the next
             steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
-        low = self.tolerances.min_time * float(np.median(steps))
-        return low, max(self.tolerances.max_time * float(span.max()), 2.0 * low)
+        low = MIN_TIME * float(np.median(steps))
+        return low, max(MAX_TIME * float(span.max()), 2.0 * low)
 
     def averaged(self, model):
         """The model with the mean of the correlation time's logarithm in place of its maximum.
@@ -270,8 +251,7 @@ class NoiseTask:
 
         Roughly: to a hundredth of a nat, where the best of several starts is asked for.
         """
-        precision = self.tolerances.precision
-        precision = max(precision, 0.1 / math.sqrt(self.n_left)) if is_rough else precision
+        precision = max(PRECISION, 0.1 / math.sqrt(self.n_left)) if is_rough else PRECISION
         for _ in range(_N_PASSES):
             error = self.restricted.pure_error(model.whitener(self.channels, self.weights))
             change, other = self._rescaled(model, error)
@@ -305,7 +285,7 @@ class NoiseTask:
                 for k in np.unique(of):
                     name = names[k]
                     old = factors.get(name, 1.0)
-                    factor = _factor(sums[k], rest[k], self.tolerances.min_rows)
+                    factor = _factor(sums[k], rest[k], MIN_ROWS)
                     new = min(max(old * factor, 1e-4), 1e4)
                     steps[k], factors[name] = new / old, new
                     largest = max(largest, abs(math.log(new / old)))

@@ -4,8 +4,6 @@ Fits begin without them. Where the noise is estimated its tails weigh them in th
 noise, which has no tails, they stay out, and that is told.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from functools import lru_cache
@@ -13,8 +11,6 @@ from functools import lru_cache
 import numpy as np
 
 from bsp_gp.data.point_errors import are_smooth, gross_errors
-
-__all__ = ["is_exact", "without_outliers"]
 
 LISTED = 5
 EXACT = 1e-9
@@ -41,7 +37,6 @@ def without_outliers(scenes, sigma):
 
     Parameters
     ----------
-    scenes : sequence of Scene
     sigma : array-like, shape (d,), metres
         Standard deviation of a position; nan = an axis that is left out.
 

@@ -1,10 +1,6 @@
 """Frequencies at which tracks move: the start of every constant that is a rate."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["leading_rates"]
 
 OVERSAMPLING = 4
 MOST_RATES = 8

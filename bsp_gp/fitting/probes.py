@@ -7,8 +7,6 @@ noise, or for noise with a memory (LOOP §5). Probes are terms like all others, 
 come from the same routine.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input, Number
@@ -17,8 +15,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.engine.lowering import ORIGIN
 from bsp_gp.physics.force import Term
 from bsp_gp.units import Unit
-
-__all__ = ["PROBE", "probe_terms"]
 
 PROBE = "probe "
 """Names of the strengths of probes begin so: no constant of a law has a blank."""

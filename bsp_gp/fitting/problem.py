@@ -1,14 +1,9 @@
 """What the least-squares driver is asked and what it answers: problems, settings, minima."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-
-__all__ = ["Linearised", "Minimum", "Problem", "Settings", "dense_problem"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,40 +174,3 @@ class Minimum:
     @property
     def jacobian(self):
         return self.linearised.jacobian
-
-
-@dataclass(frozen=True)
-class _Dense:
-    """A plain problem: a point is the array of its unknowns."""
-
-    residual: Callable
-    jacobian: Callable
-
-    def values(self, point):
-        return np.asarray(point, dtype=float)
-
-    def linearise(self, point):
-        point = self.values(point)
-        residual = np.asarray(self.residual(point), dtype=float)
-        if not np.isfinite(residual).all():
-            return None
-        jacobian = np.asarray(self.jacobian(point), dtype=float)
-        return Linearised(residual, jacobian) if np.isfinite(jacobian).all() else None
-
-    def move(self, point, linearised, values, share, reins):
-        return values
-
-
-def dense_problem(residual, jacobian):
-    """A plain problem: ``residual(x) -> (n,)`` and ``jacobian(x) -> (n, k)``, points are arrays.
-
-    Examples
-    --------
-    >>> from bsp_gp.fitting.least_squares import minimise
-    >>> x, y = np.arange(3.0), np.array([1.0, 3.1, 4.9])
-    >>> line = dense_problem(lambda b: y - b[0] - b[1] * x, lambda b: -np.stack([x**0, x], axis=1))
-    >>> minimum = minimise(line, [0.0, 0.0])
-    >>> minimum.status, minimum.values.round(6)
-    ('converged', array([1.05, 1.95]))
-    """
-    return _Dense(residual, jacobian)

@@ -5,11 +5,7 @@ that noise or their length makes wrong are recognised by their misfit and count 
 weight). Good enough to begin with, and for nothing else.
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["regressed"]
 
 PASSES = 30
 
@@ -19,7 +15,6 @@ def regressed(flows, nodes, noises, constants, free):
 
     Parameters
     ----------
-    flows : sequence of Flow
     nodes : sequence of ndarray, shape (2, R, d, T, S)
         Read off the data.
     noises : sequence of ChainNoise

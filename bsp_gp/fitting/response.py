@@ -12,8 +12,6 @@ places are in error, and so are forces that change with the place: moments count
 allows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,8 +35,6 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
-
-__all__ = ["RESOLVED", "Response", "ResponseBatch", "ResponseRegression", "respond"]
 
 PHASE = 0.4
 """Radians that a motion may turn between two instants at which forces are evaluated."""
@@ -272,15 +268,10 @@ def respond(fit, dataset, is_quick=False):
 
     Parameters
     ----------
-    fit : Fit
     dataset : Dataset
         That it was fitted to.
     is_quick : bool
         Whether forces count that change from row to row: of all others few moments tell as much.
-
-    Returns
-    -------
-    Response
     """
     fit, dataset = as_driven(fit, dataset)
     with threadpool_limits(1, "blas"), np.errstate(all="ignore"):

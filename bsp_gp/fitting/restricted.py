@@ -6,16 +6,12 @@ under every noise law that is tried thereafter the Gram matrices are well condit
 columns of the chains are eliminated by Schur complements. The cost is O(rows) per law.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.errors import FitError
-
-__all__ = ["PureError", "Restricted"]
 
 _RANK = 1e-10
 _LOG_2_PI = math.log(2.0 * math.pi)

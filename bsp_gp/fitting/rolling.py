@@ -6,15 +6,11 @@ before (Newton's method on the joints). Where that fails - motion that runs away
 shorter stretches are taken, down to one row after the other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.starts import first_nodes
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
-
-__all__ = ["flow_of", "roll"]
 
 JOINED = 1e-3
 """Largest correction of a place at which a stretch is joined, in errors that it may have."""
@@ -30,7 +26,6 @@ def roll(law, chains, first, tolerance, paper_steps=False):
     ----------
     law : ForceLaw
         Its constants have values.
-    chains : Chains
     first : ndarray, shape (2, R, d, S)
         States at the first row.
     tolerance : ndarray, shape (S,), metres

@@ -9,19 +9,12 @@ which makes its basin wide: from nodes read off the data, a law linear in its co
 in a step or two, however long the track.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.fitting.unseen import tied
 from bsp_gp.physics.engine.seen import sight
-
-__all__ = [
-    "Condensed", "Shooting", "Windows", "cut_windows", "in_groups", "known_states",
-    "most_steps",
-]  # fmt: skip
 
 STATE_PRIOR = 1e4
 """Prior standard deviation of an initial state, in extents of its track (and that over its span):
@@ -175,7 +168,6 @@ def known_states(chains, noise):
 
     Parameters
     ----------
-    chains : Chains
     noise : ChainNoise
         Of their rows.
 
@@ -202,9 +194,7 @@ class Shooting:
 
     Parameters
     ----------
-    flow : Flow
     noise : ChainNoise
-    windows : Windows
     """
 
     def __init__(self, flow, noise, windows):
@@ -254,7 +244,6 @@ class Shooting:
         values : ndarray, shape (k,)
             Of the constants.
         nodes : ndarray, shape (2, R, d, T, S)
-        mesh : Mesh
 
         Returns
         -------

@@ -1,7 +1,5 @@
 """Scenes as a fitted law with its noise would have made them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -13,8 +11,6 @@ from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.parts.latents import filled
 from bsp_gp.physics.force import COPY
 
-__all__ = ["draw_noise", "simulated"]
-
 
 def simulated(found, dataset, scenes, count, rng):
     """Copies of scenes: the best tracks of a law through them, and noise as it was estimated.
@@ -22,10 +18,7 @@ def simulated(found, dataset, scenes, count, rng):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
-    scenes : sequence of Scene
     count : int
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -62,9 +55,7 @@ def draw_noise(model, channels, count, rng):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     count : int
-    rng : numpy.random.Generator
     """
     white, amplitude = model.parts(channels)
     shape = (count, *white.shape)

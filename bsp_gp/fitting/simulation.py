@@ -1,7 +1,5 @@
 """The motion that a law gives, as a data set."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +16,6 @@ from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import generator
-
-__all__ = ["simulate_law"]
 
 MAX_SUBSTEPS = 64
 STEP_TOLERANCE = 1e-9

@@ -1,7 +1,5 @@
 """Where fits begin: nodes read off the data, and constants of the size that the data suggest."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import islice
 
@@ -10,8 +8,6 @@ from scipy.interpolate import CubicSpline
 
 from bsp_gp.fitting.coordinates import powers_of
 from bsp_gp.language.formula import Call, Constant, Input, walk
-
-__all__ = ["EXPONENTS", "Scales", "candidates", "first_nodes", "scales_of", "stepped_nodes"]
 
 SIGNAL = 4.0
 """Mean square of curvatures, in that of the noise, from which they show an acceleration."""
@@ -29,7 +25,6 @@ def first_nodes(chains, is_coarse=False):
 
     Parameters
     ----------
-    chains : Chains
     is_coarse : bool
         Whether neighbouring rows show the acceleration above the noise: then the curve is a spline,
         else differences over two rows.
@@ -284,9 +279,7 @@ def candidates(law, parameters, scales, rates, most):
 
     Parameters
     ----------
-    law : ForceLaw
     parameters : sequence of (name, entity)
-    scales : Scales
     rates : sequence of float
         Angular frequencies at which the tracks show something, rad/s.
     most : int

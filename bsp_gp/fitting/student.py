@@ -1,17 +1,10 @@
 """Noise with the tails of Student's t, and the plain likelihood of a residual under any noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
-
-__all__ = [
-    "expected_weights", "fit_degrees", "fit_student", "information", "log_likelihood",
-    "scaled_without_tails", "weights_of",
-]  # fmt: skip
 
 _DEGREES = (1.0, 200.0)
 _N_PASSES = 10
@@ -24,7 +17,6 @@ def log_likelihood(model, channels, residual):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     """
     if math.isinf(model.degrees):
@@ -44,7 +36,6 @@ def weights_of(model, channels, residual):
     Parameters
     ----------
     model : NoiseModel
-    channels : Channels
     residual : ndarray, shape (T, C), metres
     """
     if math.isinf(model.degrees):

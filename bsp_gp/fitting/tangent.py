@@ -6,8 +6,6 @@ under the fitted law (Rao 1948), amplitudes ``(C'QC)+ C'Qr``, and an expected si
 from ``C'QC`` (LOOP §3). Forces have columns through `bsp_gp.fitting.response`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,8 +19,6 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.fitting.weighing import as_normal
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
-
-__all__ = ["Score", "Tangent", "as_pair", "instrument_columns", "p_of_gain"]
 
 ENDLESS = 1e100
 """Changes of a track, metres for each unit of a number, beyond which they are none."""
@@ -59,10 +55,6 @@ class Score:
 
 class Tangent:
     """The tangent of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
 
     Attributes
     ----------

@@ -1,7 +1,5 @@
 """Whole tracks as a problem of the least-squares driver, and the noise that weighs their rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import Whitener
 from bsp_gp.physics.engine.flow import Flow
-
-__all__ = ["ChainNoise", "FlownProblem", "TrackLinearised", "TrackPoint", "TrackProblem"]
 
 
 class ChainNoise:
@@ -107,7 +103,6 @@ class TrackProblem:
     ----------
     shootings : sequence of Shooting
         One per group of like-built chains.
-    meshes : sequence of Mesh
     coordinates : Coordinates
         Between the driver's unknowns and the constants of the law.
     ridge : tuple of ndarray, shape (k,), optional

@@ -5,8 +5,6 @@ own. In scenes that a law was not fitted to it is a body that forces do not move
 which the fit has it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +13,6 @@ from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
-
-__all__ = ["MARK", "as_driven", "carried", "shown", "tied", "with_entity",
-           "without_unseen"]
 
 MARK = "unseen"
 """Property that is 1 of a body that no row shows, and 0 of others."""
@@ -38,8 +33,6 @@ def with_entity(scene, entity, track=None, values=()):
 
     Parameters
     ----------
-    scene : Scene
-    entity : Entity
     track : ndarray, shape (2, T, d), optional
         Its places and velocities; by default no row shows it.
     values : mapping of str to float
@@ -91,7 +84,6 @@ def carried(flow, nodes, constants):
 
     Parameters
     ----------
-    flow : Flow
     nodes : ndarray
     constants : ndarray, shape (k,)
     """
@@ -135,7 +127,6 @@ def as_driven(found, dataset):
     Parameters
     ----------
     found : Fit
-    dataset : Dataset
 
     Returns
     -------

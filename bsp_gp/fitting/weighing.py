@@ -5,8 +5,6 @@ residual gives it (iteratively reweighted least squares): each round raises the 
 that are far off their neighbours have no weight before there is a law to have residuals of.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,8 +15,6 @@ from scipy import stats
 from bsp_gp.data.scene import Dataset
 from bsp_gp.fitting.outliers import without_outliers
 from bsp_gp.fitting.student import expected_weights, information, log_likelihood, weights_of
-
-__all__ = ["as_normal", "bears_outliers", "informed", "to_begin_with", "weighed"]
 
 ROUNDS = 50
 """Times that rows are weighed; they settle in three to ten."""
@@ -48,10 +44,6 @@ def as_normal(fit):
     the expected information (`student.expected_weights`): their ratio is what a row of normal noise
     of that information had left. So what asks a residual for causes needs to know of no tails, and
     no outlier passes for one.
-
-    Parameters
-    ----------
-    fit : Fit
 
     Returns
     -------
@@ -91,7 +83,6 @@ def weighed(run, climb, minimum, model):
     run : _Run
     climb : Climb
         With steps that fit the minimum.
-    minimum : Minimum
     model : NoiseModel
 
     Returns

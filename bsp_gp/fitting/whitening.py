@@ -14,16 +14,12 @@ Where time runs long and channels are few, the recursion of P, a Moebius map, is
 block; the linear one of the mean is a triangular band that LAPACK solves for all columns at once.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from scipy.linalg import lapack
 
 from bsp_gp.errors import FitError
-
-__all__ = ["Whitener"]
 
 _MIN_BLOCKED = 64
 _MAX_BLOCKED = 128

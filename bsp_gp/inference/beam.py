@@ -4,8 +4,6 @@ A posterior can only repair a law that contains the latent, so a share of the pl
 for laws that do: at drawn values of the latents a law without them may lead by chance.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field, replace
 
@@ -18,8 +16,6 @@ from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import ForceLaw, Term
-
-__all__ = ["Beam", "Contender", "contains_latent"]
 
 CHANGES = 1e-6
 """Relative change of the pull on a body, between draws, above which a law contains a latent."""

@@ -5,8 +5,6 @@ continuous latents by emcee or importance sampling, discrete ones by enumeration
 by an ensemble over the continuous ones with the discrete ones summed out exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +25,6 @@ from bsp_gp.inference.posterior import Posterior, joined
 from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.tracks import Softened, is_point, reweighted
 from bsp_gp.randomness import generator
-
-__all__ = ["EStep", "METHODS", "infer", "prior_posterior", "refine", "start_places"]
 
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 

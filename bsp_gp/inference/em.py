@@ -6,8 +6,6 @@ and compares. Every start begins with zero force, under which the posterior is t
 first M-step sees draws from the prior, never its mean (equal latents look like constants).
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field, replace
 
@@ -20,8 +18,6 @@ from bsp_gp.inference.e_step import EStep, infer, prior_posterior, refine
 from bsp_gp.inference.m_step import Exhaustive, averaged_regression
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.randomness import generator
-
-__all__ = ["CLASS_NATS", "EmIteration", "EmResult", "EmSettings", "fit_em"]
 
 CLASS_NATS = 3.0
 """Laws within this many nats of the best fit as well: the class that the data do not separate."""

@@ -11,8 +11,6 @@ import numpy as np
 from bsp_gp.errors import FitError
 from bsp_gp.inference.posterior import Posterior, split_r_hat
 
-__all__ = ["sample_ensemble"]
-
 logger = logging.getLogger(__name__)
 FIRST_STEPS = 200
 TRUSTED = 40

@@ -4,9 +4,7 @@ import itertools
 
 import numpy as np
 
-from bsp_gp.inference.posterior import Posterior, effective_size
-
-__all__ = ["MOST_COMBINATIONS", "combinations", "enumerate_posterior", "n_combinations"]
+from bsp_gp.inference.posterior import Posterior, effective_size, weights_of
 
 MOST_COMBINATIONS = 200_000
 """Products of discrete supports up to this size are enumerated."""
@@ -46,14 +44,10 @@ def enumerate_posterior(log_likelihood, latents):
     """
     values = combinations(latents)
     log_joint = log_likelihood(values) + latents.log_prior(values)
-    finite = np.isfinite(log_joint)
-    if not finite.any():
+    weights, notes = weights_of(log_joint), ()
+    if weights is None:
         weights = np.full(len(values), 1 / len(values))
         notes = ("no combination has a finite probability: the prior is given",)
-    else:
-        weights = np.where(finite, np.exp(log_joint - log_joint[finite].max()), 0.0)
-        weights = weights / weights.sum()
-        notes = ()
     kept = weights > NEGLIGIBLE * weights.max()
     weights = weights[kept] / weights[kept].sum()
     k = len(latents)

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["findings", "silent_latents"]
-
 SILENT = 0.01
 """Latents over whose whole prior the log-likelihood moves by less (nats) have not been seen."""
 EDGE = 0.02

@@ -14,16 +14,12 @@ from bsp_gp.inference.separation import coefficient, separate
 from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs, stack
 
-__all__ = ["HorizonMisfit"]
-
 
 class HorizonMisfit(_Misfit):
     """Of any law under the K-step likelihood.
 
     Parameters
     ----------
-    law : ForceLaw
-    latents : Latents
     scenes : sequence of Scene
         Without gaps, one time step per scene.
     n_ahead : int

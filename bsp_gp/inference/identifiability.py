@@ -6,13 +6,9 @@ the joint optimum, in logarithms (a free direction is then a product of powers),
 correlations of the posterior.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["FreeDirection", "Identifiability", "identifiability"]
 
 FREE = 1.0
 """Information (in units of the prior's) below which the data add nothing to a direction."""
@@ -87,10 +83,6 @@ def identifiability(profile, latents, posterior=None):
         In the order of the profile.
     posterior : Posterior, optional
         Of the latents, or of latents and constants, for correlations and gains.
-
-    Returns
-    -------
-    Identifiability
     """
     k = len(latents)
     constants = tuple(

@@ -11,9 +11,7 @@ import math
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-from bsp_gp.inference.posterior import Posterior, effective_size
-
-__all__ = ["COLLAPSED", "PROPOSALS", "sample_importance"]
+from bsp_gp.inference.posterior import Posterior, effective_size, weights_of
 
 logger = logging.getLogger(__name__)
 PROPOSALS = ("prior", "laplace", "tempered")
@@ -72,15 +70,12 @@ def sample_importance(
 
 
 def _weighted(latents, values, log_weight, log_joint, proposal):
-    finite = np.isfinite(log_weight)
-    notes = []
-    if not finite.any():
+    weights, notes, n_eff = weights_of(log_weight), [], 0.0
+    if weights is None:
         notes.append("no draw has a finite probability: equal weights of the prior are given")
         weights = np.full(len(values), 1 / len(values))
     else:
-        weights = np.where(finite, np.exp(log_weight - log_weight[finite].max()), 0.0)
-        weights = weights / weights.sum()
-    n_eff = effective_size(weights) if finite.any() else 0.0
+        n_eff = effective_size(weights)
     if n_eff < COLLAPSED * len(values):
         remedy = "; use the proposal 'laplace' or 'tempered', or emcee"
         notes.append(

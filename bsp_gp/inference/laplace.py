@@ -4,8 +4,6 @@ import numpy as np
 
 from bsp_gp.inference.posterior import Posterior
 
-__all__ = ["point_posterior", "softened_note", "start_places"]
-
 POINT_DRAWS = 1000
 
 

@@ -4,8 +4,6 @@ A latent belongs to one property of one or several entities. With ``share = "ent
 ``entities.csv`` has its own value: an entity listed without a scene is one body in all scenes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
@@ -14,8 +12,6 @@ import numpy as np
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.priors import Prior, prior_of
 from bsp_gp.physics.force import key_of
-
-__all__ = ["Latent", "Latents", "PropertyTable", "declared_latents", "latents_of"]
 
 
 @dataclass(frozen=True)
@@ -207,7 +203,6 @@ class PropertyTable:
     bodies : Bodies
         S stacked scenes with N entities.
     scene_names : sequence of str, length S
-    latents : Latents
     """
 
     def __init__(self, bodies, scene_names, latents):

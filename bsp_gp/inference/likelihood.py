@@ -1,7 +1,5 @@
 """How a law is compared with the data when properties are unknown: a choice of likelihood."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +11,6 @@ from bsp_gp.inference.profile import fit_profile
 from bsp_gp.inference.propagation import PropagatedBank
 from bsp_gp.inference.tracks import track_misfit
 from bsp_gp.physics.likelihood import build_regression
-
-__all__ = ["KINDS", "Likelihood"]
 
 KINDS = ("one_step", "gls", "propagated", "track", "ahead")
 REFERENCES = 2

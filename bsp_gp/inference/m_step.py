@@ -1,7 +1,5 @@
 """The M-step: laws proposed by any search on a regression averaged over posterior draws."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.search.constants import linear_columns
 from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import run_search
-
-__all__ = ["Exhaustive", "WithSearch", "averaged_regression"]
 
 
 def averaged_regression(scenes, latents, draws, weights, likelihood):

@@ -17,8 +17,6 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import Bodies, law_inputs
 from bsp_gp.physics.regression import checked
 
-__all__ = ["DirectMisfit", "MotionBank", "ReducedMisfit", "misfit_of", "repeated"]
-
 CHUNK_NUMBERS = 1 << 17
 """Numbers of one work array: what stays in the cache of a processor."""
 
@@ -70,7 +68,6 @@ class MotionBank:
 
     Parameters
     ----------
-    regression : Regression
     is_smooth : bool
         Whether accelerations are averaged over three rows as Numerov's rule has it.
     """

@@ -1,15 +1,11 @@
 """Posteriors: named draws with weights, how far they can be trusted, and their tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
 
 from bsp_gp.errors import MissingDependencyError, SettingsError
-
-__all__ = ["Posterior", "effective_size", "split_r_hat", "weighted_quantile"]
 
 INTERVAL = 0.9
 """Probability of the intervals in tables."""
@@ -287,6 +283,15 @@ def effective_size(weights):
     """Kish's effective sample size of normalised weights: 1 / sum of squares."""
     weights = np.asarray(weights, dtype=float)
     return float(1 / np.square(weights / weights.sum()).sum())
+
+
+def weights_of(log_weight):
+    """Normalised weights of their logarithms; None where none is finite."""
+    finite = np.isfinite(log_weight)
+    if not finite.any():
+        return None
+    weights = np.where(finite, np.exp(log_weight - log_weight[finite].max()), 0.0)
+    return weights / weights.sum()
 
 
 def split_r_hat(chain, n_groups=4):

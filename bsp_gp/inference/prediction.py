@@ -1,7 +1,5 @@
 """What a posterior predicts: one-step errors averaged over draws, and rollouts with bands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.inference.misfit import DirectMisfit, constant_values, repeated
 from bsp_gp.physics.bodies import Batch, stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
-
-__all__ = ["Bands", "posterior_nrmse", "predictive_bands"]
 
 
 def posterior_nrmse(law, scenes, latents, draws, *, reference=None, up=None):
@@ -92,10 +88,6 @@ def predictive_bands(
         Over the latents, and over the constants if they were sampled too.
     sigma : float, optional
         Measurement noise to add to the bands, metres.
-
-    Returns
-    -------
-    Bands
     """
     (batch,) = stack([scene], up)
     mine, _ = latents.of_scenes([scene.name])

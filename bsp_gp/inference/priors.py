@@ -4,16 +4,12 @@ Every prior has a *coordinate* in which it is sampled and fitted: the property i
 logarithm for a log-uniform prior (in which that prior is flat). scipy.stats does the mathematics.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["KINDS", "Prior", "prior_of"]
 
 KINDS = ("uniform", "log_uniform", "truncated_normal", "discrete")
 _ALIASES = {"loguniform": "log_uniform", "log-uniform": "log_uniform", "set": "discrete",

@@ -1,7 +1,5 @@
 """A data set made ready for inference: unknowns, likelihood, and scenes with stand-in values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.data.split import choose_split
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.inference.latents import Latents, declared_latents
 from bsp_gp.inference.likelihood import Likelihood
-
-__all__ = ["LatentProblem", "latent_problem", "stand_ins"]
 
 EXACT = 1e-9
 """Noise below this part of the range is numerical: the positions count as exact."""
@@ -61,10 +57,6 @@ def latent_problem(dataset, *, rng, kind="auto", noise=None, everything=False, t
         Use all scenes for training.
     test : bool
         Whether held-out scenes are wanted.
-
-    Returns
-    -------
-    LatentProblem
 
     Raises
     ------

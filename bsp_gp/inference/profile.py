@@ -5,13 +5,9 @@ a bound that the data push outwards are held there), vectorised over starts. Lat
 scenes are differenced together, since they touch no common residual.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-
-__all__ = ["FixedConstants", "Profile", "fit_profile", "linear_constants"]
 
 MAX_ITERATIONS = 100
 STIFF = 1e3
@@ -82,10 +78,6 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
         Values of the latents to start from.
     give_up : float
         Losses above this are not worth finishing: the fit ends after a third of its iterations.
-
-    Returns
-    -------
-    Profile
     """
     problem = _Problem(misfit)
     first = problem.initial(np.atleast_2d(np.asarray(starts, dtype=float)))

@@ -15,8 +15,6 @@ from bsp_gp.inference.misfit import DirectMisfit, MotionBank, averaged
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.regression import Regression
 
-__all__ = ["PropagatedBank", "compressed", "together"]
-
 STEP = 1e-3
 """Finite-difference step, in sigma."""
 REACH = 3

@@ -4,8 +4,6 @@ Nearly every law is such a product. Then the motion is evaluated once, and a new
 properties costs a few numbers instead of all instants.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +11,6 @@ import numpy as np
 from bsp_gp.language.formula import Call, Number, evaluate
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.force import split_linear
-
-__all__ = ["Separated", "coefficient", "depends_on", "separate", "split_formula"]
 
 ONE = Number(1.0)
 SHAPES = frozenset(("s_i", "s_j"))

@@ -7,8 +7,6 @@ from bsp_gp.inference.propagation import compressed, together
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.regression import Regression, RegressionBatch
 
-__all__ = ["TrackBank"]
-
 
 class TrackBank(MotionBank):
     """Accelerations at the points of reference tracks, whitened as whole tracks.

@@ -11,8 +11,6 @@ from copy import copy
 
 import numpy as np
 
-__all__ = ["ScenePath", "curve_paths", "paths_of"]
-
 POINTS = {"rk45": 3, "dop853": 5}
 """Gauss points in a step of the pair: exact to the order at which the pair is."""
 CURVE_POINTS = 6

@@ -6,8 +6,6 @@ constants fitted together, and nodes settled under them, until nothing moves. Th
 linearised at the end are what posteriors are read from.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +18,6 @@ from bsp_gp.inference.track_bank import TrackBank
 from bsp_gp.inference.track_path import curve_paths, paths_of
 from bsp_gp.inference.track_world import RISE, SETTLINGS, Tracks, TrackWorld
 from bsp_gp.physics.bodies import stack
-
-__all__ = ["Reference", "find_reference"]
 
 GROWTH, LEAST_ROWS = 3, 4
 """Times that pieces are longer from level to level, and the shortest ones."""
@@ -92,10 +88,6 @@ def find_reference(world, starts, constants=None):
         Values of the latents to start from, the likeliest first.
     constants : ndarray, shape (n_c,), optional
         Where constants begin; by default the law's own.
-
-    Returns
-    -------
-    Reference
 
     Raises
     ------

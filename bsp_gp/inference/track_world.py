@@ -1,7 +1,5 @@
 """Tracks of scenes under drawn latents and constants, ready to be integrated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
-
-__all__ = ["RISE", "SETTLINGS", "TrackWorld", "Tracks"]
 
 STEP_ERROR = 0.02
 """Error of the integration over a whole track, in standard deviations of a position."""

@@ -11,8 +11,6 @@ from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.track_reference import find_reference
 from bsp_gp.inference.track_world import TrackWorld
 
-__all__ = ["Softened", "is_point", "reweighted", "track_misfit"]
-
 N_STARTS = 8
 """Prior draws from which the joint optimum is sought."""
 NUMERICAL = 1e3

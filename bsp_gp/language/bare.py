@@ -3,8 +3,6 @@
 from bsp_gp.language.formula import Call, Number, summands
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = ["bare_number", "with_bare_unit"]
-
 _FACTORS = ("mul", "neg", "div")
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from bsp_gp.language.formula import Constant, Input, evaluate, factors, product, walk
 from bsp_gp.language.inputs import property_of
 
-__all__ = ["canonical_key"]
-
 N_POINTS, N_DRAWS = 24, 4
 """Values of inputs, and of constants inside: a threshold lies beyond all values of some input."""
 DIGITS = 9

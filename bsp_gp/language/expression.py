@@ -4,16 +4,12 @@ An `Expression` says how a grammar derives a law; `to_formula` says what the law
 `derive` finds the expression of a formula again.
 """
 
-from __future__ import annotations
-
 import threading
 import weakref
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Call
 from bsp_gp.language.grammar import Slot, fill
-
-__all__ = ["Expression", "derive", "from_lists", "to_formula", "to_lists"]
 
 _KNOWN: weakref.WeakValueDictionary = weakref.WeakValueDictionary()
 _LOCK = threading.RLock()  # a collected tree may be made again while one is made

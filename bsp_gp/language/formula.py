@@ -5,8 +5,6 @@ How a grammar derives it is an `Expression` (expression.py). Nodes are immutable
 structure, and know their `Type`, so that an ill-typed formula cannot exist.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,23 +12,6 @@ import numpy as np
 from bsp_gp.errors import UnitError
 from bsp_gp.language.operators import OPERATORS, Type
 from bsp_gp.units import DIMENSIONLESS
-
-__all__ = [
-    "Call",
-    "Constant",
-    "Formula",
-    "Input",
-    "Number",
-    "evaluate",
-    "evaluate_with_gradient",
-    "factors",
-    "product",
-    "quotient",
-    "rename_constants",
-    "substitute",
-    "summands",
-    "walk",
-]
 
 
 class Formula:

@@ -9,8 +9,6 @@ for searches that draw laws). Rule bodies are read with `ast` from whitelisted n
 evaluated.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib
@@ -26,8 +24,6 @@ from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS, SHAPES, Type
 from bsp_gp.units import Unit, parse_unit
-
-__all__ = ["Grammar", "Rule", "Slot", "grammar_directory", "load_grammar", "read_grammar"]
 
 KINDS = ("pair", "field")
 PLACED = ("origin", "middle", "centre")

@@ -4,8 +4,6 @@ from bsp_gp.errors import UnitError
 from bsp_gp.language.formula import Call, Number
 from bsp_gp.units import Unit
 
-__all__ = ["impulse", "impulse_of"]
-
 _SECOND = Unit.of(s=1)
 
 

@@ -7,8 +7,6 @@ aliases below; positions, velocities, the contact point, lab axes and time have 
 from bsp_gp.language.operators import Type
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["ALIASES", "SHORT", "STATE_INPUTS", "input_types", "property_of"]
-
 ALIASES = {
     "m": "mass",
     "mu": "friction",

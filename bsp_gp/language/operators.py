@@ -8,8 +8,6 @@ Two operators exist in the paper's version and in a mended one (DESIGN §3): `di
 for every divisor <= 1e-9 and `project_abs` sums absolute products; grammars choose by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -19,8 +17,6 @@ import numpy as np
 
 from bsp_gp.errors import UnitError
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = ["OPERATORS", "SHAPES", "Operator", "Type", "bessel_k0", "bessel_k1", "is_across_in"]
 
 SHAPES = ("scalar", "vector", "point", "bool", "shape")
 GUARD = 1e-9

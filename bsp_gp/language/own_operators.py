@@ -15,8 +15,6 @@ from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS, Operator, Type
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-__all__ = ["register_operator"]
-
 N_TRIED, LEAST_FINITE = 200, 0.9
 """Values at which an operator is tested, and the part of results that must be finite numbers."""
 STEP, AGREES = 1e-6, 1e-4

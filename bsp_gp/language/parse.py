@@ -6,8 +6,6 @@ brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[bo
 components of place and velocity; ``pi`` is the number.
 """
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import math
@@ -20,8 +18,6 @@ from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.units import DIMENSIONLESS, parse_unit
-
-__all__ = ["parse_formula"]
 
 MAX_LENGTH = 2000
 MAX_NESTING = 60

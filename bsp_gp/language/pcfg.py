@@ -1,7 +1,5 @@
 """Probabilistic grammars: sampling under a bound on levels, log-probabilities, refitting."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import Expression
-
-__all__ = ["Pcfg"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,16 +4,12 @@ Rule k is the primitive ``r<k>``; its argument types are its nonterminals, left 
 rule without nonterminals is a terminal. DEAP trees and expressions are in bijection.
 """
 
-from __future__ import annotations
-
 import zlib
 
 from deap import gp
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import Expression
-
-__all__ = ["from_tree", "primitive_set", "to_tree"]
 
 
 class _StableHash(type):

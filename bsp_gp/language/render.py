@@ -5,8 +5,6 @@ from bsp_gp.language.impulse import impulse_of
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 
-__all__ = ["to_latex", "to_text"]
-
 _INFIX = {
     "add": ("+", 1),
     "sub": ("-", 1),

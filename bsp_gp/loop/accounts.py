@@ -7,8 +7,6 @@ T. Hesterberg, The American Statistician 69 (2015) 371); with fewer, the spread 
 copies, what the measured errors have beyond noise carried over.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,8 +18,6 @@ from bsp_gp.fitting.held_out import errors_of, held_out_rows
 from bsp_gp.fitting.simulated import simulated
 from bsp_gp.physics.metrics import ERRORS, METRICS
 from bsp_gp.workers import Crew
-
-__all__ = ["Accounts", "Ratio"]
 
 FEWEST_SCENES = 5
 """That are resampled."""
@@ -57,10 +53,8 @@ class Accounts:
     ----------
     fits : sequence of Fit
         The last one makes the copies.
-    dataset : Dataset
     scenes : sequence of Scene
         Held out.
-    rng : numpy.random.Generator
     n_copies : int
         Simulated copies of the scenes behind intervals; 0 = neither floor nor intervals from them.
     crew : Crew, optional

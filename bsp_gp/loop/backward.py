@@ -1,7 +1,5 @@
 """Backward removal: what was adopted early and what came later has made superfluous."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,8 +15,6 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, continued, without_term
 from bsp_gp.physics.force import split_linear
-
-__all__ = ["Pruned", "Restated", "prune"]
 
 OF_ONE = {
     "constant_per_scene": "number", "constant_per_body": "number", "law_by_scene": "law",
@@ -87,18 +83,11 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
 
     Parameters
     ----------
-    rounds : sequence of Round
     dataset : Dataset
         Training scenes.
-    criteria : Criteria, optional
     bounds : dict, optional
         Of the constants of what is declared.
-    clock : Clock, optional
     progress : callable, optional
-
-    Returns
-    -------
-    Pruned
     """
     run = _Pruning(rounds, dataset, criteria or Criteria(), bounds, clock or Clock(), progress)
     try:
@@ -132,18 +121,7 @@ class _Pruning:
 
     def take_back(self):
         """Remove causes of earlier rounds while the evidence does not ask for them."""
-        while True:
-            weakest, least = None, 0.0
-            for done in self.adopted[:-1]:
-                known = done.number in self.removed
-                smaller = None if known else _without(self.hypothesis, done)
-                best = done.decision.best
-                fitted = smaller and self.fitted(smaller, f"without {best.text}")
-                if fitted and fitted[2] + best.log_prior <= least:
-                    weakest, least = (done.number, *fitted[:2]), fitted[2] + best.log_prior
-            if weakest is None:
-                return
-            number, self.found, self.hypothesis = weakest
+        while (number := self._shrink(self._without_causes())) is not None:
             self.removed.add(number)
 
     def shed_terms(self):
@@ -151,19 +129,36 @@ class _Pruning:
 
         Only those whose strength may well be zero: of others a fit need not tell that.
         """
-        while True:
-            weakest, least = None, 0.0
-            for formula in self._terms_of_sums():
-                own = significance(self.found, split_linear(formula)[0])
-                may_be_zero = len(own) > 0 and bool(np.all(own < WEAK))
-                smaller = without_term(self.hypothesis, formula) if may_be_zero else None
-                fitted = smaller and self.fitted(smaller, f"without {to_text(formula)}")
-                if fitted and fitted[2] - self.criteria.cause_nats <= least:
-                    weakest, least = (formula, *fitted[:2]), fitted[2] - self.criteria.cause_nats
-            if weakest is None:
-                return
-            formula, self.found, self.hypothesis = weakest
+        while (formula := self._shrink(self._without_terms())) is not None:
             self.shed.add(formula)
+
+    def _shrink(self, ways):
+        """Take the hypothesis that is likeliest beside the whole one, if one is, and say which.
+
+        Of ``(name, hypothesis or None, text, log prior of what it lacks)`` each.
+        """
+        weakest, least = None, 0.0
+        for name, smaller, text, log_prior in ways:
+            fitted = smaller and self.fitted(smaller, f"without {text}")
+            if fitted and fitted[2] + log_prior <= least:
+                weakest, least = (name, *fitted[:2]), fitted[2] + log_prior
+        if weakest is None:
+            return None
+        name, self.found, self.hypothesis = weakest
+        return name
+
+    def _without_causes(self):
+        for done in self.adopted[:-1]:
+            if done.number not in self.removed:
+                best = done.decision.best
+                yield done.number, _without(self.hypothesis, done), best.text, best.log_prior
+
+    def _without_terms(self):
+        for formula in self._terms_of_sums():
+            own = significance(self.found, split_linear(formula)[0])
+            if len(own) and np.all(own < WEAK):
+                smaller = without_term(self.hypothesis, formula)
+                yield formula, smaller, to_text(formula), -self.criteria.cause_nats
 
     def _terms_of_sums(self):
         kept = [done for done in self.adopted[:-1] if done.number not in self.removed]

@@ -1,11 +1,7 @@
 """How much time a run has."""
 
-from __future__ import annotations
-
 import math
 import time
-
-__all__ = ["Clock", "TimeIsUp"]
 
 
 class TimeIsUp(Exception):

@@ -1,7 +1,5 @@
 """Closing the loop on a data set: made ready, rounds, removal of what is superfluous, report."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -60,8 +58,6 @@ from bsp_gp.physics.metrics import METRICS
 from bsp_gp.randomness import Random, generator
 from bsp_gp.search.choice import BUDGET
 from bsp_gp.workers import Crew
-
-__all__ = ["close_loop"]
 
 LATE_S = 3.0
 """Seconds after a time limit that errors on held-out rows may take; then they are left out."""

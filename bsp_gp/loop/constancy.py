@@ -5,8 +5,6 @@ every term that was found, the term times smooth functions of one variable is a 
 term times the logarithm of speed or distance tells the power with its interval.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +19,6 @@ from bsp_gp.loop.proposers.exponents import base_of, is_size, power_of, typical_
 from bsp_gp.loop.trace import moments_of, smooth_variables
 from bsp_gp.loop.view import selected
 from bsp_gp.physics.force import ForceLaw, Term
-
-__all__ = ["Constancy", "Exponent", "Varies", "constancy", "logarithms", "powers_in", "varied"]
 
 BASES = {"field": ("norm(v_i)",), "pair": ("norm(p_i - p_j)",)}
 """Whose power is told of every term of a kind, beside those that it names."""
@@ -115,16 +111,7 @@ class Constancy:
 
 
 def constancy(view):
-    """The constancy of the terms of a View that nobody declared.
-
-    Parameters
-    ----------
-    view : View
-
-    Returns
-    -------
-    Constancy
-    """
+    """The constancy of the terms of a View that nobody declared."""
     law = view.fit.law
     found = [term for term in law.terms if not term.is_declared]
     exponents, asked = [], []

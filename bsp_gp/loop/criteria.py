@@ -1,13 +1,6 @@
 """Every level on which a verdict depends, and the closed lists of codes that are told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-
-__all__ = [
-    "CAUSES", "KINDS", "LEFT_OUT", "NOISE_FINDINGS", "REASONS", "STOP_REASONS", "VERDICTS",
-    "Criteria",
-]  # fmt: skip
 
 VERDICTS = (
     "effect adopted", "effective law", "seen, not adopted", "the noise is not as assumed",

@@ -1,14 +1,10 @@
 """What a table of hypotheses says: the one place in which the loop decides."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.table import SAME_MINIMUM
-
-__all__ = ["Decision", "decide", "share_of_listed"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,6 @@ def decide(table, criteria=None):
     Parameters
     ----------
     table : HypothesisTable
-    criteria : Criteria, optional
 
     Returns
     -------

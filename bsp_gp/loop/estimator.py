@@ -1,7 +1,5 @@
 """One class with the habits of scikit-learn: fit, predict, score, get_params."""
 
-from __future__ import annotations
-
 import inspect
 
 import numpy as np
@@ -10,8 +8,6 @@ from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.law_fit import fit_law
 from bsp_gp.fitting.simulation import simulate_law
 from bsp_gp.loop.close import close_loop
-
-__all__ = ["LawRegressor"]
 
 
 class LawRegressor:

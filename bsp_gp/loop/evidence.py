@@ -5,16 +5,12 @@ ten of what the data could show (log-uniform); an exponent is normal about what 
 prior names metres or seconds.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from bsp_gp.fitting.starts import roles_of
 from bsp_gp.loop.criteria import Criteria
-
-__all__ = ["WEAK", "log_evidence", "significance"]
 
 WEAK = 3.0
 """Standard errors of its strength below which a term of a sum may be one too many."""
@@ -28,7 +24,6 @@ def log_evidence(fit, hypothesis, criteria=None):
 
     Parameters
     ----------
-    fit : Fit
     hypothesis : Hypothesis
         That was fitted; its parameters may have priors of their own.
     criteria : Criteria, optional
@@ -131,7 +126,6 @@ def significance(fit, name):
 
     Parameters
     ----------
-    fit : Fit
     name : str or None
         Empty where the fit has none of that name.
     """

@@ -3,8 +3,6 @@
 Where something is left beside them, so are the last ones that make them no better.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -14,8 +12,6 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.proposal import FAULTS, continued
-
-__all__ = ["FORESEEING", "Foresight", "is_refuted", "that_foresee"]
 
 N_COPIES = 40
 """Simulated copies of the held-out scenes that say whether predictions are surely worse."""
@@ -41,7 +37,6 @@ class Foresight:
     ----------
     refitted : callable
         ``refitted(fit, hypothesis)`` gives a fit as it would be without the held-out rows.
-    dataset : Dataset
     scenes : sequence of Scene
         Held out.
     streams : sequence of numpy.random.Generator
@@ -100,11 +95,6 @@ def that_foresee(rounds, foresight):
 
     Where something is left in the end, the last causes that make them no better go as well.
 
-    Parameters
-    ----------
-    rounds : sequence of Round
-    foresight : Foresight
-
     Returns
     -------
     list of Round
@@ -133,7 +123,6 @@ def is_refuted(found, hypothesis, accounts, whole, deadline=None):
     ----------
     found : Fit
         The final law, to the scenes that it was found in.
-    hypothesis : Hypothesis
     accounts : Accounts
         Errors of its predictions are the last there.
     whole : callable

@@ -3,8 +3,6 @@
 What was fitted is not kept: fits are made without chance, and made again they are the same.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Mapping
@@ -22,19 +20,12 @@ from bsp_gp.loop.view import View
 from bsp_gp.loop.writing_up import LEAST_LIKELY
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["joined_texts", "rounds_from", "text_of"]
-
 BARE = ("entering", "fits", "families")
 """Fields of a round that are made again."""
 
 
 def text_of(rounds):
-    """Rounds as JSON text.
-
-    Parameters
-    ----------
-    rounds : sequence of Round
-    """
+    """Rounds as JSON text."""
     out = []
     for done in rounds:
         told = _told(done)

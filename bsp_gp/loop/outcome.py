@@ -4,8 +4,6 @@
 intervals. Words are made of this in the room of reports.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,9 +20,6 @@ from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.units import FORCE
-
-__all__ = ["SCHEMA", "Effect", "LoopReport", "Missing", "Overlay", "RoundRecord",
-           "law_record"]  # fmt: skip
 
 SCHEMA = "bsp_gp/report/2"
 

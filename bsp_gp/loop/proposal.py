@@ -1,7 +1,5 @@
 """What proposers answer: causes that may be missing, and how much chance alone would show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,9 +13,6 @@ from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw
-
-__all__ = ["FAULTS", "PATIENT", "Family", "Proposal", "both_of", "continued", "with_term",
-           "with_term_at", "without_term"]  # fmt: skip
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
@@ -129,15 +124,12 @@ class Proposal:
         """Log posterior beside the law as it is, nats, up to what all proposals share."""
         return 0.5 * self.gain + self.log_prior + self.volume
 
-
     def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):
         """Its fit, from the tracks of the fit that it extends.
 
         Parameters
         ----------
         base : Fit
-        dataset : Dataset
-        criteria : Criteria
         bounds : dict, optional
             Of the constants of what is declared.
         deadline : float, optional
@@ -195,10 +187,6 @@ def both_of(first, second):
     Parameters
     ----------
     first, second : Proposal
-
-    Returns
-    -------
-    Proposal
     """
     return replace(
         second, text=f"{first.text} + {second.text}", log_prior=first.log_prior + second.log_prior,

@@ -5,8 +5,6 @@ time, so that what a law lacks is not taken for noise. How a projection changes 
 off noise that was simulated and projected in the same way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +13,6 @@ from scipy import optimize, stats
 from bsp_gp.fitting.tangent import p_of_gain
 from bsp_gp.loop.trace import moments_of
 from bsp_gp.physics.force import ForceLaw
-
-__all__ = [
-    "MOST_QUICK", "Finding", "HiddenBound", "hidden_bound", "least_chance", "noise_findings",
-]  # fmt: skip
 
 MOST_FUNCTIONS, MOST_QUICK = 8, 64
 ROWS_EACH = 4
@@ -63,7 +57,6 @@ def noise_findings(view, most=MOST_FUNCTIONS):
 
     Parameters
     ----------
-    view : View
     most : int
         Functions of time for each channel. What forces do quickly is taken for noise beside few,
         and memories that are long for forces beside many.

@@ -5,8 +5,6 @@ all that rivals differ by. Where one law was fitted and explains all, what it do
 own tracks: the moments of its force, on which the columns of any other law are set anew.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
@@ -15,8 +13,6 @@ from bsp_gp.fitting.starts import EXPONENTS, roles_of
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.search.columns import orthonormal
-
-__all__ = ["Explained"]
 
 NEXT = 0.1
 """Change of a power over which moments are about linear in it."""
@@ -76,10 +72,6 @@ class Explained:
         """Whether a law is the one that leaves nothing, where a power in it is a whole number.
 
         And no other power near it does better, as far as moments tell.
-
-        Parameters
-        ----------
-        proposal : Proposal
         """
         if len(proposal.formulas) != 1 or len(self.proposal.formulas) != 1:
             return False

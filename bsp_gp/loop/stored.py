@@ -1,7 +1,5 @@
 """A report that was written, read back: everything but the fit itself."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -21,8 +19,6 @@ from bsp_gp.loop.outcome import SCHEMA, Effect, LoopReport, Missing, RoundRecord
 from bsp_gp.loop.trace import Channel, Trace
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit, UnitSystem
-
-__all__ = ["law_of", "load_report"]
 
 _TUPLES = ("hypotheses", "held_out", "varies_with", "noise_findings", "equivalents", "entities",
            "exponents", "at", "values", "errors")  # fmt: skip
@@ -158,10 +154,6 @@ def law_of(record, dataset):
         With ``terms`` and ``values``.
     dataset : mapping
         That of the report.
-
-    Returns
-    -------
-    ForceLaw
     """
     terms = []
     for told in record.get("terms") or ():

@@ -1,13 +1,9 @@
 """The table of everything that was fitted: one row per hypothesis."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-
-__all__ = ["SAME_MINIMUM", "HeldOut", "HypothesisTable", "Row", "held_out_gain"]
 
 SAME_MINIMUM = 1e-3
 """Nats within which two descents have come to one minimum."""
@@ -135,7 +131,6 @@ class HypothesisTable:
         ----------
         best : Row
         unknown : sequence of Unknown
-        criteria : Criteria
         """
         first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
         rows = tuple(

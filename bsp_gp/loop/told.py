@@ -1,7 +1,5 @@
 """Results in the units in which the data were declared; what is stored stays SI."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -10,8 +8,6 @@ import numpy as np
 from bsp_gp.errors import UnitError
 from bsp_gp.physics.force import constant_units
 from bsp_gp.units import BASE, FORCE, Unit, parse_unit
-
-__all__ = ["Told", "factors_of", "fit_retold", "retold"]
 
 _ASTRONOMICAL = 1e10
 """Metres of a unit of length from which on kilograms are told as masses of the Sun."""
@@ -247,7 +243,6 @@ def factors_of(law, units):
 
     Parameters
     ----------
-    law : ForceLaw
     units : UnitSystem
 
     Returns

@@ -5,16 +5,12 @@ variable: cosines of its rank among all instants, or a number for each body or s
 Where masses differ the push is an acceleration or a force, whichever shows more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from bsp_gp.fitting.tangent import INDEPENDENT
-
-__all__ = ["Channel", "Trace", "free_forces", "moments_of", "smooth_variables", "trace"]
 
 COUNTS = (2, 4, 8)
 """Cosines beside a constant; that of the greatest evidence is told."""
@@ -118,7 +114,6 @@ def free_forces(view, count):
 
     Parameters
     ----------
-    view : View
     count : int
         Cosines of its rank beside a constant.
 
@@ -139,7 +134,6 @@ def smooth_variables(view, count=2, with_names=False):
 
     Parameters
     ----------
-    view : View
     count : int
         Cosines of its rank.
     with_names : bool

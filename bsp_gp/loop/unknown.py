@@ -10,8 +10,6 @@ amplitude, in parts of what was found, is as likely in every factor of ten betwe
 speaks neither for nor against the law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +19,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.constancy import logarithms, powers_in, varied
 from bsp_gp.loop.trace import free_forces
 from bsp_gp.physics.force import ForceLaw
-
-__all__ = ["Unknown", "unknowns"]
 
 CODES = ("varying_strength", "free_force")
 FALL = 4.5
@@ -70,7 +66,6 @@ def unknowns(view, terms, gain):
 
     Parameters
     ----------
-    view : View
     terms : sequence of Term
         Of its law, those whose strength may vary.
     gain : float
@@ -141,7 +136,6 @@ def _log_odds(view, columns, gain=None):
 
     Parameters
     ----------
-    view : View
     columns : ndarray, shape (n, F)
         At the greatest amplitude.
     gain : float, optional

@@ -1,7 +1,5 @@
 """A fit as proposers look at it: its tangent, its response to forces, noise that was simulated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cached_property
@@ -22,8 +20,6 @@ from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["MOST_PAIRS", "View", "gains", "selected"]
-
 MOST_PAIRS = 100_000
 """Pairs of bodies, at all instants, for which every law is evaluated; of more only the best are."""
 
@@ -40,12 +36,8 @@ class View:
 
     Parameters
     ----------
-    fit : Fit
-    hypothesis : Hypothesis
     dataset : Dataset
         Training scenes.
-    rng : numpy.random.Generator
-    criteria : Criteria, optional
     usual : sequence of Formula
         Laws by which pieces are known whose moments are bent, see `bsp_gp.fitting.bent`.
 

@@ -4,16 +4,12 @@ Draws are those of Laplace's approximation, weighed by the priors: where the dat
 a number, these do.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.law_fit import widening
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.inference.posterior import effective_size
 from bsp_gp.units import Unit
-
-__all__ = ["whereabouts"]
 
 N_PROPOSED, N_DRAWS = 8000, 600
 SHARE_90 = 0.9
@@ -31,7 +27,6 @@ def whereabouts(dataset, part, fit, rng):
     part : HiddenSource
     fit : Fit
         With it.
-    rng : numpy.random.Generator
 
     Returns
     -------

@@ -1,7 +1,5 @@
 """From rounds to a report: what is told of each, of the data, and of the tracks held out."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import asdict, replace
@@ -21,11 +19,6 @@ from bsp_gp.loop.foresight import FORESEEING
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
-
-__all__ = [
-    "about_data", "bound_of", "dataset_digest", "judged_together", "overlays", "record_of",
-    "residual_table", "told", "versions",
-]  # fmt: skip
 
 CHANGES = (
     "exponent", "number", "pulsing", "growing", "wind", "belt", "constant_per_body",
@@ -59,7 +52,6 @@ def record_of(
     done : Round
     scored : tuple of int or None
         Which fits of the accounts entered the round, and came out of it (None: none).
-    accounts : Accounts
     dataset : Dataset
         Training scenes.
     bounds : dict
@@ -67,15 +59,10 @@ def record_of(
         Whether backward removal has taken back what it adopted.
     constancy : Constancy or None
         Of the final law; None where there was no time to ask.
-    criteria : Criteria
     doubt : str
         Why the final law only describes the tracks, of `DESCRIBES`, or "".
     restated : Restated or None
         How what it found is told beside what later rounds found.
-
-    Returns
-    -------
-    RoundRecord
     """
     decision, (before, after) = done.decision, scored
     verdict, reason = decision.verdict, decision.reason
@@ -119,7 +106,6 @@ def is_many(rounds, removed):
 
     Parameters
     ----------
-    rounds : sequence of Round
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
@@ -191,11 +177,8 @@ def _model(row, done):
         starts = done.proposals[row.id].starts
         law = law.with_constants({n: v for n, v in starts.items() if n in law.names})
     else:
-        law = found.law
-        known = [k for k, (n, entity) in enumerate(found.parameters)
-                 if n in law.names and not entity and np.isfinite(found.covariance[k, k])]
-        names = tuple(found.parameters[k][0] for k in known)
-        covariance = found.covariance[np.ix_(known, known)].tolist()
+        law, (names, covariance) = found.law, found.uncertain
+        covariance = covariance.tolist()
     return {**law_record(law), "uncertain": names, "covariance": covariance}
 
 
@@ -336,8 +319,6 @@ def about_data(dataset, split, notes):
 
     Parameters
     ----------
-    dataset : Dataset
-    split : Split
     notes : tuple of str
         What was found when the data were made ready.
     """
@@ -438,7 +419,6 @@ def overlays(accounts, begin):
 
     Parameters
     ----------
-    accounts : Accounts
     begin : int
         Which of its fits is the declared one.
 
@@ -466,8 +446,6 @@ def residual_table(first, last, dataset, split):
     Parameters
     ----------
     first, last : Fit
-    dataset : Dataset
-    split : Split
 
     Returns
     -------

@@ -11,8 +11,6 @@ from bsp_gp.output.mark import file_digest, mark_folder, read_mark
 from bsp_gp.output.place import claim, require_free, told
 from bsp_gp.output.replacing import new_folder, prepare
 
-__all__ = ["Group", "claim_group"]
-
 
 class Group:
     """Places that are held together, from `claim_group`."""

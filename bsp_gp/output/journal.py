@@ -13,8 +13,6 @@ from bsp_gp.output import replacing
 from bsp_gp.output.mark import MARK, file_digest, read_mark, strangers
 from bsp_gp.output.replacing import clear, left_over, prepare
 
-__all__ = ["NOTE", "carry_out", "finish", "write_note"]
-
 NOTE = ".bsp_gp-note"
 
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from bsp_gp.errors import OutputError, SettingsError
 
-__all__ = ["Kept"]
-
 
 class Kept:
     """A file that is there while a run is under way.

@@ -3,24 +3,11 @@
 What the mark does not list, or lists with another digest, belongs to the user.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
 import stat
 from dataclasses import dataclass, field
-
-__all__ = [
-    "MARK",
-    "Mark",
-    "all_files",
-    "file_digest",
-    "mark_folder",
-    "read_mark",
-    "strangers",
-    "write_mark",
-]
 
 MARK = ".bsp_gp"
 _SCHEMA = "bsp_gp/mark/1"

@@ -1,7 +1,5 @@
 """The place that a result goes to: checked and locked before the work, filled whole after it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading
@@ -13,8 +11,6 @@ from bsp_gp.output.journal import finish
 from bsp_gp.output.lock import take_lock
 from bsp_gp.output.mark import MARK, mark_folder, read_mark
 from bsp_gp.output.replacing import discard, new_folder, put_in_place, recover, sibling
-
-__all__ = ["Place", "claim", "require_free", "told", "whole_file"]
 
 _HELD: dict = {}
 """Places that this process holds, by path; who holds one may claim it again further in."""

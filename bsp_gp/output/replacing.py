@@ -16,19 +16,6 @@ import sys
 
 from bsp_gp.output.mark import MARK, read_mark, strangers, write_mark
 
-__all__ = [
-    "clear",
-    "discard",
-    "exchange",
-    "is_new",
-    "left_over",
-    "new_folder",
-    "prepare",
-    "put_in_place",
-    "recover",
-    "sibling",
-]
-
 _AT_FDCWD, _EXCHANGE = -100, 2
 _CANNOT_EXCHANGE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 _CANNOT_LINK = {

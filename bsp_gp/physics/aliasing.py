@@ -1,7 +1,5 @@
 """Frequencies of a law that rows are too far apart to show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 
@@ -11,8 +9,6 @@ from bsp_gp.data.scene import CHECK
 from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.units import Unit
-
-__all__ = ["aliasing_notes"]
 
 WAVES = ("sin", "cos")
 SAME = 0.9

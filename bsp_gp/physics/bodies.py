@@ -5,8 +5,6 @@ into a `Batch`; leading axes of arrays are ``[time, scene, entity, xy(z)]``, sho
 padded with nan. `PairInputs` and `FieldInputs` look up what a formula names, computed on demand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -18,11 +16,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.physics.geometry import Shapes, contact_point
 from bsp_gp.physics.series import Series
 from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
-
-__all__ = [
-    "Batch", "Bodies", "FieldInputs", "PairInputs", "angles_of", "dataset_types",
-    "input_types_of", "law_inputs", "signed_of", "stack", "subset", "under",
-]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +92,6 @@ def subset(bodies, scenes):
 
     Parameters
     ----------
-    bodies : Bodies
     scenes : ndarray of int, shape (S,)
     """
     shapes = bodies.shapes
@@ -171,7 +163,6 @@ class PairInputs(_Inputs):
 
     Parameters
     ----------
-    bodies : Bodies
     positions, velocities : ndarray, shape (..., S, N, d)
     times : ndarray, shape (..., S)
     """
@@ -236,13 +227,19 @@ class Batch:
     velocities: np.ndarray | None
     sigma: np.ndarray | None = None
 
+    @property
+    def is_still(self):
+        """Which entities are no receivers and stay where they are, in all scenes, (N,)."""
+        p = self.positions
+        static = np.array([i not in set(self.bodies.receivers) for i in range(p.shape[2])])
+        return static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
+
 
 def stack(scenes, up=None, velocity="ignore"):
     """Group scenes by build and stack each group; the order of scenes is kept within a group.
 
     Parameters
     ----------
-    scenes : sequence of Scene
     up : str or None
         Declared vertical axis of the data set.
     velocity : str

@@ -1,14 +1,8 @@
 """Divided differences on any grid, and the covariance that they give to white noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError
-
-__all__ = [
-    "DENSE_LIMIT", "difference_matrix", "difference_weights", "gls_whitener", "too_many",
-]  # fmt: skip
 
 DENSE_LIMIT = 1500
 """Longest track (rows) whose whitening matrix is kept dense."""

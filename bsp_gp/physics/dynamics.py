@@ -6,8 +6,6 @@ classical fourth-order rule, the default for smooth laws. Entities that forces d
 their measured track.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +16,6 @@ from bsp_gp.physics.evaluation import PreparedLaw
 from bsp_gp.physics.masses import with_unit_masses
 from bsp_gp.physics.series import Series
 
-__all__ = [
-    "INTEGRATORS", "Tracks", "rollout", "simulated_scene", "step_euler", "step_leapfrog",
-    "step_rk4",
-]  # fmt: skip
 _HEAD = 6
 """First rows to which a start is fitted that is not given."""
 
@@ -59,7 +53,6 @@ class Tracks:
 
     Parameters
     ----------
-    batch : Batch
     substeps : int
         The places asked for are rows and the halves of every sub-step.
     """
@@ -122,7 +115,6 @@ def rollout(law, batch, positions, velocities, *, integrator="rk4", substeps=1, 
 
     Parameters
     ----------
-    law : ForceLaw
     batch : Batch
         Scenes to roll out: their times, bodies, and the tracks of entities that are not moved.
     positions, velocities : ndarray, shape (..., S, R, d)

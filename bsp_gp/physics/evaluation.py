@@ -4,16 +4,12 @@ What does not change along a track (properties, directions, constants, and all t
 them alone) is computed once; what several terms share is computed once a step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.physics.bodies import law_inputs, under
-
-__all__ = ["PreparedLaw", "Settling", "unknown_receivers"]
 
 CHANGING = ("p_i", "p_j", "v_i", "v_j", "p_c", "t")
 """Inputs that differ from instant to instant; all others belong to the scene."""
@@ -28,8 +24,6 @@ class PreparedLaw:
 
     Parameters
     ----------
-    law : ForceLaw
-    bodies : Bodies
     values : dict, optional
         Constants as `ForceLaw.values` gives them; they may have leading axes for copies.
     skips : bool
@@ -177,8 +171,6 @@ class Settling:
 
     Parameters
     ----------
-    term : Term
-    bodies : Bodies
     per_entity : bool
     """
 

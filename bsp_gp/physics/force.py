@@ -1,7 +1,5 @@
 """Force laws: sums of terms, some declared and some found, and the accelerations they give."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,12 +27,6 @@ from bsp_gp.physics.bodies import law_inputs, under
 from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
 from bsp_gp.units import BASE, FORCE, Unit
-
-__all__ = [
-    "COPY", "FRAMING", "HOLDING", "ForceLaw", "Term", "Unseen", "constant_units", "entry",
-    "fresh_name", "fresh_names", "key_of", "kind_of", "needs_masses", "split_linear", "tabled",
-    "term_gradient",
-]  # fmt: skip
 
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
@@ -398,12 +390,17 @@ def fresh_name(law, stem="c"):
     return fresh_names(law, (stem,), stem)[stem]
 
 
+def numbered(stem, taken):
+    """The first of stem1, stem2, ... that is not taken."""
+    return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
+
+
 def fresh_names(law, names, stem=None):
     """New names for constants that the law does not use: their own or a stem, with numbers."""
     taken, out = {name.partition("[")[0] for name in law.names}, {}
     for name in names:
         own = name.rstrip("0123456789") if stem is None else stem
-        out[name] = next(n for k in count(1) if (n := f"{own}{k}") not in taken)
+        out[name] = numbered(own, taken)
         taken.add(out[name])
     return out
 
@@ -525,10 +522,6 @@ def needs_masses(law):
     """Whether a number or a constant of a law has kilograms in its unit, so that masses count.
 
     A law per unit mass, such as `9.81 [m/s^2] * m_i * down`, is the same for every mass.
-
-    Parameters
-    ----------
-    law : ForceLaw
     """
     kg = BASE.index("kg")
     units = []

@@ -1,12 +1,8 @@
 """Contact geometry of discs, walls and mats, as the paper's data have it (DESIGN §8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["POINT", "DISC", "MAT", "WALL", "Shapes", "contact_point"]
 
 POINT, DISC, WALL, MAT = 0, 1, 2, 3
 CODES = {"point": POINT, "disc": DISC, "rect_wall": WALL, "rect_mat": MAT}

@@ -25,8 +25,6 @@ Several ways to read them off a track, one interface (`Regression`):
     The same for data made by steps: forces act at rows, with backward velocities.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import DataError, SettingsError
@@ -71,7 +69,6 @@ def build_regression(
 
     Parameters
     ----------
-    scenes : sequence of Scene
     method : str
         One of `METHODS`.
     sigma : array-like, shape (d,) or float, optional
@@ -272,9 +269,7 @@ def _from_positions(batch, method, sigma):
     # Back to an error of position; the exact covariance does that by itself.
     correlated = method in ("gls", "one_step_gls")
     scale = np.ones_like(after) if correlated else after * (before + after) / 2
-    static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
-    still = static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3))
-    velocities = np.where(still[:, None] & np.isfinite(velocities), 0.0, velocities)
+    velocities = np.where(batch.is_still[:, None] & np.isfinite(velocities), 0.0, velocities)
     return (batch.times[1:-1], p[1:-1], velocities), target, None, np.nan_to_num(scale)
 
 

@@ -1,7 +1,5 @@
 """Masses and other properties that a law needs, known or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +9,6 @@ from bsp_gp.errors import DataError, LawError, in_python
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
 from bsp_gp.units import Unit
-
-__all__ = ["NO_MASS", "ONE_KILOGRAM", "are_units", "check_properties", "has_masses",
-           "with_unit_masses", "with_usable_masses", "without_masses"]  # fmt: skip
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set without any mass."""
@@ -47,7 +42,6 @@ def with_usable_masses(dataset, counts=True):
 
     Parameters
     ----------
-    dataset : Dataset
     counts : bool
         Whether the mass makes a difference, as far as the law is known.
 
@@ -102,7 +96,6 @@ def check_properties(batches, law):
     ----------
     batches : sequence
         With the `bodies` of some scenes.
-    law : ForceLaw
 
     Raises
     ------

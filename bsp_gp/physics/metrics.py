@@ -1,17 +1,9 @@
 """Errors that people read: the paper's nRMSE, and residual accelerations."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.likelihood import build_regression
-
-__all__ = [
-    "ERRORS", "METRICS", "error_of", "one_step_errors", "one_step_nrmse", "residual_acceleration",
-    "residual_accelerations",
-]  # fmt: skip
-
 
 METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint", "endpoint_mean")
 """Errors of a model on held-out data, as `Errors` has them."""
@@ -43,8 +35,6 @@ def one_step_errors(scenes, law, up=None, sources=True):
 
     Parameters
     ----------
-    scenes : sequence of Scene
-    law : ForceLaw
     up : str or None
     sources : bool
         Whether rows where any body is lost are left out, as they must be where laws name others.

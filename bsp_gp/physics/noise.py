@@ -1,10 +1,6 @@
 """Sizes of the errors that single points quote, beside the typical one."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["relative_sizes", "sizes_of"]
 
 
 def relative_sizes(batch, sigma):

@@ -5,8 +5,6 @@ the loop see it as a `Regression`: columns, targets, residuals and gradients as 
 independent errors of size one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,8 +14,6 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import term_gradient
-
-__all__ = ["Regression", "RegressionBatch", "checked", "stack_draws"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +148,6 @@ class Regression:
 
         Parameters
         ----------
-        term : Term
         per_entity : bool
         cache : list of dict, one per batch, optional
             Values of sub-formulas, kept between calls for terms of one kind.

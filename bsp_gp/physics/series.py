@@ -4,14 +4,10 @@ Between rows they are interpolated along straight lines; before the first and af
 they keep their values. A log may be late: what it says of an instant acts that much later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-
-__all__ = ["Series", "interpolated", "late_inputs"]
 
 
 @dataclass(frozen=True, eq=False)

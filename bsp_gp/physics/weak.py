@@ -10,8 +10,6 @@ alone.
 The width is chosen from the tracks, never from a law: see `weak_width`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +19,6 @@ from bsp_gp.physics.differences import DENSE_LIMIT
 from bsp_gp.physics.weak_states import states_of
 from bsp_gp.physics.weak_tracks import Track, reach_of, runs_of
 from bsp_gp.physics.weak_width import Widths, choose_spacing
-
-__all__ = ["WeakForm", "WeakPart"]
 
 BRIDGED = 1.8
 """Steps longer than this many usual ones part a track, where test functions are narrow."""
@@ -50,7 +46,6 @@ class WeakForm:
 
     Parameters
     ----------
-    batches : list of Batch
     sigma : ndarray, shape (d,)
         Standard deviation of positions, m (of velocities, m/s, where they are measured), in rows
         for which the scene quotes none; nan: the axis is left out.
@@ -270,13 +265,8 @@ class WeakForm:
                 limit=self._limit(times, self.spacing),
                 is_stepped=self.is_stepped,
             )
-        p = batch.positions
-        static = np.array([i not in set(batch.bodies.receivers) for i in range(p.shape[2])])
-        still = (static & np.all((p == p[:1]) | np.isnan(p), axis=(0, 1, 3)))[:, None]
-        return (
-            np.where(still, p, positions),
-            np.where(still & np.isfinite(p), 0.0, velocities),
-        )
+        p, still = batch.positions, batch.is_still[:, None]
+        return np.where(still, p, positions), np.where(still & np.isfinite(p), 0.0, velocities)
 
     def _usable(self, batch, positions, velocities):
         """Rows at which a law can be evaluated, (T, S, R)."""

@@ -6,13 +6,9 @@ one motion. Evaluated at finite differences of noisy positions, a law that depen
 would feel their noise, which integrals sum up to more than the noise of the positions itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.weak_tracks import DEGREE, design, knots_of
-
-__all__ = ["states_of"]
 
 LEAST_ROWS_PER_SPLINE = 2.0
 """With fewer rows a spline follows the noise, and its slope at the ends is worse than a step."""

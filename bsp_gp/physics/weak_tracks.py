@@ -15,14 +15,10 @@ two neighbouring splines that see no constant velocity, and test functions that 
 between rows.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["DEGREE", "Run", "Track", "design", "knots_of", "reach_of", "runs_of", "seen_through"]
 
 DEGREE = 3
 RANK_CUT = 1e-10
@@ -251,7 +247,6 @@ class Track:
         Parameters
         ----------
         times : ndarray, shape (T,)
-        runs : list of Run
         spacing : float
             See `combs`.
         sigma : ndarray, shape (T,)

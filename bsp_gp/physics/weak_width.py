@@ -7,8 +7,6 @@ Technometrics 15, 661) of the motion in that space: the corner between signal an
 which have energy at all frequencies, make it narrow by themselves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +14,6 @@ import numpy as np
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.physics.weak_tracks import seen_through
-
-__all__ = ["Widths", "choose_spacing", "estimated_level"]
 
 RATIO = 2**0.5
 """Between the widths that are tried."""

@@ -1,7 +1,5 @@
 """Programs as apparatus: one experiment as a line of JSON in, one line of what was seen out."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import subprocess
@@ -11,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.errors import DataError, SettingsError
-
-__all__ = ["Command", "Recording", "recording_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +95,6 @@ def recording_of(answer, experiment):
     Parameters
     ----------
     answer : mapping or Recording
-    experiment : Experiment
-
-    Returns
-    -------
-    Recording
 
     Raises
     ------

@@ -6,8 +6,6 @@ Then the law is fitted to whole recordings, asked what it lacks, and its rivals 
 that was seen. Experiments are chosen by what they promise to tell the rivals apart.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field, replace
@@ -33,8 +31,6 @@ from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
 from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import Rival, in_common, kin_of, less_a_term, rivals_of
 from bsp_gp.randomness import generator
-
-__all__ = ["Discovery", "calm", "discover"]
 
 LEAST_ROWS = 4
 ENOUGH = 2
@@ -456,10 +452,6 @@ def calm(scene):
     ----------
     scene : Scene
         With known first states; others are returned as they are.
-
-    Returns
-    -------
-    Scene
     """
     if scene.first is None or len(scene.entities) < 2:
         return scene
@@ -475,11 +467,8 @@ def _declared(law):
 
 def _fitted(rival, found):
     """A rival with the constants of a fit."""
-    known = [k for k, (n, entity) in enumerate(found.parameters)
-             if not entity and n in found.law.names and np.isfinite(found.covariance[k, k])]
-    names = tuple(found.parameters[k][0] for k in known)
-    return replace(rival, law=found.law, names=names,
-                   covariance=found.covariance[np.ix_(known, known)])  # fmt: skip
+    names, covariance = found.uncertain
+    return replace(rival, law=found.law, names=names, covariance=covariance)
 
 
 def _final(report):

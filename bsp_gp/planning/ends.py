@@ -4,11 +4,7 @@ Experiments by chance seldom begin with bodies close together, fast, or far out;
 there is not seen in them. A law that has foreseen others must foresee these before it stands.
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["at_the_ends"]
 
 N_DRAWN = 256
 """Experiments by chance among which ends are looked for."""

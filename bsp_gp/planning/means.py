@@ -17,8 +17,6 @@ A file of means, TOML; all numbers are SI. ``"a..b"`` is a range, a list a choic
     at_once = 4
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -33,8 +31,6 @@ from bsp_gp.data.scene import Dataset, Entity, FirstState, Scene
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.units import UnitSystem
-
-__all__ = ["Body", "Experiment", "Means", "load_means"]
 
 AXES = "xyz"
 _RANGE = re.compile(r"\s*([^\s.]+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*\.\.\s*(\S+)\s*")

@@ -7,8 +7,6 @@ information is that between the law and the rows, by Monte Carlo over rows that 
 and a part of what forces do beyond.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,8 +20,6 @@ from bsp_gp.planning.means import moved
 from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
 from bsp_gp.planning.rivals import rivals_of
 from bsp_gp.randomness import generator
-
-__all__ = ["NONE", "Option", "Plan", "foreseen", "information", "next_experiment", "plan"]
 
 NONE = 0.05
 """Chance, beforehand, that none of the rivals holds."""
@@ -106,8 +102,6 @@ def plan(rivals, means, *, rng=None, about="", n_tried=96, n_told=5, up=None):
 
     Parameters
     ----------
-    rivals : sequence of Rival
-    means : Means
     rng : numpy.random.Generator, int or None
     about : str
         A constant of the likeliest law about which something is asked, in place of which law.
@@ -116,10 +110,6 @@ def plan(rivals, means, *, rng=None, about="", n_tried=96, n_told=5, up=None):
     n_told : int
     up : str, optional
         Axis that points up.
-
-    Returns
-    -------
-    Plan
 
     Raises
     ------
@@ -174,11 +164,8 @@ def foreseen(rivals, draws, experiments, means, rng, up=None):
 
     Parameters
     ----------
-    rivals : sequence of Rival
     draws : sequence of dict
         Constants of each as they may be, the best first.
-    experiments : sequence of Experiment
-    means : Means
     rng : numpy.random.Generator
         Of the errors with which bodies are put and set off.
 
@@ -213,7 +200,6 @@ def _n_foreseeable(track, free, scene):
     track : ndarray, shape (D, T, R, d)
         Moving bodies under draws of the constants, the best first.
     free : ndarray, shape (T, R, d)
-    scene : Scene
     """
     still = np.delete(scene.positions[:1], scene.dynamic, axis=1)
     bodies = np.concatenate([track[0], np.repeat(still, track.shape[1], axis=0)], axis=1)
@@ -293,7 +279,6 @@ def information(weights, centres, roots, rng, count=N_ROWS):
     weights : ndarray, shape (H,)
     centres, roots : ndarray, shapes (H, n) and (H, n, n)
         Of the normals that the laws foresee.
-    rng : numpy.random.Generator
     count : int
         Rows per law.
 

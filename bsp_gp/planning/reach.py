@@ -4,11 +4,7 @@ After a close pass what is unknown of a constant leads to anywhere: laws seem fa
 no law is fitted to such rows. Rows are measured against the way to the next body.
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["n_calm", "n_foreseen", "nearest"]
 
 CALM = 0.4
 """Part of the distance to the next body within which forces may have led a body off."""

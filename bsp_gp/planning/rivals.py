@@ -1,7 +1,5 @@
 """What may be true: laws with their probabilities, and what is known of their constants."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
@@ -16,8 +14,6 @@ from bsp_gp.language.operators import bessel_k1
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.stored import law_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
-
-__all__ = ["Rival", "in_common", "kin_of", "less_a_term", "rivals_of"]
 
 LEAST = 1e-3
 """Less likely rivals are left out."""
@@ -70,10 +66,6 @@ class Rival:
 
 def in_common(law):
     """A law whose constants by scene or body are one for all, their median: it foretells.
-
-    Parameters
-    ----------
-    law : ForceLaw
 
     Returns
     -------
@@ -142,7 +134,6 @@ def kin_of(rival, dataset):
 
     Parameters
     ----------
-    rival : Rival
     dataset : Dataset
         For types and units.
 
@@ -192,10 +183,6 @@ def kin_of(rival, dataset):
 
 def less_a_term(rival):
     """Laws that lack one of the terms of a sum: what was found beside another form may be none.
-
-    Parameters
-    ----------
-    rival : Rival
 
     Returns
     -------

@@ -19,8 +19,6 @@ from bsp_gp.report.drawing import (
 from bsp_gp.report.numbers import format_number, format_value, is_number, with_unit
 from bsp_gp.report.sentences import constant_groups
 
-__all__ = ["constants_figure", "rounds_figure"]
-
 _MAX_LABELS = 60
 
 

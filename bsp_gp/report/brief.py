@@ -9,8 +9,6 @@ from bsp_gp.report.numbers import format_constant, format_number, is_number
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import adopted_rounds, constant_groups, group_range
 
-__all__ = ["brief_lines"]
-
 MAX_CONSTANTS = 3
 MAX_RIVALS = 2
 LONGEST = 150

@@ -1,10 +1,5 @@
 """What the codes of the loop mean in words: the one place where a code becomes a sentence."""
 
-__all__ = [
-    "CAUSES", "DIRECTIONS", "FINDINGS", "KINDS", "LEFT_OUT", "METHODS", "NOISE", "OWN_STRENGTHS",
-    "REASONS", "STOPS", "TONES", "VARIABLES",
-]  # fmt: skip
-
 CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
     "ripple": "a force that repeats along an axis", "pulsing": "a strength with a period",

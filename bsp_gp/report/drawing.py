@@ -14,26 +14,6 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarForm
 
 from bsp_gp.report.numbers import power_of_ten, pretty_unit
 
-__all__ = [
-    "AFTER",
-    "BEFORE",
-    "FLOOR",
-    "INK",
-    "WIDTH",
-    "axis_label",
-    "legend_above",
-    "log_ticks",
-    "new_figure",
-    "panels_of",
-    "plain",
-    "png_bytes",
-    "scaled",
-    "spans_decades",
-    "svg_text",
-    "tidy",
-    "time_scaled",
-]
-
 # Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their darkness.
 BEFORE = "#D55E00"
 AFTER = "#0072B2"

@@ -11,8 +11,6 @@ from bsp_gp.report.drawing import AFTER, BEFORE, scaled, time_scaled
 from bsp_gp.report.numbers import pretty_unit
 from bsp_gp.report.tracks import drawn_axes, pick_overlays
 
-__all__ = ["exploration", "script", "script_digest"]
-
 _MAX_TRACKS = 24
 _MAX_TIMES = 200
 _MAX_POINTS = 1500

@@ -1,7 +1,5 @@
 """The figures of a report: tracks, residuals, constants, errors round by round."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass
@@ -35,8 +33,6 @@ from bsp_gp.report.tracks import (
     pick_overlays,
     wants_errors,
 )
-
-__all__ = ["ReportFigure", "build_figures", "units_of"]
 
 MAX_POINTS = 4000
 _NARROW = 4.8

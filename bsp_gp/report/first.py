@@ -7,8 +7,6 @@ from bsp_gp.report.numbers import format_constant, format_number, is_number
 from bsp_gp.report.sentences import adopted_rounds, constant_groups, force_text, verdict_parts
 from bsp_gp.report.typeset import to_svg
 
-__all__ = ["bound_sentence", "else_sentence", "legend", "plain_sentence", "told_constants"]
-
 _MAX_CONSTANTS = 2
 LEAST = 0.01
 """Probability that is worth telling: shares of a large class say nothing."""

@@ -1,7 +1,5 @@
 """The report folder: written whole or not at all."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -17,8 +15,6 @@ from bsp_gp.report.html import render_html
 from bsp_gp.report.numbers import format_constant, is_number
 from bsp_gp.report.page import page_of
 from bsp_gp.report.typeset import law_document
-
-__all__ = ["KIND", "RESIDUALS", "write_report"]
 
 KIND = "report"
 

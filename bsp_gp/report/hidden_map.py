@@ -8,8 +8,6 @@ from bsp_gp.report.drawing import AFTER, BEFORE, INK, WIDTH, axis_label, new_fig
 from bsp_gp.report.drawing import tidy as tidied
 from bsp_gp.report.numbers import format_p
 
-__all__ = ["draw_hidden_map"]
-
 SHARES = (0.9, 0.5)
 """Probabilities of the regions that are shaded."""
 GRID = 120

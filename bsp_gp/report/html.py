@@ -49,8 +49,6 @@ from bsp_gp.report.sentences import (
 from bsp_gp.report.traces import trace_section
 from bsp_gp.report.typeset import to_svg
 
-__all__ = ["render_html"]
-
 _MAX_ROWS = 300
 _ERRORS = (
     ("rollout_rmse", "Position error of rollouts (RMS)", "unit"),
@@ -59,6 +57,7 @@ _ERRORS = (
     ("one_step_nrmse", "One-step error (mean)", "unit"),
     ("residual_acceleration", "Residual acceleration (RMS)", "acceleration_unit"),
 )
+
 
 def render_html(report, run_info=None, figures=None):
     """Write the page of a report.

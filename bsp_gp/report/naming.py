@@ -10,11 +10,6 @@ from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
 
-__all__ = [
-    "bad_rows", "between_bumpers", "change", "constant_distance", "describe", "inclination",
-    "is_untold", "kick", "ripple", "size_name",
-]  # fmt: skip
-
 _DIRECTIONS = {
     "v_i": "velocity",
     "v_i - v_j": "relative velocity",

@@ -3,23 +3,6 @@
 import math
 import re
 
-__all__ = [
-    "NOT_KNOWN",
-    "format_constant",
-    "format_level",
-    "format_number",
-    "format_p",
-    "format_ratio",
-    "format_value",
-    "is_number",
-    "length_text",
-    "listed",
-    "power_of_ten",
-    "pretty_unit",
-    "rounded",
-    "with_unit",
-]
-
 NOT_KNOWN = "–"
 """What stands in place of a number that there is not."""
 FINEST_RATIO = 1e-4

@@ -32,8 +32,6 @@ from bsp_gp.report.numbers import format_number, format_value, is_number
 from bsp_gp.report.rewritings import dependence, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
 
-__all__ = ["page_of"]
-
 _TOLD = 12
 """Hypotheses of a round that a page lists."""
 _MOST_FINDINGS = 3

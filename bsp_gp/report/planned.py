@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["discovery_text", "draw_plan", "plan_text"]
-
 WIDTH = 100
 
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["corner_figure", "rollout_figure", "trace_figure"]
-
 MOST_NAMES = 12
 """Names beyond this number are left out of a figure, the least determined ones first kept."""
 

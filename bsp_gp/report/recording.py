@@ -12,8 +12,6 @@ from bsp_gp.report.drawing import new_figure, panels_of, tidy
 from bsp_gp.report.numbers import format_number, listed, with_unit
 from bsp_gp.units import Unit
 
-__all__ = ["columns_text", "data_figure", "data_text"]
-
 MAX_PANELS = 6
 _MAX_NAMES = 8
 _LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)

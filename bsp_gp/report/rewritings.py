@@ -4,8 +4,6 @@ import re
 
 from bsp_gp.language.inputs import SHORT
 
-__all__ = ["dependence", "rewritten", "told_once"]
-
 _TERM = re.compile(r"[A-Za-z]\w*(?:\[\w+\])? \* (.+)")
 """A constant, and what it multiplies."""
 _TOWARDS = ("normalize(v_i)", "up", "down", "e_x", "e_y", "e_z")

@@ -7,8 +7,6 @@ from matplotlib.patches import Circle, Rectangle
 
 from bsp_gp.report.drawing import WIDTH, axis_label, new_figure, panels_of
 
-__all__ = ["draw_scenes"]
-
 # Okabe and Ito's colours, in the order of the films.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WALL, _MAT, _ANCHOR = "#969696", "#DEDEDE", "#5A5A5A"

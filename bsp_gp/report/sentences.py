@@ -21,26 +21,6 @@ from bsp_gp.report.numbers import (
     with_unit,
 )
 
-__all__ = [
-    "adopted_rounds",
-    "caveats",
-    "constant_groups",
-    "force_text",
-    "group_range",
-    "headline",
-    "hidden_sentence",
-    "missing_sentence",
-    "noise_sentence",
-    "outcome_sentence",
-    "overturned_by",
-    "parting_sentence",
-    "powers_sentence",
-    "ratio_caution",
-    "verdict_parts",
-    "verdict_sentence",
-    "worse_bodies",
-]
-
 WORSE = 1.2
 """Ratio of errors from which a body is told to be predicted worse."""
 _METRICS = (

@@ -1,7 +1,5 @@
 """The report as a few lines for a terminal."""
 
-from __future__ import annotations
-
 import textwrap
 
 from bsp_gp.data.scene import CHECK

@@ -6,8 +6,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsp_gp.report.numbers import format_number, is_number
 
-__all__ = ["sweep_page"]
-
 MOST_KINDS = 20
 """Effects that are counted one by one."""
 

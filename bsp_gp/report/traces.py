@@ -16,8 +16,6 @@ from bsp_gp.report.drawing import (
 )
 from bsp_gp.report.numbers import format_number, format_p, is_number
 
-__all__ = ["trace_figure", "trace_section", "trace_sentence"]
-
 MAX_CHANNELS = 10
 
 

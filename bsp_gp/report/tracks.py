@@ -19,11 +19,6 @@ from bsp_gp.report.drawing import (
     time_scaled,
 )
 
-__all__ = [
-    "GIDS", "draw_errors", "draw_tracks", "drawn_axes", "pick_headline", "pick_overlays",
-    "wants_errors",
-]  # fmt: skip
-
 MAX_PANELS = 9
 GIDS = ("before", "after")
 """Of the lines of the models in a drawing, by which a page hides them."""

@@ -10,8 +10,6 @@ from matplotlib.textpath import TextPath
 
 from bsp_gp.report.numbers import NOT_KNOWN, rounded
 
-__all__ = ["law_document", "split_terms", "to_svg"]
-
 _SIZE = 20.0  # points; the page scales by em
 _MAX_LENGTH = 3000
 _MARGIN = 1.0

@@ -2,8 +2,6 @@
 
 from bsp_gp.report.numbers import format_number, format_value, with_unit
 
-__all__ = ["name_of", "rivals_of"]
-
 _MOTIONS = {
     "at rest": "an unseen body at rest", "moving": "an unseen body that moves straight on",
     "under the law": "an unseen body that the law moves with the others",

@@ -5,8 +5,6 @@ likeliest, is kept), so that a bank holds a few hundred distinct values where th
 millions of derivations.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field, replace
 
@@ -18,8 +16,6 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.language.grammar import fill
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.bodies import law_inputs
-
-__all__ = ["Banks", "Entry", "Rows", "distinct_directions", "fingerprints", "merge_proportional"]
 
 MOST_TIES = 60
 """Entries remembered as merged into one."""
@@ -157,7 +153,6 @@ class Banks:
     ----------
     grammar : Grammar
         Masked to what the data supply.
-    rows : Rows
     log_probs : ndarray, shape (n_rules,)
         Under the uniform PCFG.
     """

@@ -1,14 +1,10 @@
 """What a search returns: candidates, and a result with its front, ties and certificate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.language.render import to_text
-
-__all__ = ["Candidate", "Certificate", "SearchResult", "front_of", "merge_equal"]
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,6 @@ from bsp_gp.search.factoring import plan_of
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget, run_search
 
-__all__ = ["BUDGET", "SEARCHES", "Searching", "searches_for"]
-
 SEARCHES = ("exhaustive", "cross_entropy", "genetic", "auto")
 BUDGET = 5_000
 """Laws that differ on the data which a guided search may score; those with constants inside count
@@ -72,7 +70,6 @@ class Searching:
     ----------
     searches : mapping of str to int
         As of `searches_for`.
-    grammar : Grammar
     budget : int
         Laws that each guided search may score for one kind of law.
     missing_inputs : tuple of str

@@ -9,8 +9,6 @@ import numpy as np
 
 from bsp_gp.search.scoring import COLLINEAR, flat_scale, receiver_index
 
-__all__ = ["Columns", "Projected", "balanced", "orthonormal"]
-
 BATCH_BYTES = 1 << 25
 """Bound on one work array."""
 CANCELLED = 1e-24
@@ -22,7 +20,6 @@ class Columns:
 
     Parameters
     ----------
-    rows : Rows
     y : ndarray, shape (n,)
         Whitened target, free terms projected out.
     q : ndarray, shape (n, k)

@@ -5,8 +5,6 @@ others report their regret; a learner may look at deeper trees, so that its regr
 negative.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.run import run_search
 from bsp_gp.search.sums import search_sums
-
-__all__ = ["STRATEGIES", "Outcome", "certified", "compare", "run_one"]
 
 STRATEGIES = {
     "cross_entropy": CrossEntropy(),

@@ -18,8 +18,6 @@ from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget
 
-__all__ = ["compare_searches", "regressions"]
-
 
 def compare_searches(
     dataset,

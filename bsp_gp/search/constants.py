@@ -5,8 +5,6 @@ exact gradients (paper, section 3.3.1), from several starts where asked, each st
 linear ones solved first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.physics.force import Term, split_linear
-
-__all__ = ["ConstantFit", "fit_constants", "linear_columns"]
 
 START_SCALES = (1.0, 0.1, 10.0, 0.01, 100.0, -1.0, 1e-3, 1e3, 2.0, 0.5)
 
@@ -93,10 +89,6 @@ def fit_constants(regression, law, *, starts=1):
         Values of its constants are start values; per-entity constants must enter linearly.
     starts : int
         Start points for constants that do not enter linearly; the first is the given one.
-
-    Returns
-    -------
-    ConstantFit
 
     Raises
     ------

@@ -12,8 +12,6 @@ from bsp_gp.search.moments import MomentScorer
 from bsp_gp.search.products import Block, Side
 from bsp_gp.search.scoring import COLLINEAR, GroupScorer, values_of
 
-__all__ = ["CorrelatedScorer", "group_scorer"]
-
 
 class CorrelatedScorer(GroupScorer):
     """Numerators and denominators of all products of two mixed banks; see `scoring`."""

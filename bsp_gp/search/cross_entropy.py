@@ -8,15 +8,11 @@ the search starts anew when nothing better has come for a while (known laws cost
 populations are products of pools of subtrees, which are scored at three times the rate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.language.pcfg import Pcfg
-
-__all__ = ["PRESETS", "CrossEntropy", "RandomSearch"]
 
 
 @dataclass(frozen=True)

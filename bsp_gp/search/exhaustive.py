@@ -36,8 +36,6 @@ from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.room import require_room
 from bsp_gp.search.scoring import RowScorer
 
-__all__ = ["MOST_TIES", "Exhaustive", "law_pool", "search_exhaustive"]
-
 SIZES_BYTES = 1 << 27
 """Upper bound of what is kept of one search for the next."""
 MOST_TIES = 250

@@ -1,14 +1,10 @@
 """How a grammar's start symbol factors: constant * scalars * direction [* condition]."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Constant
 from bsp_gp.language.grammar import Slot
-
-__all__ = ["Plan", "plan_of"]
 
 
 @dataclass(frozen=True)

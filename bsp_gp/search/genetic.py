@@ -8,16 +8,12 @@ variation takes the generator as an argument: DEAP's picks types from a set in m
 draws from the global `random`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deap import base, tools
 
 from bsp_gp.language.expression import Expression
 from bsp_gp.language.pcfg import Pcfg
-
-__all__ = ["Genetic"]
 
 
 class _Fitness(base.Fitness):

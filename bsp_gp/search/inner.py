@@ -5,8 +5,6 @@ Strengths are projected out (variable projection, Golub and Pereyra 1973): what 
 function of its inner constants alone. It is scored on a grid, and where it does best on finer ones.
 """
 
-from __future__ import annotations
-
 import re
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -23,8 +21,6 @@ from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import Term, kind_of, split_linear
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
-
-__all__ = ["Axis", "Form", "InnerSearch", "Scan", "expanded", "read_forms"]
 
 N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
 """Values of a constant that is alone inside, of each of several; places, and along an axis."""
@@ -236,7 +232,6 @@ class InnerSearch:
 
     Parameters
     ----------
-    regression : Regression
     target, draws : ndarray, shapes (n,) and (n, B)
         What is to be explained, and simulated noise, beside what constants of the law take up.
     beside : callable

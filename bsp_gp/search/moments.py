@@ -9,8 +9,6 @@ import numpy as np
 
 from bsp_gp.search.scoring import TILE_BYTES, GroupScorer, values_of
 
-__all__ = ["MomentScorer"]
-
 SAME = 1e-13
 """Part of the patterns of sources that is rounding."""
 

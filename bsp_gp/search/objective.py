@@ -5,8 +5,6 @@ Constants that multiply the terms of a law are solved in closed form, many laws 
 go through `fit_constants`. Laws that are equal on the data are scored once (`recognition`).
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from typing import NamedTuple
@@ -23,8 +21,6 @@ from bsp_gp.search.columns import BATCH_BYTES, Columns, Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.recognition import Recogniser
 from bsp_gp.search.scoring import COLLINEAR
-
-__all__ = ["CRITERIA", "Objective", "Score"]
 
 CRITERIA = ("prior", "bic", "mdl")
 

@@ -1,7 +1,5 @@
 """All products of two banks of scalar factors, and the law that each of them is."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 from dataclasses import dataclass
@@ -9,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant
-
-__all__ = ["Block", "Kept", "Side"]
 
 
 class Side:

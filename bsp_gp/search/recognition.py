@@ -7,8 +7,6 @@ Formulas, values and classes are kept per subtree, so that a new tree pays only 
 in it.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from typing import NamedTuple
 
@@ -26,8 +24,6 @@ from bsp_gp.language.formula import (
 )
 from bsp_gp.language.grammar import Slot, fill
 from bsp_gp.search.banks import fingerprints
-
-__all__ = ["BoundedCache", "CACHE_BYTES", "Law", "Recogniser"]
 
 _SOUGHT = frozenset(("centre", "middle"))
 CACHE_BYTES = 1 << 28
@@ -68,7 +64,6 @@ class Recogniser:
     ----------
     grammar : Grammar
         Masked to the data.
-    rows : Rows
     """
 
     def __init__(self, grammar, rows):

@@ -5,8 +5,6 @@ import os
 from bsp_gp.errors import ResourceError
 from bsp_gp.search.factoring import plan_of
 
-__all__ = ["SHARE", "available_bytes", "require_room"]
-
 SHARE = 0.75
 """Of the memory that is available, what one search may take."""
 ENTRY_BYTES = 4096

@@ -6,8 +6,6 @@ expressions under "population". The loop spawns one random stream per step, so t
 draws what the uninterrupted one would have.
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import json
@@ -23,8 +21,6 @@ from bsp_gp.errors import BspError, OutputError, SettingsError
 from bsp_gp.language.expression import from_lists, to_lists
 from bsp_gp.output.place import whole_file
 from bsp_gp.search.candidate import SearchResult
-
-__all__ = ["Budget", "run_search"]
 
 GRID = 5
 """Laws for which one counts whose inner constants are scored on a grid: it takes as long."""
@@ -104,10 +100,6 @@ def run_search(
     is_part : bool
         Of a larger work, which Ctrl-C is to end; by default it ends the search, and what was
         found until then is the result.
-
-    Returns
-    -------
-    SearchResult
 
     Raises
     ------

@@ -14,8 +14,6 @@ under correlated errors are parted in `correlated`.
 
 import numpy as np
 
-__all__ = ["GroupScorer", "RowScorer"]
-
 TILE_BYTES = 1 << 26
 """Upper bound of one work array, so that memory does not grow with the data."""
 COLLINEAR = 1e-10
@@ -93,6 +91,7 @@ class RowScorer:
 
 
 def values_of(side):
+    """Values of a side, stacked once."""
     if not hasattr(side, "_stacked"):
         side._stacked = side.values()
     return side._stacked
@@ -127,6 +126,7 @@ def _row_pairs(receiver):
 
 
 def flat_scale(regression, rows):
+    """Scale of the receiver of every row that is kept, axis by axis, shape (P, d)."""
     parts = [
         np.broadcast_to(batch.scale[:, :, :, None], (*shape, batch.scale.shape[-1])).reshape(
             -1, batch.scale.shape[-1]

@@ -7,8 +7,6 @@ so that a set is revised as a whole.
 
 import numpy as np
 
-__all__ = ["best_subsets"]
-
 EXTENSIONS = 150
 """Best columns by which every set of the beam is extended."""
 

@@ -7,8 +7,6 @@ removed. What that guarantees is said in the certificate: no law of the grammar 
 in the place of one term, or left out, to shorten the description.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 
@@ -22,8 +20,6 @@ from bsp_gp.search.candidate import Candidate, SearchResult, front_of
 from bsp_gp.search.columns import Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import Exhaustive, search_exhaustive
-
-__all__ = ["search_sums", "terms_of"]
 
 BETTER = 1e-6
 """Gain in nats below which a change is rounding."""

@@ -4,8 +4,6 @@
 which there are.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from dataclasses import dataclass
@@ -30,9 +28,6 @@ from bsp_gp.simulate.forces import (
 from bsp_gp.simulate.layouts import polar, uniform
 from bsp_gp.simulate.world import mat
 
-__all__ = ["EFFECTS", "Effect", "ExtraBody", "NewProperty", "effect", "parse_effect",
-           "read_number"]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class ExtraBody:
@@ -40,7 +35,6 @@ class ExtraBody:
 
     Parameters
     ----------
-    entity : Entity
     place : (float, float) or None
         None: drawn anew in every scene, so far from the middle of the bodies that `distance`
         (low, high) times their spread lies between.
@@ -212,12 +206,7 @@ def effect(name, value, *, is_declared=True, **options):
 
 
 def parse_effect(text, is_declared=True):
-    """Read ``NAME=VALUE[,OPTION=VALUE...]``, such as ``push=2,period=0.5``.
-
-    Returns
-    -------
-    Effect
-    """
+    """Read ``NAME=VALUE[,OPTION=VALUE...]``, such as ``push=2,period=0.5``."""
     pairs = []
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))

@@ -5,18 +5,13 @@ with the velocity of the half step before, then velocities, with the force at th
 forces are computed for all worlds at once and handed to pymunk, one space per world.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.forces import Force
-from bsp_gp.simulate.world import Ensemble, States, World
-
-__all__ = ["Contacts", "Engine", "Motion", "acceleration", "run_pymunk"]
+from bsp_gp.simulate.world import Ensemble, States
 
 BLOCK = 256
 """Worlds moved together: enough to share the cost of NumPy's calls."""
@@ -68,14 +63,12 @@ class Motion:
 
     Parameters
     ----------
-    forces : tuple of Force
     n_frames : int
         At least 3.
     dt : float, seconds
         Between frames.
     substeps : int
         Steps of the engine per frame.
-    contacts : Contacts
     """
 
     forces: tuple[Force, ...] = ()
@@ -91,10 +84,6 @@ class Motion:
             raise SettingsError(f"dt must be positive, got {self.dt}")
         if self.substeps < 1:
             raise SettingsError(f"substeps must be at least 1, got {self.substeps}")
-
-
-Engine = Callable[[Sequence[World], Motion], States]
-"""What moves worlds: `run_pymunk`, or another engine with the same signature."""
 
 
 def run_pymunk(worlds, motion):

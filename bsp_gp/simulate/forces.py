@@ -4,8 +4,6 @@ They are written apart from `bsp_gp.physics`, so that data made with them test i
 work on several worlds at once: positions and velocities have the shape (S, N, 2).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,23 +14,6 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import SettingsError
 from bsp_gp.language.inputs import SHORT
 from bsp_gp.units import DIMENSIONLESS, FORCE, Unit
-
-__all__ = [
-    "AnchorSpring",
-    "ContactDamping",
-    "Drag",
-    "DryFriction",
-    "Force",
-    "Kicks",
-    "MatFriction",
-    "PairForce",
-    "PeriodicPush",
-    "Perpendicular",
-    "PointSpring",
-    "QuadraticDrag",
-    "SoftContact",
-    "UniformField",
-]
 
 
 def unit_vector(angle):

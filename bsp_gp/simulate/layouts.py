@@ -3,8 +3,6 @@
 NBODY, BOUNCE and MAT have the ranges of the paper's own generator (section 4; appendix C.1).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import ClassVar
@@ -20,8 +18,6 @@ from bsp_gp.simulate.forces import (
     UniformField,
 )
 from bsp_gp.simulate.world import World, disc, mat, point, wall
-
-__all__ = ["Bounce", "Fall", "Fixed", "Layout", "Magnet", "Mat", "NBody", "Pucks", "Spring"]
 
 Range = tuple[float, float]
 _TRIES = 1000
@@ -48,17 +44,17 @@ class Layout:
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.type == "Range":
+            if item.type == Range:
                 bounds = value if isinstance(value, tuple | list) else (value, value)
                 if len(bounds) != 2 or not -math.inf < bounds[0] <= bounds[1] < math.inf:
                     raise SettingsError(
                         f"{item.name} must be a number or a range (low, high), got {value!r}"
                     )
                 object.__setattr__(self, item.name, (float(bounds[0]), float(bounds[1])))
-            low = np.min(getattr(self, item.name)) if item.type in ("Range", "int", "float") else 1
+            low = np.min(getattr(self, item.name)) if item.type in (Range, int, float) else 1
             if item.name in self.positive and low <= 0:
                 raise SettingsError(f"{item.name} must be positive, got {value!r}")
-            if item.type == "int" and (isinstance(value, bool) or int(value) != value):
+            if item.type is int and (isinstance(value, bool) or int(value) != value):
                 raise SettingsError(f"{item.name} must be a whole number, got {value!r}")
 
     @property
@@ -399,13 +395,3 @@ class Pucks(Layout):
         p = separate(rng, radii, place)
         v = polar(-uniform(rng, self.speed, n), angle)
         return World([disc(str(k + 1), radii[k], masses[k]) for k in range(n)], p, v)
-
-
-@dataclass(frozen=True)
-class Fixed(Layout):
-    """The same world every time, as given."""
-
-    world: World
-
-    def draw(self, rng):
-        return self.world

@@ -4,8 +4,6 @@ Each has an equation of motion of its own, never that of our engine, columns as 
 them, a declared model, and effects that the model may lack.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +11,6 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["MACHINES", "Machine", "made_machine"]
 
 G = 9.81
 CREEP = 1e-4
@@ -228,10 +224,6 @@ def made_machine(name, rng, *, n_scenes=1, n_frames=None, dt=None, noise=None, n
         What acts beside the preset; None = at its usual strength.
     undeclared : collection of str
         Those of them that the declared model lacks.
-
-    Returns
-    -------
-    Made
 
     Raises
     ------

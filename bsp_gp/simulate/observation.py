@@ -1,15 +1,11 @@
 """What a camera makes of the motion: noise on the positions of bodies that move."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["Observation"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Scenes of stars, and of beads that are kicked: what goes with `close --declare nothing`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from bsp_gp.data.scene import Entity
 from bsp_gp.simulate.forces import Drag, Kicks, PairForce
 from bsp_gp.simulate.layouts import Layout, Range, polar, uniform
 from bsp_gp.simulate.world import World
-
-__all__ = ["Beads", "Binary", "StarAboutUnseen"]
 
 AU, SUN, NEWTON = 1.495978707e11, 1.98841e30, 6.6743e-11
 

@@ -4,8 +4,6 @@
 them can be set. Motion is pymunk's (or another engine's), never that of our own integrator.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
@@ -30,10 +28,6 @@ from bsp_gp.simulate.truth import Truth
 from bsp_gp.simulate.world import States
 from bsp_gp.units import UnitSystem
 
-__all__ = [
-    "PRESETS", "RECORDED", "Settings", "configured", "make", "numbers_of", "preset", "read_numbers",
-]  # fmt: skip
-
 _DRAWS = 100
 _SI = {"length": "m", "time": "s", "mass": "kg"}
 
@@ -56,7 +50,6 @@ class Settings:
         Of the declared model; by default those of the layout.
     effects : tuple of Effect
         What differs from that; undeclared ones are in the truth only.
-    observation : Observation
     up : str or None
         Axis that points up, as the data set declares it.
     train_share : float

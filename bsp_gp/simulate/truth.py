@@ -4,21 +4,15 @@ The folder of a truth stands beside the data set's, not in it, so that a loop ca
 test can score its verdict.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, fields, is_dataclass
-from pathlib import Path
 
 import numpy as np
 
 from bsp_gp.data.cells import safe_table
 from bsp_gp.data.scene import Scene
-from bsp_gp.output.place import claim
 from bsp_gp.simulate.engine import acceleration
 from bsp_gp.simulate.world import Ensemble, States, World
-
-__all__ = ["KIND", "PIXELS", "STATES", "TRUTH", "Truth", "fill_truth", "save_truth"]
 
 TRUTH, STATES, PIXELS = "truth.json", "states.csv", "pixels.csv"
 KIND = "truth"
@@ -142,33 +136,16 @@ def _record(value):
     return value
 
 
-def save_truth(truth, folder, overwrite=False, pixels=None, seed=None):
-    """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) as a folder, whole.
+def fill_truth(truth, folder, pixels=None, seed=None):
+    """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) into an empty folder.
 
     Parameters
     ----------
-    folder : path-like
-        Must not be the data set's own folder or inside of it.
-    overwrite : bool
-        Replace an older truth there; what else is in the folder is kept.
     pixels : DataFrame, optional
         Where bodies are in the frames of films; written as ``pixels.csv``.
     seed : int, optional
         Of the generator that the data were made with, for the record.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, exists, or holds a data set.
     """
-    with claim(folder, KIND, overwrite=overwrite) as place:
-        with place.fill(KIND, overwrite) as fresh:
-            fill_truth(truth, fresh, pixels, seed)
-    return Path(folder)
-
-
-def fill_truth(truth, folder, pixels=None, seed=None):
-    """Write the files of `save_truth` into an empty folder."""
     text = json.dumps(
         {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
     )

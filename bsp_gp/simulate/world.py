@@ -1,7 +1,5 @@
 """What a made-up scene starts from: bodies with places and velocities, some of them unseen."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from bsp_gp.data.scene import Entity
 from bsp_gp.errors import SettingsError
-
-__all__ = ["Ensemble", "States", "World", "disc", "mat", "point", "wall"]
 
 
 def _known(properties):

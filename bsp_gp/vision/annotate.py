@@ -5,8 +5,6 @@ import numpy as np
 
 from bsp_gp.vision.video import VideoWriter
 
-__all__ = ["annotate_frame", "write_annotated"]
-
 PALETTE = ((0, 0, 0), (180, 60, 0), (0, 110, 0), (150, 0, 150), (0, 80, 180), (90, 90, 90))
 TAIL = 25  # frames
 

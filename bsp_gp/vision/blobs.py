@@ -7,8 +7,6 @@ hull. The covariance comes from how far the centroid moves with the threshold, a
 calibration of the whole track (`bsp_gp.vision.smoothing`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -17,8 +15,6 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.vision.colour import background
 from bsp_gp.vision.track import Track
-
-__all__ = ["BlobSettings", "chromaticity", "track_blob"]
 
 THRESHOLDS = (0.4, 0.5, 0.6)
 DARK = 40.0  # mean of the three channels: darker pixels have no colour

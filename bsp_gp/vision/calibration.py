@@ -1,7 +1,5 @@
 """From pixels to the world: scale, origin, axes, or a homography from known points of a plane."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
@@ -9,8 +7,6 @@ import cv2
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-
-__all__ = ["Calibration"]
 
 
 @dataclass(frozen=True, eq=False)

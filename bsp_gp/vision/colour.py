@@ -7,8 +7,6 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["NAMED", "background", "coverage", "is_colour", "parse_colour"]
-
 NAMED = ("black", "blue", "brown", "green", "orange", "purple", "red", "white", "yellow")
 """Colours that a complaint names."""
 

@@ -5,8 +5,6 @@ the search window; discs of one colour are told apart by assigning all found pla
 predictions at once (least total squared distance).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 
@@ -17,8 +15,6 @@ from bsp_gp.errors import DataError
 from bsp_gp.vision.colour import background
 from bsp_gp.vision.discs import MIN_GAIN, calibrate_kind, find_discs, follow, gap, place
 from bsp_gp.vision.track import Track
-
-__all__ = ["DiscTracker"]
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +45,6 @@ class DiscTracker:
 
     Parameters
     ----------
-    video : Video
     colours : mapping of str to ndarray, shape (3,)
         BGR by the name of the kind.
     radius : float or mapping of str to float, optional

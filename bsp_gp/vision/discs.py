@@ -6,8 +6,6 @@ left out, so that a touching or half-hidden disc is placed by the arc that is se
 covariance that is wide across the hidden direction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,8 +14,6 @@ from scipy.special import erf
 
 from bsp_gp.errors import DataError
 from bsp_gp.vision.colour import coverage, is_colour
-
-__all__ = ["DiscKind", "Placed", "calibrate_kind", "find_discs", "follow", "gap", "place"]
 
 SCALE = 4  # the coarse search looks at every fourth pixel
 SEARCH = 28  # px: how far from the predicted place a disc is looked for

@@ -5,8 +5,6 @@ x points right and y down, as trackers have it. A disc covers of a pixel what it
 it, so that the centre of gravity of what is drawn is the true centre to a hundredth of a pixel.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass
@@ -16,8 +14,6 @@ import numpy as np
 
 from bsp_gp.errors import OutputError, SettingsError
 from bsp_gp.output.place import claim
-
-__all__ = ["Camera", "Look", "film_scene", "write_film", "write_frames"]
 
 # Okabe and Ito's colours, red-green-blue, and greys for what does not move.
 _COLOURS = np.array(
@@ -83,11 +79,6 @@ class Camera:
         """Pixel coordinates (x right, y down) of places in metres, shape (..., 2)."""
         p = (np.asarray(positions, dtype=float) - self.centre) * (self.scale, -self.scale)
         return p + ((self.width - 1) / 2, (self.height - 1) / 2)
-
-    def metres(self, pixels):
-        """The inverse of `pixels`."""
-        p = np.asarray(pixels, dtype=float) - ((self.width - 1) / 2, (self.height - 1) / 2)
-        return p / (self.scale, -self.scale) + self.centre
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """From a video to a folder: tracks of several objects joined, as a data set, a film and a page."""
 
-from __future__ import annotations
-
 import html
 import math
 import re
@@ -25,8 +23,6 @@ from bsp_gp.vision.smoothing import calibrated, smooth_track
 from bsp_gp.vision.templates import track_point, track_template
 from bsp_gp.vision.track import Track
 from bsp_gp.vision.video import open_video
-
-__all__ = ["ObjectSpec", "parse_object", "track_video", "write_recording"]
 
 RECORDING = "recording"
 SPECS = (

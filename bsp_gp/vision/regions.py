@@ -5,8 +5,6 @@ another mat, so each colour is explained by the fewest rectangles that hold all 
 that show another mat's pixels, at most, besides.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ import cv2
 import numpy as np
 
 from bsp_gp.vision.colour import background, is_colour
-
-__all__ = ["Region", "arena", "mats", "still_background"]
 
 FILLED = 0.985  # share of a rectangle that must be its own (or another mat's) colour
 SPECK = 60  # px²: less is no mat

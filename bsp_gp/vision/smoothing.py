@@ -6,16 +6,12 @@ worse) but not always in size, since neighbouring pixels err together. Its facto
 track's own third differences, q from the likelihood of the innovations (Harvey 1989, ch. 3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
-
-__all__ = ["Smoothed", "calibrated", "measurement_factor", "process_power", "smooth_track"]
 
 FLOOR = 4e-6  # px²: least variance of a measured coordinate (8-bit pixels)
 LOSSY_FLOOR = 2.25e-4  # px²: what block compression leaves at best, from renders (0.015 px)

@@ -6,8 +6,6 @@ import numpy as np
 from bsp_gp.errors import SettingsError
 from bsp_gp.vision.track import Track
 
-__all__ = ["track_point", "track_template"]
-
 LEAST_SCORE = 0.6  # normalised correlation below this is another thing
 REACH = 40  # px: half-width of the searched window beyond the template
 
@@ -60,10 +58,6 @@ def track_template(video, name, box, frame, first=0, last=None):
 
     Whole pixels by normalised correlation, the fraction by Gauss-Newton steps on the grey values
     (Lucas and Kanade 1981) with a free brightness and contrast.
-
-    Returns
-    -------
-    Track
 
     Raises
     ------
@@ -131,10 +125,6 @@ def track_point(video, name, point, frame, first=0, last=None, window=21):
     """Follow one point by pyramidal Lucas-Kanade optical flow, checked forth and back.
 
     Errors add up from frame to frame: the covariance grows with the distance from `frame`.
-
-    Returns
-    -------
-    Track
     """
     last = video.n_frames - 1 if last is None else min(last, video.n_frames - 1)
     state = {}

@@ -1,12 +1,8 @@
 """The noun of this room: where objects were in a video, how sure that is, and where it is not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-
-__all__ = ["Track"]
 
 
 @dataclass(frozen=True, eq=False)

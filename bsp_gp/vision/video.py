@@ -1,7 +1,5 @@
 """Frames of a video file, in order, with their times; opened and closed in one place."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -17,8 +15,6 @@ import numpy as np  # noqa: E402
 
 from bsp_gp.errors import DataError, OutputError  # noqa: E402
 from bsp_gp.output.place import whole_file  # noqa: E402
-
-__all__ = ["Video", "VideoWriter", "open_video"]
 
 # Silent; OpenCV 5 has it in another place than OpenCV 4.10.
 getattr(cv2.utils, "logging", cv2).setLogLevel(0)

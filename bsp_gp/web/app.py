@@ -29,8 +29,6 @@ except ImportError as error:
         "the page needs the extra [web]: pip install 'bsp_gp[web]'"
     ) from error
 
-__all__ = ["make_app", "serve"]
-
 HOST = "127.0.0.1"
 CHECK_LIMIT_S = 120.0
 MAX_JSON = 200_000

@@ -4,8 +4,6 @@ import re
 
 from bsp_gp.errors import SettingsError
 
-__all__ = ["data_options", "data_words", "laws_of", "run_words", "track_words"]
-
 _UP = ("x", "y", "z", "-x", "-y", "-z")
 _TIME = re.compile(r"\d{1,5}(s|m|h)")
 _COLOUR = re.compile(r"#[0-9a-f]{6}")

@@ -1,7 +1,5 @@
 """Commands of bsp-gp that the page runs: each a process of its own, a few at a time."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os
@@ -14,8 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bsp_gp.workers import python_path
-
-__all__ = ["Job", "Jobs"]
 
 _STAGE = re.compile(r"\s*\d+ s  (.*)")
 _KEPT_LINES = 200

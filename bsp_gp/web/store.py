@@ -1,7 +1,5 @@
 """What the page was given: one private folder for each data set, films and tables alike."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import secrets
@@ -10,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from bsp_gp.errors import DataError, SettingsError
-
-__all__ = ["FILMS", "Given", "Store"]
 
 FILMS = (".mp4", ".avi", ".mov", ".m4v", ".mkv", ".webm")
 MAX_FILES = 200

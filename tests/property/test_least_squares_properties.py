@@ -5,7 +5,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Settings, dense_problem
+from bsp_gp.fitting.problem import Settings
+from experiments.certified import Dense
 
 PROFILE = settings(max_examples=60, deadline=None)
 SEEDS = st.integers(0, 2**32)
@@ -24,7 +25,7 @@ def test_linear_problems_of_any_scale_are_solved_at_once(seed, n_unknowns, power
     noise = 0.1 * rng.standard_normal(20)
     noise -= matrix @ np.linalg.lstsq(matrix, noise, rcond=None)[0]
     target, size = matrix @ truth + noise, 10.0**power
-    problem = dense_problem(
+    problem = Dense(
         lambda b: size * (target - matrix @ (b * scales)), lambda b: -size * matrix * scales
     )
     found = minimise(problem, rng.standard_normal(n_unknowns) / scales, settings=UNKNOWN)
@@ -50,7 +51,7 @@ def test_a_change_of_units_changes_nothing(seed, powers):
             fall = np.exp(-b * X)
             return -np.stack([fall, -a * X * fall, np.ones_like(X)], axis=1) * units / 0.01
 
-        return dense_problem(residual, jacobian)
+        return Dense(residual, jacobian)
 
     plain = minimise(problem(np.ones(3)), start)
     other = minimise(problem(units), start / units)
@@ -72,7 +73,7 @@ def test_bounds_are_never_left_and_never_cost_the_optimum(seed):
         seen.append(b)
         return target - matrix @ b
 
-    found = minimise(dense_problem(residual, lambda b: -matrix), np.zeros(4), low=low, high=high)
+    found = minimise(Dense(residual, lambda b: -matrix), np.zeros(4), low=low, high=high)
     assert np.all(np.array(seen) >= low) and np.all(np.array(seen) <= high)
     assert found.status in ("converged", "at_bound")
     slopes = -matrix.T @ (target - matrix @ found.values)

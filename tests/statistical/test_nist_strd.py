@@ -3,8 +3,8 @@
 import pytest
 
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Settings, dense_problem
-from experiments.certified import read_problem
+from bsp_gp.fitting.problem import Settings
+from experiments.certified import Dense, read_problem
 
 DIGITS = 6
 
@@ -29,7 +29,7 @@ def test_fifty_of_54_are_solved_to_six_digits_and_none_is_wrongly_called_converg
     runs = [
         (problem, minimise(plain, start, settings=Settings(absolute=0.0)))
         for problem in problems
-        for plain in [dense_problem(problem.residual, problem.jacobian)]
+        for plain in [Dense(problem.residual, problem.jacobian)]
         for start in problem.starts
     ]
     right = [problem.digits(found.values) >= DIGITS for problem, found in runs]

@@ -8,7 +8,8 @@ from scipy.optimize import least_squares, lsq_linear
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.least_squares import minimise
-from bsp_gp.fitting.problem import Linearised, Settings, dense_problem
+from bsp_gp.fitting.problem import Linearised, Settings
+from experiments.certified import Dense
 
 X = np.linspace(0.0, 4.0, 30)
 NOISE = np.random.default_rng(1).standard_normal(30)
@@ -16,12 +17,12 @@ UNKNOWN = Settings(absolute=0.0)
 
 
 def linear(matrix, target):
-    return dense_problem(lambda b: target - matrix @ b, lambda b: -matrix)
+    return Dense(lambda b: target - matrix @ b, lambda b: -matrix)
 
 
 def decay(target, sigma=0.01):
     """a exp(-b x), whitened."""
-    return dense_problem(
+    return Dense(
         lambda p: (target - p[0] * np.exp(-p[1] * X)) / sigma,
         lambda p: -np.stack([np.exp(-p[1] * X), -p[0] * X * np.exp(-p[1] * X)], axis=1) / sigma,
     )
@@ -113,7 +114,7 @@ SPIKE = np.where(X == 0.0, 1.0, -0.1 * np.abs(NOISE))
 
 def test_unknowns_that_run_away_together_are_not_called_a_minimum():
     late = X + 0.5  # a exp(-b late) comes nearer to a spike the larger a and b, for ever
-    problem = dense_problem(
+    problem = Dense(
         lambda p: (SPIKE - p[0] * np.exp(-p[1] * late)) / 0.01,
         lambda p: -np.exp(-p[1] * late)[:, None] * np.stack([late**0, -p[0] * late], axis=1) / 0.01,
     )
@@ -124,7 +125,7 @@ def test_unknowns_that_run_away_together_are_not_called_a_minimum():
     ("misfit", "ending"), [(0.05, ("unconverged", "flat")), (0.0, ("converged", "fall"))]
 )
 def test_unknowns_told_apart_at_the_start_only_are_a_fit_if_the_data_are_met(misfit, ending):
-    problem = dense_problem(  # the product a b, and a threshold that a falls below
+    problem = Dense(  # the product a b, and a threshold that a falls below
         lambda p: np.array([p[0] * p[1] - 1.0, max(p[0] - 2.0, 0.0), misfit]) / 0.01,
         lambda p: np.array([[p[1], p[0]], [float(p[0] > 2.0), 0.0], [0.0, 0.0]]) / 0.01,
     )
@@ -136,19 +137,19 @@ def test_unknowns_told_apart_at_the_start_only_are_a_fit_if_the_data_are_met(mis
 def test_a_start_that_is_not_finite():
     found = minimise(DECAY, [1.0, -1e6])
     assert (found.status, found.chisqr, found.n_linearised) == ("nonfinite", np.inf, 1)
-    huge = minimise(dense_problem(lambda b: b * 1e200, lambda b: np.eye(1)), [1.0])
+    huge = minimise(Dense(lambda b: b * 1e200, lambda b: np.eye(1)), [1.0])
     assert huge.status == "nonfinite"
 
 
 def test_trial_steps_that_overflow_or_leave_the_domain_are_shortened():
     target = np.log(3.0 + X) + 1e-3 * NOISE
-    problem = dense_problem(
+    problem = Dense(
         lambda b: (target - np.log(b[0] + X)) / 1e-3,
         lambda b: -(1.0 / (b[0] + X) / 1e-3)[:, None],
     )
     found = minimise(problem, [1000.0])  # the first whole step leads to a negative argument
     assert found.status == "converged" and found.values[0] == pytest.approx(3.0, abs=0.01)
-    growth = dense_problem(
+    growth = Dense(
         lambda b: np.exp(b[0] * X) - np.exp(2.0 * X),
         lambda b: (X * np.exp(b[0] * X))[:, None],
     )
@@ -158,7 +159,7 @@ def test_trial_steps_that_overflow_or_leave_the_domain_are_shortened():
 
 @pytest.mark.parametrize("factor", [-1.0, 30.0])
 def test_wrong_derivatives_end_in_no_convergence(factor):
-    wrong = dense_problem(
+    wrong = Dense(
         DECAY.residual, lambda p: DECAY.jacobian(p) + factor * np.stack([X, X**2], axis=1)
     )
     found = minimise(wrong, [1.0, 1.0], settings=Settings(max_linearised=200))
@@ -166,7 +167,7 @@ def test_wrong_derivatives_end_in_no_convergence(factor):
 
 
 def test_a_stall_is_unconverged():
-    wall = dense_problem(  # steps towards the minimum at 0 lead out of the domain at 1
+    wall = Dense(  # steps towards the minimum at 0 lead out of the domain at 1
         lambda b: np.array([b[0] if b[0] >= 1.0 else np.nan]), lambda b: np.eye(1)
     )
     found = minimise(wall, [1.0])
@@ -368,7 +369,7 @@ def test_a_kink_in_which_no_step_gains_what_is_foreseen_is_an_end():
     def kinked(p):  # whichever way it goes, more is left than the slope says
         return np.append(X - p[0] + NOISE, 20.0 + 0.01 * np.abs(p[0] - middle))
 
-    problem = dense_problem(kinked, lambda p: np.append(-np.ones_like(X), -0.01)[:, None])
+    problem = Dense(kinked, lambda p: np.append(-np.ones_like(X), -0.01)[:, None])
     for slight, status in ((1e-6, "converged"), (0.0, "unconverged")):
         settings = Settings(absolute=slight, max_linearised=60)
         found = minimise(problem, [middle], settings=settings)
@@ -378,7 +379,7 @@ def test_a_kink_in_which_no_step_gains_what_is_foreseen_is_an_end():
 
 def test_a_descent_that_stays_hopelessly_far_up_is_given_up_after_a_dozen_steps():
     """Rosenbrock's valley: steps gain a little, again and again."""
-    valley = dense_problem(
+    valley = Dense(
         lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0], 1e3]),
         lambda p: np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0], [0.0, 0.0]]),
     )

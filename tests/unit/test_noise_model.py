@@ -13,7 +13,7 @@ from bsp_gp.fitting import noise_task
 from bsp_gp.fitting.channels import Channels, join
 from bsp_gp.fitting.noise_estimate import estimate, estimate_beside
 from bsp_gp.fitting.noise_model import NoiseModel
-from bsp_gp.fitting.noise_task import NoiseTolerances
+from bsp_gp.fitting.noise_task import MAX_TIME
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.physics.bodies import stack
@@ -279,7 +279,7 @@ def test_an_offset_of_every_track_is_no_long_memory():
     rng = np.random.default_rng(9)
     errors = 0.01 * rng.standard_normal(found.times.shape) + 0.05 * rng.standard_normal((1, 20))
     model = estimate(free_model(), found, errors)
-    assert model.correlation_time <= 1.001 * NoiseTolerances().max_time * found.times.max()
+    assert model.correlation_time <= 1.001 * MAX_TIME * found.times.max()
 
 
 def orbit(n=60, grid=0.0):

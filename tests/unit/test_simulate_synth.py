@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from bsp_gp.data.tables import load_dataset, save_dataset
-from bsp_gp.errors import OutputError, SettingsError
+from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.physics.metrics import one_step_nrmse
 from bsp_gp.simulate.effects import EFFECTS, effect, parse_effect
-from bsp_gp.simulate.layouts import Fixed
+from bsp_gp.simulate.layouts import Layout
 from bsp_gp.simulate.observation import Observation
 from bsp_gp.simulate.synth import (
     PRESETS,
@@ -24,7 +24,7 @@ from bsp_gp.simulate.synth import (
     preset,
     read_numbers,
 )
-from bsp_gp.simulate.truth import save_truth
+from bsp_gp.simulate.truth import fill_truth
 from bsp_gp.simulate.world import World, disc
 
 VALUES = {"exponent": 1.8, "inelastic": 0.5, "hidden": 3.0}
@@ -111,7 +111,8 @@ def test_hidden_bodies_act_and_are_not_in_the_data(moves, tmp_path):
     assert np.abs(positions(dataset) - positions(plain)).max() > 1e-2
     assert dataset.scenes[0].names == plain.scenes[0].names
     save_dataset(dataset, tmp_path / "d")
-    save_truth(truth, tmp_path / "t")
+    (tmp_path / "t").mkdir()
+    fill_truth(truth, tmp_path / "t")
     assert "hidden" not in (tmp_path / "d" / "trajectories.csv").read_text()
     states = pd.read_csv(tmp_path / "t" / "states.csv", dtype={"scene": str, "entity": str})
     dark = states[(states.entity == "hidden") & (states.t == 0)]
@@ -141,7 +142,8 @@ def test_the_loop_cannot_peek(tmp_path):
     dataset, truth = made("nbody", *secret, n_scenes=5)
     for name, each in (("a", plain), ("b", dataset)):
         save_dataset(each, tmp_path / name)
-    save_truth(truth, tmp_path / "b-truth", seed=7)
+    (tmp_path / "b-truth").mkdir()
+    fill_truth(truth, tmp_path / "b-truth", seed=7)
     assert sorted(p.name for p in (tmp_path / "b").iterdir()) == [
         ".bsp_gp", "dataset.toml", "entities.csv", "trajectories.csv",
     ]  # fmt: skip
@@ -290,7 +292,12 @@ def test_effects_are_read_from_text():
 
 def test_worlds_of_ones_own():
     world = World([disc("ball", 0.1, 1.0)], [(0, 1)], [(1, 0)])
-    settings = Settings("mine", Fixed(world), n_frames=5)
+
+    class Mine(Layout):
+        def draw(self, rng):
+            return world
+
+    settings = Settings("mine", Mine(), n_frames=5)
     dataset, _ = make(settings, np.random.default_rng(0))
     np.testing.assert_allclose(dataset.scenes[0].positions[-1, 0], (0.08, 1))
 
@@ -308,18 +315,10 @@ def test_another_engine_can_move_the_worlds():
     assert np.ptp(dataset.scenes[0].positions, axis=0).max() == 0
 
 
-def test_truth_is_written_whole_and_beside(tmp_path):
-    dataset, truth = made("mat", n_scenes=2)
-    save_truth(truth, tmp_path / "t")
-    with pytest.raises(OutputError, match="exists already"):
-        save_truth(truth, tmp_path / "t")
-    save_truth(truth, tmp_path / "t", overwrite=True)
-    save_dataset(dataset, tmp_path / "d")
-    with pytest.raises(OutputError, match="holds a data set and not a truth"):
-        save_truth(truth, tmp_path / "d", overwrite=True)
-    states = pd.read_csv(tmp_path / "t" / "states.csv")
-    assert len(states) == 2 * 12 * 2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["d", "t"]
+def test_states_of_the_truth_are_those_of_every_step(tmp_path):
+    _, truth = made("mat", n_scenes=2)
+    fill_truth(truth, tmp_path)
+    assert len(pd.read_csv(tmp_path / "states.csv")) == 2 * 12 * 2
 
 
 def test_contacts_are_recorded():

@@ -3,8 +3,6 @@
 A string is none of them: it is a force while it is taut, and nothing else.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from itertools import product
@@ -20,8 +18,6 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, added_units
 from bsp_gp.units import Unit
-
-__all__ = ["Constraint", "extent_of", "is_string", "read_constraint", "read_string"]
 
 LENGTH = Unit.of(m=1)
 MOST_ROWS, MOST_STARTS = 400, 36
@@ -71,17 +67,12 @@ def read_constraint(dataset, text, pairs=None):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         An equation between places. Points are written as their coordinates, in the unit of the
         data; names in them, and elsewhere, are fitted. ``x_i, y_i, z_i`` are coordinates;
         ``p_NAME`` is the place of a body by name.
     pairs : sequence of (str, str), optional
         The bodies i and j ("" = none) that it is on, where the text does not say it.
-
-    Returns
-    -------
-    Constraint
 
     Raises
     ------
@@ -120,7 +111,6 @@ def read_string(dataset, text):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         As of `read_constraint`.
 

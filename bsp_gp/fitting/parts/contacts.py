@@ -1,7 +1,5 @@
 """Contacts that nobody declared: the velocity of a body jumps at one instant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces
@@ -11,8 +9,6 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.units import Unit
-
-__all__ = ["Kick"]
 
 SECOND, KILOGRAM = Unit.of(s=1), Unit.of(kg=1)
 

@@ -4,16 +4,12 @@ What is left out is not explained by the rest of a hypothesis: it may lie anywhe
 shows, with the same density, so that its evidence stays comparable.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Part
-
-__all__ = ["Edit", "LeftOut", "Resting", "Shifted", "Swapped"]
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 It is at rest, moves straight on, or is a body that the law moves like the others.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -18,11 +16,6 @@ from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = [
-    "HiddenBody", "HiddenSource", "about_origin", "beside_origin", "body_pulls", "pull_of",
-    "unit_pull",
-]  # fmt: skip
 
 SECOND = Unit.of(s=1)
 HELD = 4.0

@@ -1,7 +1,5 @@
 """A plane of motion that is inclined to the picture: what is seen of it is foreshortened."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS
-
-__all__ = ["STEEPEST", "Inclined", "stretched"]
 
 STEEPEST = 1.5
 """Inclination up to which a plane is no line, rad."""

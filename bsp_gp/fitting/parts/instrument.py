@@ -5,14 +5,10 @@ coordinates with exact derivatives (`bsp_gp.physics.engine.seen`). The last part
 Numbers are 0 where the measurement is as declared.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = ["LARGE", "Instrument"]
 
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3

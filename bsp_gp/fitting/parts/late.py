@@ -1,13 +1,9 @@
 """Logs that are late: what was logged at one instant acts, or was filmed, at another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import Unit
-
-__all__ = ["Late"]
 
 SECOND = Unit.of(s=1)
 

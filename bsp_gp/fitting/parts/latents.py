@@ -1,13 +1,9 @@
 """Properties of bodies that are unknown: masses, charges, frictions, fitted with their priors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.physics.force import key_of
-
-__all__ = ["About", "Properties", "filled", "unknown_beyond", "unknown_properties"]
 
 
 @dataclass(frozen=True)
@@ -113,8 +109,6 @@ def unknown_properties(dataset, latents, scenes):
     ----------
     dataset : Dataset
         For units.
-    latents : Latents
-    scenes : sequence of Scene
     """
     mine = set(latents.of_scenes([scene.name for scene in scenes])[1].tolist())
     shown = tuple(item for k, item in enumerate(latents.items) if k in mine)

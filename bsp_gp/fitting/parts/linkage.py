@@ -1,7 +1,5 @@
 """Arms that hang on one another, as a part of a hypothesis: a double pendulum in angles."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from scipy.signal import savgol_filter
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = ["Linkage", "is_linkage", "read_linkage"]
 
 _TEXT = re.compile(r"linked\(\s*([^\s(),]+)\s*,\s*([^\s(),]+)\s*\)")
 WINDOW, DEGREE = 9, 4
@@ -54,15 +50,6 @@ def is_linkage(text):
 
 def read_linkage(dataset, text):
     """Read ``linked(upper, lower)``: of two angles, the arms of which hang on one another.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    text : str
-
-    Returns
-    -------
-    Linkage
 
     Raises
     ------

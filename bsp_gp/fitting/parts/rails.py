@@ -1,14 +1,10 @@
 """Bodies that do not move along an axis whatever pulls: carts on a track, pucks on a table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from bsp_gp.fitting.hypothesis import Numbered
-
-__all__ = ["Rail", "rail_of"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,6 @@ def rail_of(dataset, still):
 
     Parameters
     ----------
-    dataset : Dataset
     still : collection of str
         Axes along which no body moves, see `NoiseEstimate.inactive_axes`.
     """

@@ -1,12 +1,8 @@
 """Forces with constants inside, each with the range in which the data can show it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Forces
-
-__all__ = ["RangedForces"]
 
 
 @dataclass(frozen=True)

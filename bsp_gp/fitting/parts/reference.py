@@ -1,15 +1,11 @@
 """Places that count from a body which the others pull: all that is seen is accelerated with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.hidden import about_origin
 from bsp_gp.language.formula import Call, Input, Number
 from bsp_gp.physics.force import Term
-
-__all__ = ["Reference", "pulls_on_origin"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """A wall, floor or cushion that bodies bounce off, as a part of a hypothesis."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 
@@ -13,8 +11,6 @@ from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.language.formula import Number
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = ["Wall", "count_of", "is_wall", "places_of", "read_wall", "wall_of"]
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,\[\]]+(?:\s*\[[^\[\]]*\])?)\s*")
@@ -141,15 +137,10 @@ def read_wall(dataset, text):
 
     Parameters
     ----------
-    dataset : Dataset
     text : str
         The place is a name, or a number where the fit begins, ``0.12 [m]`` or in the unit of the
         data; then follow names of what is fitted as well: the parts of the speed across and along
         the wall that are kept, and its tilt in rad.
-
-    Returns
-    -------
-    Wall
 
     Raises
     ------

@@ -1,7 +1,5 @@
 """Proposers: each turns a fit into causes that may be missing, one short file each."""
 
-from __future__ import annotations
-
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.proposers.companions import Companions
@@ -30,15 +28,12 @@ from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
 from bsp_gp.loop.proposers.winds import Winds
 
-__all__ = ["standard"]
-
 
 def standard(grammar, dataset, **settings):
     """All proposers; this list is the only place that knows them by name.
 
     Parameters
     ----------
-    grammar : Grammar
     dataset : Dataset
         Training scenes.
     **settings

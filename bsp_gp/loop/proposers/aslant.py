@@ -1,14 +1,10 @@
 """What a lone body of the sky goes round, in planes that are inclined to the picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.loop.proposal import PATIENT, Family
 from bsp_gp.loop.proposers.hidden import N_NEAR, Sources, Stage, attraction, still
 from bsp_gp.loop.proposers.inclined import is_open, planes_of
-
-__all__ = ["Aslant"]
 
 INCLINATIONS = np.radians([25.0, 40.0, 52.0, 62.0, 70.0, 77.0])
 N_NODES = 12
@@ -24,12 +20,7 @@ class Aslant(Sources):
     name = "aslant"
 
     def propose(self, view):
-        """The family of the best place in the best plane, where no declared force names places.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of the best place in the best plane, where no declared force names places."""
         if not is_open(view) or any("p_i" in t.formula.inputs for t in view.fit.law.terms):
             return Family(self.name)
         stage, tried = Stage(view), []

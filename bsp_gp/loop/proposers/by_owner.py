@@ -1,7 +1,5 @@
 """Laws with a constant of each scene or body: a spin, a wind, a roughness that nobody noted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +12,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
-
-__all__ = ["ByOwner", "evidence_of", "forms_of"]
 
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
@@ -38,12 +34,7 @@ class ByOwner:
         self.laws = laws
 
     def propose(self, view):
-        """The family of all such laws.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all such laws."""
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
@@ -80,7 +71,6 @@ def forms_of(laws, view, more=()):
     ----------
     laws : Laws
         Asked before in this round.
-    view : View
     more : sequence of Formula
         Forms beside those of textbooks and the leading ones of the search.
     """

@@ -5,8 +5,6 @@ body in the plane of the tracks; the best are improved by drawing about them. Sc
 the pull along the track that the visible bodies give a body of no weight.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -22,10 +20,8 @@ from bsp_gp.loop.proposers.hidden import Sources, Stage, apart, attraction, pull
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion, Points
-from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name
+from bsp_gp.physics.force import ForceLaw, Unseen, fresh_name, numbered
 from bsp_gp.physics.masses import are_units
-
-__all__ = ["Companions", "Orbits"]
 
 N_STEPS = 96
 """Of the integration over the recording."""
@@ -44,12 +40,7 @@ class Companions(Sources):
     name = "companions"
 
     def propose(self, view):
-        """The family of bodies let go, and on circles.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of bodies let go, and on circles."""
         is_angle = view.dataset.units.is_angle
         if is_angle or len(view.dataset.scenes) > 1 or not _moves_anything(view):
             return Family(self.name)
@@ -83,8 +74,6 @@ class Orbits:
 
     Parameters
     ----------
-    view : View
-    stage : Stage
     terms : tuple of (Term, Term)
         By which the body acts, of `pulls_of`.
 
@@ -98,7 +87,7 @@ class Orbits:
         self.view, self.stage, self.terms = view, stage, terms
         self.scene = _fitted_scene(view)
         self.own = {"mass": 1.0} if are_units(view.dataset) else {}
-        unknown = Entity(fresh_body(self.scene), properties=self.own)
+        unknown = Entity(numbered("unseen", self.scene.names), properties=self.own)
         blank = np.full((len(self.scene.times), 1, stage.n_dims), np.nan)
         whole = [np.concatenate([v, blank], axis=1)
                  for v in (self.scene.positions, self.scene.velocities)]  # fmt: skip
@@ -244,7 +233,7 @@ class Orbits:
         speeds = tuple(fresh_name(view.fit.law, f"u_{axis}") for axis in "xyz"[:d])
         unit = view.dataset.property_units.get(self.column)
         known = {} if unit is None else {stage.strength: unit}
-        body = Unseen(fresh_body(self.scene), stage.names, speeds, known)
+        body = Unseen(numbered("unseen", self.scene.names), stage.names, speeds, known)
         starts = dict(zip((stage.strength, *body.names), map(float, (strength, *first)),
                           strict=True))  # fmt: skip
         declared = {term.formula for term in view.fit.law.terms}
@@ -267,14 +256,6 @@ class Orbits:
             view.odd_nats - view.criteria.cause_nats,
             patience=PATIENT if view.reference else 1, has_other_starts=bool(view.reference),
         )  # fmt: skip
-
-
-def fresh_body(scene):
-    """A name that no body of a scene has."""
-    number = 1
-    while f"unseen{number}" in scene.names:
-        number += 1
-    return f"unseen{number}"
 
 
 def _fitted_scene(view):

@@ -1,7 +1,5 @@
 """Undeclared contacts: jumps of velocity, at every instant, of every body."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -9,9 +7,7 @@ import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.physics.force import fresh_name
-
-__all__ = ["Contacts"]
+from bsp_gp.physics.force import fresh_name, numbered
 
 N_STARTS, MOST_KICKS = 2, 6
 """Single kicks that are proposed, and kicks at once."""
@@ -33,12 +29,7 @@ class Contacts:
     name = "contacts"
 
     def propose(self, view):
-        """The family of all instants and bodies.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all instants and bodies."""
         if view.fit.paper_steps:
             return Family(self.name)
         scans, first, spans = [], 0, _spans(view.dataset)
@@ -230,10 +221,10 @@ def _proposal(view, spans, peaks, gain):
         time = float(np.clip(peak.time - BESIDE * interval, low, high))
         velocity = map(float, peak.velocity[moving])
         own = {**dict(zip(gains.values(), velocity, strict=True)), instant: time}
-        number = next(k for k in range(1, len(taken) + 2) if f"kicked{k}" not in taken)
-        taken.add(f"kicked{number}")
+        mark = numbered("kicked", taken)
+        taken.add(mark)
         part = Kick.of(
-            peak.scene, peak.body, f"kicked{number}", gains, instant, own, (low, high),
+            peak.scene, peak.body, mark, gains, instant, own, (low, high),
             BRIEF * interval,
         )  # fmt: skip
         hypothesis, starts = hypothesis + part, starts | own

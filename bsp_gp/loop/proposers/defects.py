@@ -4,8 +4,6 @@ All but swaps are read off the residual by deletion: how much chi-squared falls 
 out and the initial states of their chain are fitted again. What is left out is paid for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +16,6 @@ from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.stuck import LEAST_KEPT, stuck
 from bsp_gp.loop.proposers.swaps import swaps
-
-__all__ = ["Defects"]
 
 MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
@@ -47,12 +43,7 @@ class Defects:
     """Some defects show without a fit."""
 
     def propose(self, view):
-        """The family of all rows and change-points.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all rows and change-points."""
         if view.fit.is_failed:
             return self._family(view, [], [], np.zeros(2))
         windows, shifts, even = [], {}, 0.0

@@ -1,7 +1,5 @@
 """Declared terms with a power of distance or speed that is not quite right, or another number."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -13,8 +11,6 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
-
-__all__ = ["Declared", "base_of", "is_size", "power_of", "rounding_of", "typical_value"]
 
 MIN_SPREAD = 1e-3
 """Relative spread of a quantity below which its power cannot be seen."""
@@ -29,12 +25,7 @@ class Declared:
     name = "declared"
 
     def propose(self, view):
-        """The family of changed exponents and numbers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of changed exponents and numbers."""
         proposals, numbers, null = [], [], np.zeros(view.moment_draws.shape[1])
         for index, term in view.single_terms:
             if not term.is_declared:

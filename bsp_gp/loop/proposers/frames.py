@@ -1,7 +1,5 @@
 """A frame that turns: Coriolis and centrifugal forces as one cause with one Omega."""
 
-from __future__ import annotations
-
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -17,8 +15,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 from bsp_gp.search.columns import orthonormal
 
-__all__ = ["Frames"]
-
 
 class Frames:
     """Rotating frames as a proposer: about the origin, and about a point that is fitted."""
@@ -29,10 +25,6 @@ class Frames:
         """The family of both.
 
         An accelerated frame is a push in proportion to mass, which laws and periods propose.
-
-        Parameters
-        ----------
-        view : View
         """
         if view.dataset.units.is_angle or _is_turning(view.fit.law):
             return Family(self.name)

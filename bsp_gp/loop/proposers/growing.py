@@ -1,7 +1,5 @@
 """Strengths that grow or fade steadily: a mass that is lost, a battery that runs down."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Input, Number
@@ -10,8 +8,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
-
-__all__ = ["Growing"]
 
 MOST = 5.0
 """Times its strength by which a term may have grown at the end."""
@@ -25,12 +21,7 @@ class Growing:
     name = "growing"
 
     def propose(self, view):
-        """The family of all terms of the law.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms of the law."""
         law, proposals, null = view.fit.law, [], np.zeros(view.moment_draws.shape[1])
         begin = min(float(scene.times[0]) for scene in view.dataset.scenes)
         span = max(float(scene.times[-1]) for scene in view.dataset.scenes) - begin

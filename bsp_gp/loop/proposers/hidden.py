@@ -4,8 +4,6 @@ Beside that an attraction as the inverse square of the distance is asked for: on
 bodies of which no force on each other is declared, may go round what nobody sees.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 
@@ -22,8 +20,6 @@ from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.units import Unit
-
-__all__ = ["N_NEAR", "Hidden", "Sources", "Stage", "apart", "attraction", "pulls_of", "still"]
 
 FARTHEST = 30.0
 """Places are sought up to so many sizes of the data from their middle."""
@@ -70,12 +66,7 @@ class Hidden(Sources):
     name = "hidden"
 
     def propose(self, view):
-        """The family of sources at rest, and for a single recording of moving ones.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of sources at rest, and for a single recording of moving ones."""
         if view.dataset.units.is_angle:  # no angle says where a source might be
             return Family(self.name)
         stage = Stage(view)
@@ -103,7 +94,6 @@ def pulls_of(view, strength):
 
     Parameters
     ----------
-    view : View
     strength : str
         Name of the constant that stands for the strength.
 

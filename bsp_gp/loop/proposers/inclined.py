@@ -1,7 +1,5 @@
 """The plane of an orbit on the sky: an inclined one is seen foreshortened, whatever the force."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -10,8 +8,6 @@ import numpy as np
 from bsp_gp.fitting.parts.inclined import Inclined, stretched
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw
-
-__all__ = ["Inclinations", "is_open", "planes_of"]
 
 INCLINATIONS = np.radians([15.0, 30.0, 40.0, 50.0, 60.0, 68.0, 75.0, 81.0])
 N_NODES = 18
@@ -30,10 +26,6 @@ class Inclinations:
 
         The law of the fit, its constants as they are and its strength free, is weighed in planes
         of every inclination.
-
-        Parameters
-        ----------
-        view : View
         """
         law = view.fit.law
         if not is_open(view) or not any("p_i" in t.formula.inputs for t in law.terms):

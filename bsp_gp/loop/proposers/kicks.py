@@ -1,7 +1,5 @@
 """Random kicks beside linear forces, where nothing is declared: see `bsp_gp.fitting.langevin`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -16,8 +14,6 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names
 from bsp_gp.units import DIMENSIONLESS, Unit
-
-__all__ = ["Kicks"]
 
 LEAST_ROWS = 100
 """Of a track: on fewer nobody tells kicks from a force that changes."""
@@ -61,12 +57,7 @@ class Kicks:
     name = "kicks"
 
     def propose(self, view):
-        """The family of kicks; empty where something is declared, or forces are told instead.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of kicks; empty where something is declared, or forces are told instead."""
         fit = view.fit
         axes = np.flatnonzero(np.isfinite(fit.noise.levels))
         tracks = _tracks(view.dataset, axes)

@@ -5,15 +5,11 @@ in mind only the declared law says; and that a friction is another one in anothe
 grain of a lawn, the ribs of a carpet) is a matter of that friction.
 """
 
-from __future__ import annotations
-
 from bsp_gp.language.formula import Call, Constant, Input, Number, factors, product, quotient
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.loop.proposers.exponents import base_of, is_size
 from bsp_gp.loop.proposers.sums import is_property
 from bsp_gp.physics.force import fresh_name, split_linear
-
-__all__ = ["kin_of"]
 
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _MOTION = Call("normalize", _VELOCITY)
@@ -30,7 +26,6 @@ def kin_of(law, n_dims, logged=()):
 
     Parameters
     ----------
-    law : ForceLaw
     n_dims : int
     logged : sequence of Input
         Columns with which the strength of every term, declared or found, may vary.

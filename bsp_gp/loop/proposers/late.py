@@ -1,7 +1,5 @@
 """Logs that are late: measured inputs of the law looked up at other times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import ForceLaw, split_linear, term_gradient
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
-
-__all__ = ["LateLogs"]
 
 BELIEVED = 0.25
 """Delays that are believed, in the length of the shortest recording."""
@@ -28,12 +24,7 @@ class LateLogs:
     name = "late"
 
     def propose(self, view):
-        """The family of all inputs, each with all delays.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all inputs, each with all delays."""
         law = view.fit.law
         named = {n for term in law.terms for n in term.formula.inputs}
         late = {n for part in law.frame if part.kind == "log" for n in part.inputs}

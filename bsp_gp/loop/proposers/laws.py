@@ -1,7 +1,5 @@
 """Laws of a grammar: every one of them scored on the moments of the tracks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +24,6 @@ from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.choice import BUDGET, Searching, searches_for
 from bsp_gp.search.inner import expanded
 
-__all__ = ["Laws"]
-
 MOST_NEAR, MOST_TIES = 1000, 20
 """Laws that are kept beside the best, and that are named with each as equal to it."""
 MOST_ANEW, CLEAR = 20, 1000.0
@@ -51,7 +47,6 @@ class Laws:
 
     Parameters
     ----------
-    grammar : Grammar
     dataset : Dataset
         Training scenes.
     max_levels : int
@@ -107,12 +102,7 @@ class Laws:
         self.common = list(_read(common, lists, self.available, types, dataset))
 
     def propose(self, view):
-        """The family of all laws.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all laws."""
         target, _ = view.response.left()
         draws = view.moment_draws
         found, null, certificates, n_tried = self._searched(

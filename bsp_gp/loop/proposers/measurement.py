@@ -1,7 +1,5 @@
 """What a measurement may have done to places and times, every kind scored as columns on rows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import combinations
@@ -14,8 +12,6 @@ from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.view import gains
-
-__all__ = ["Measurement", "kinds_of"]
 
 FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
@@ -32,12 +28,7 @@ class Measurement:
     asks_rows = True
 
     def propose(self, view):
-        """The family of all kinds that make sense for the data.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all kinds that make sense for the data."""
         known = set(view.fit.law.constants)
         parts = [p for p in kinds_of(view.dataset, view.fit) if known.isdisjoint(p.names)]
         codes, tried = [part.code for part in parts], []

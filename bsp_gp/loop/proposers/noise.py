@@ -1,7 +1,5 @@
 """Noise of another kind as a cause: what looks like a force may be noise with a memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.questions import MOST_QUICK, least_chance, noise_findings
-
-__all__ = ["Noise"]
 
 TIMES, SHARES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.3, 0.6, 0.9)
 """Correlation times, in median steps, and shares of the variance to begin with."""
@@ -31,12 +27,7 @@ class Noise:
     asks_rows = True
 
     def propose(self, view):
-        """Noise that is estimated, or with a memory.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """Noise that is estimated, or with a memory."""
         model = view.fit.noise
         if "declared" in model.sources:
             return self.doubted(view)

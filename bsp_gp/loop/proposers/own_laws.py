@@ -1,7 +1,5 @@
 """Laws of their own for each of a few bodies: one that hunts, one that flees, each as it does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +16,6 @@ from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_names
-
-__all__ = ["OwnLaws"]
 
 FEWEST, MOST = 2, 4
 """Bodies that may each have laws of their own."""
@@ -52,12 +48,7 @@ class OwnLaws:
         self.laws = laws
 
     def propose(self, view):
-        """The family of the sum that suits each body best.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of the sum that suits each body best."""
         null = np.zeros(view.moment_draws.shape[1])
         names = {s.names[k] for s in view.dataset.scenes for k in s.dynamic}
         meet = any(len(s.dynamic) > 1 for s in view.dataset.scenes)

@@ -1,7 +1,5 @@
 """A push with a period: one for all bodies, or in proportion to their masses or coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,11 +14,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
 from bsp_gp.search.columns import orthonormal
-
-__all__ = [
-    "Periods", "Scan", "Wave", "coordinate_of", "rates_of", "scanned", "text_of", "variants",
-    "wave_beside", "waves_alone", "waving",
-]  # fmt: skip
 
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2000
@@ -39,12 +32,7 @@ class Periods:
     name = "periods"
 
     def propose(self, view):
-        """The family of all periods.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all periods."""
         rates = rates_of(view)
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         if not len(rates):
@@ -125,7 +113,6 @@ def wave_beside(view, columns, alone):
 
     Parameters
     ----------
-    view : View
     columns : ndarray, shape (n, c)
     alone : tuple
         Of `waves_alone`.
@@ -322,7 +309,6 @@ def waving(view, axes, rate, angle_of, has_mass, is_placed=False):
 
     Parameters
     ----------
-    view : View
     axes : sequence of int
     rate : Constant
     angle_of : callable

@@ -1,7 +1,5 @@
 """Terms whose strength has a period: a pivot that shakes, a field that alternates."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.tangent import as_pair
@@ -12,8 +10,6 @@ from bsp_gp.loop.proposers.periods import Scan, rates_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Pulsing"]
-
 
 class Pulsing:
     """Strengths with a period as a proposer: a term times ``1 + a cos(w t) + b sin(w t)``."""
@@ -21,12 +17,7 @@ class Pulsing:
     name = "pulsing"
 
     def propose(self, view):
-        """The family of all terms of the law, each with all rates.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms of the law, each with all rates."""
         rates, law = rates_of(view), view.fit.law
         null, proposals, best = np.zeros(view.moment_draws.shape[1]), [], 0.0
         if not len(rates):

@@ -1,15 +1,11 @@
 """Places that count from a body which the others pull, as a proposer: heliocentric tables."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.parts.reference import Reference, pulls_on_origin
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import ForceLaw
-
-__all__ = ["References"]
 
 
 class References:
@@ -18,12 +14,7 @@ class References:
     name = "reference"
 
     def propose(self, view):
-        """The family of that one cause, which has no free number.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of that one cause, which has no free number."""
         null = np.zeros(view.moment_draws.shape[1])
         is_known = any(isinstance(part, Reference) for part in view.hypothesis.parts)
         terms = tuple(t for term in view.fit.law.terms for t in pulls_on_origin(term))

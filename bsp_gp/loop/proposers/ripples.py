@@ -1,7 +1,5 @@
 """Forces that repeat along an axis: a washboard, an egg crate, an optical lattice."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -23,8 +21,6 @@ from bsp_gp.loop.proposers.periods import (
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
-__all__ = ["Ripples"]
-
 FEWEST = 2.0
 """Periods within the extent of the tracks; of fewer nobody knows that they repeat."""
 SHORTEST = 1.0
@@ -37,12 +33,7 @@ class Ripples:
     name = "ripples"
 
     def propose(self, view):
-        """The family of all wavenumbers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all wavenumbers."""
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         numbers = _wavenumbers(view, axes)
         if view.is_astronomical or not len(numbers):

@@ -1,7 +1,5 @@
 """Constraints that tracks betray: a distance, a line or a plane that stays what it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -15,8 +13,6 @@ from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
-
-__all__ = ["Rods"]
 
 CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
@@ -74,12 +70,7 @@ class Rods:
     name = "constraints"
 
     def propose(self, view):
-        """The family of all distances and lines of bodies that are not held already.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all distances and lines of bodies that are not held already."""
         if view.is_astronomical:  # no rod is as long: an orbit of small eccentricity is a circle
             return Family(self.name)
         pairs = [pair for part in constraints_of(view.fit.law) for pair in part.pairs]

@@ -1,7 +1,5 @@
 """Bodies that pull or push all others by strengths of their own: charges, unknown masses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +15,8 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.by_owner import evidence_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.owners import fitted_properties
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, numbered
 from bsp_gp.units import Unit
-
-__all__ = ["Sources"]
 
 FEWEST, MOST = 3, 60
 """Bodies of which strengths are asked; of a pair each has one that acts on the other alone."""
@@ -41,12 +37,7 @@ class Sources:
     name = "sources"
 
     def propose(self, view):
-        """The family of all powers.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all powers."""
         names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
         together = max(len(scene.names) for scene in view.dataset.scenes)
         if together < FEWEST or len(names) > MOST or view.is_sky or view.dataset.units.is_angle:
@@ -99,7 +90,7 @@ def _columns(view, names, power):
 
 def _proposal(view, power, names, strengths, rank, height):
     """The pull with a property more, one number of each body."""
-    column = _fresh(view.dataset)
+    column = numbered("strength", view.dataset.property_names)
     unit = Unit.of(m=1 - power, s=-2)
     spread = WIDE * float(np.sqrt(np.mean(np.square(strengths))))
     prior = Prior("truncated_normal", mean=0.0, sd=spread)
@@ -120,11 +111,3 @@ def _proposal(view, power, names, strengths, rank, height):
 def _text(column, power):
     """The pull of all bodies by their number in a column."""
     return f"m_i * {column}_j * norm(p_i - p_j)^{power} * normalize(p_j - p_i)"
-
-
-def _fresh(dataset):
-    """A name of a property that no body has."""
-    known, number = set(dataset.property_names), 1
-    while f"strength{number}" in known:
-        number += 1
-    return f"strength{number}"

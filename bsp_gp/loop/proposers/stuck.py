@@ -4,15 +4,11 @@ Standing still shows in the places whatever the law. It counts as far as the fit
 unexplained, since what comes to rest looks the same.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
-
-__all__ = ["LEAST_KEPT", "stuck"]
 
 LEAST_ROWS = 4
 """That stand still."""
@@ -23,12 +19,7 @@ STILL = 3.0
 
 
 def stuck(view):
-    """Every track that stands still from or up to some row: parts, gain less price, gain as pair.
-
-    Parameters
-    ----------
-    view : View
-    """
+    """Tracks that stand still from or up to some row: parts, gain less price, gain as pair."""
     share, levels = smooth_levels(view)
     axes, parts, excess, best = np.isfinite(levels), [], 0.0, 0.0
     for scene in view.dataset.scenes:

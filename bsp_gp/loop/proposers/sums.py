@@ -5,8 +5,6 @@ laws are always weighed, and where even the best law leaves more than noise, who
 from all laws that share its property factors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import stats
 
@@ -19,8 +17,6 @@ from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
 from bsp_gp.search.subsets import best_subsets
-
-__all__ = ["is_property", "pairs_of", "properties_of", "sets_of"]
 
 MOST_PAIRED, MOST_SETS, LARGEST = 150, 40, 3
 """Laws of which two at once are tried, sets that are proposed, and laws in one of them."""
@@ -37,7 +33,6 @@ def pairs_of(view, found):
 
     Parameters
     ----------
-    view : View
     found : list of Candidate
         The likeliest first.
 
@@ -76,7 +71,6 @@ def sets_of(view, laws, found, declared):
 
     Parameters
     ----------
-    view : View
     laws : Laws
         The proposer: its grammar and bounds.
     found : list of Candidate

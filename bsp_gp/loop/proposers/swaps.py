@@ -4,16 +4,12 @@ A swap shows in the places whatever the law: tracks go on more smoothly with nam
 counts as far as the fit leaves the two tracks unexplained, since what collides may look the same.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
 
 from bsp_gp.fitting.parts.defects import Swapped
 from bsp_gp.fitting.tangent import as_pair
-
-__all__ = ["smooth_levels", "swaps", "unexplained"]
 
 WINDOW = 4
 """Rows before and after a swap through which a cubic is put."""

@@ -1,7 +1,5 @@
 """Laws beside one that no path follows: fitted from the data, as its own tracks tell nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.canonical import canonical_key
@@ -10,8 +8,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.kin import kin_of
 from bsp_gp.physics.force import Term, fresh_names, split_linear
-
-__all__ = ["Unfollowed"]
 
 
 class Unfollowed:
@@ -33,12 +29,7 @@ class Unfollowed:
         self.laws = laws
 
     def propose(self, view):
-        """The family of all such laws; an empty one where the declared law was fitted.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all such laws; an empty one where the declared law was fitted."""
         if not view.is_lost:
             return Family(self.name)
         law, n_dims = view.hypothesis.law, view.dataset.n_dims

@@ -1,7 +1,5 @@
 """Constants that are not the same everywhere: a strength of its own for every body, or scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +12,6 @@ from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 from bsp_gp.physics.regression import checked
 
-__all__ = ["MOST", "Varying", "beside_unknown", "columns_by", "owners"]
-
 MOST = 40
 """Bodies or scenes that may have strengths of their own."""
 
@@ -26,12 +22,7 @@ class Varying:
     name = "varying"
 
     def propose(self, view):
-        """The family of all terms, each by body and by scene.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all terms, each by body and by scene."""
         proposals, even, best = [], np.zeros(view.moment_draws.shape[1]), 0.0
         by_whom = owners(view)
         law = view.fit.law
@@ -59,7 +50,6 @@ def owners(view, fewest=2):
 
     Parameters
     ----------
-    view : View
     fewest : int
         Scenes, or bodies, that there have to be.
 
@@ -81,8 +71,6 @@ def columns_by(view, term, constants, by):
 
     Parameters
     ----------
-    view : View
-    term : Term
     constants : mapping of str to float
         Of the term.
     by : str
@@ -104,7 +92,6 @@ def _columns_of_owners(view, law, owner, count):
 
     Parameters
     ----------
-    view : View
     law : ForceLaw
         With values.
     owner : callable
@@ -152,7 +139,6 @@ def beside_unknown(view, proposals):
 
     Parameters
     ----------
-    view : View
     proposals : list of Proposal
         Of one law each.
     """

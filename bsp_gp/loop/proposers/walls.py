@@ -5,15 +5,13 @@ wall. What acts between jumps is proposed with it, since no track is followed ac
 under a law that is far off.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
-from itertools import count, product
+from itertools import product
 
 import numpy as np
 
-from bsp_gp.fitting.fit import FitTolerances
+from bsp_gp.fitting.fit import REFUTED
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.jumps import SIDE_ROWS, WINDOW, between, jumps, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
@@ -24,9 +22,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.force import ForceLaw, Term
-
-__all__ = ["Walls"]
+from bsp_gp.physics.force import ForceLaw, Term, numbered
 
 STEMS = ("h", "e", "k", "tilt")
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
@@ -54,12 +50,7 @@ class Walls:
     name = "walls"
 
     def propose(self, view):
-        """The family of all walls that tracks turn back at.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all walls that tracks turn back at."""
         if view.is_astronomical or view.fit.paper_steps:
             return Family(self.name)
         found = _jumps_of(view)
@@ -147,7 +138,7 @@ def _proposals(view, groups, jumps_of, most):
     law, dataset, part = view.fit.law, view.dataset, view.hypothesis
     names, walls = list(law.names), []
     for (axis, side), own in groups.items():
-        mine = [_fresh(stem, names) for stem in STEMS[: count_of(dataset)]]
+        mine = [numbered(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
         values = _values(own, axis)
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
@@ -171,7 +162,7 @@ def _proposals(view, groups, jumps_of, most):
             continue
         strengths = []
         for _ in forms:
-            strengths.append(_fresh("c", [*names, *strengths]))
+            strengths.append(numbered("c", [*names, *strengths]))
         formulas = tuple(
             parse_formula(f"{name} * ({form})", types)
             for form, name in zip(forms, strengths, strict=True)
@@ -221,7 +212,7 @@ def _unexplained(view):
     fit = view.fit
     left = fit.residual / fit.noise.sizes(fit.channels)
     count = np.count_nonzero(np.isfinite(left))
-    chance = count + FitTolerances.refuted * math.sqrt(2 * count)
+    chance = count + REFUTED * math.sqrt(2 * count)
     return float(np.nansum(np.square(left))) - chance
 
 
@@ -246,7 +237,6 @@ def _flights(dataset, jumps_of, groups):
 
     Parameters
     ----------
-    dataset : Dataset
     jumps_of : dict of (str, int) to list of Jump
         By scene and number of the body.
     groups : dict of (int, int) to list of Jump
@@ -277,10 +267,6 @@ def _regressed(flights, forms):
     columns, target = (columns / errors[..., None]).reshape(v.size, -1), (forces / errors).ravel()
     values = np.linalg.lstsq(columns, target, rcond=None)[0]
     return values[1:].tolist(), float(np.square(target - columns @ values).sum())
-
-
-def _fresh(stem, taken):
-    return next(name for k in count(1) if (name := f"{stem}{k}") not in taken)
 
 
 def _values(own, axis):

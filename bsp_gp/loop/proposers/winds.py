@@ -5,8 +5,6 @@ So does friction of constant size on a belt or a table that moves under the bodi
 Where all forces depend on velocities alone a camera that drifts looks the same, and is told too.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 
@@ -18,8 +16,6 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
 from bsp_gp.loop.view import orthonormal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
-
-__all__ = ["Winds"]
 
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _AXES = "xyz"
@@ -43,12 +39,7 @@ class Winds:
     name = "winds"
 
     def propose(self, view):
-        """One cause where drag was declared, and one where friction of constant size was.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """One cause where drag was declared, and one where friction of constant size was."""
         terms = [(k, t) for k, t in view.single_terms if t.is_declared]
         drags = [(k, t) for k, t in terms if _is_drag(t.formula)]
         rubs = [(k, t) for k, t in terms if _is_friction(t.formula)]

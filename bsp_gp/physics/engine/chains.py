@@ -9,8 +9,6 @@ where the others were seen: chains of one body, beside all others on curves thro
 these curves err by is the noise of the rows, which a force at a distance hardly feels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +17,6 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.engine.rails import rails_of
 from bsp_gp.physics.geometry import DISC, MAT, WALL
 from bsp_gp.physics.series import Series
-
-__all__ = ["MOST_TOGETHER", "Chains", "build_chains", "is_coupled"]
 
 MOST_TOGETHER = 10
 """Moving bodies that fits follow in one state where a force passes between them."""
@@ -194,8 +190,6 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_l
 
     Parameters
     ----------
-    law : ForceLaw
-    scenes : sequence of Scene
     up : str or None
     velocity : str
         "measured" keeps the scenes' velocities.

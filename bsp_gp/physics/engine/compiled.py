@@ -3,14 +3,10 @@
 A motion is packed unless an operator of a user's acts in it, which only NumPy can call.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.engine import kernel
 from bsp_gp.physics.engine.kernel import OPS, Code, Inputs
-
-__all__ = ["Compiled"]
 
 STATES = {
     "p_i": kernel.PLACE, "v_i": kernel.VELOCITY,
@@ -21,12 +17,7 @@ NONE = np.zeros((1, 0, 0, 0))
 
 
 class Compiled:
-    """The programs of a motion, packed.
-
-    Parameters
-    ----------
-    motion : Motion
-    """
+    """The programs of a motion, packed."""
 
     def __init__(self, motion):
         self.motion = motion
@@ -179,7 +170,6 @@ class Compiled:
 
         Parameters
         ----------
-        scheme : Scheme
         state : ndarray, shape (2, R, d, M)
         h : ndarray, shape (M,), s
         inputs : Inputs

@@ -7,16 +7,12 @@ fitted or searched beside them stays as it is. Bodies that no force moves take p
 measured.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.lowering import MOVING, Lowering
-
-__all__ = ["Constraints", "constraints_of"]
 
 APPROACHES = 8
 """Newton's steps by which states are put on constraints."""
@@ -87,10 +83,7 @@ class Constraints:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
-    owners : Owners
     """
 
     def __init__(self, law, chains, parameters, owners):

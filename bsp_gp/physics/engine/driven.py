@@ -1,12 +1,8 @@
 """Where bodies that forces do not move are between the measured rows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-
-__all__ = ["Driven"]
 
 N_POWERS = 6
 """Coefficients of a piece of a curve, of which the highest degree is 5."""
@@ -15,12 +11,7 @@ MOST_KEPT = 1 << 27
 
 
 class Driven:
-    """Tracks of the driven bodies of some chains: at rest, or a curve through what was measured.
-
-    Parameters
-    ----------
-    chains : Chains
-    """
+    """Tracks of the driven bodies of some chains: at rest, or a curve through what was measured."""
 
     def __init__(self, chains):
         track = chains.driven

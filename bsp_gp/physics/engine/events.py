@@ -5,14 +5,10 @@ the instant by dt shifts the state behind it by (f_before - f_after) dt: without
 by a threshold, or by anything that a contact depends on, is wrong (LOOP §2, "saltation").
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.engine.motion import CREEP, Points
 from bsp_gp.physics.engine.roots import CLOSE, FEW, roots
-
-__all__ = ["chained", "passed_over", "through_events", "up_to_events"]
 
 MAX_EVENTS = 16
 """Changes within one step beyond which the rest is taken with the modes as they are."""
@@ -39,8 +35,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
 
     Parameters
     ----------
-    flow : Flow
-    scheme : Scheme
     stages : _Stages
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.

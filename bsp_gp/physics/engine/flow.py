@@ -10,8 +10,6 @@ then frozen (a `Mesh`), so that a fit sees one smooth function of its unknowns. 
 changes within a step, the step ends there, and the derivatives jump (saltation).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,8 +18,6 @@ from scipy.integrate import DOP853, RK45
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.events import chained, passed_over, through_events, up_to_events
 from bsp_gp.physics.engine.motion import Points
-
-__all__ = ["SCHEMES", "Flow", "Mesh", "Scheme"]
 
 BLOCK, MOST_NUMBERS = 2048, 1 << 24
 """Intervals that are integrated together, and derivatives of accelerations in all stages of a
@@ -136,7 +132,6 @@ class Flow:
 
     Parameters
     ----------
-    motion : Motion
     tolerance : ndarray, shape (S,), metres
         Error that one interval of a chain may have.
     paper_steps : bool
@@ -199,22 +194,22 @@ class Flow:
 
     def held(self, nodes):
         """Nodes (2, R, d, T, S) put on the constraints of the law."""
-        if not self.motion.constraints:
-            return nodes
-        row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
-        nodes = nodes.copy()
-        nodes[..., row, chain] = self.motion.constraints.held(points)
-        return nodes
+        own = self.motion.constraints
+        return self._changed(nodes, own.held, []) if own else nodes
 
     def righted(self, nodes):
         """Nodes behind walls as they are in front of them."""
-        if not self.motion.walls:
+        walls = self.motion.walls
+        if not walls:
             return nodes
+        return self._changed(nodes, lambda points: walls.righted(points, self.motion.acceleration))
+
+    def _changed(self, nodes, change, modes=None):
+        """Nodes (2, R, d, T, S) with states in the place of those at measured rows."""
         row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain)
+        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
         nodes = nodes.copy()
-        nodes[..., row, chain] = self.motion.walls.righted(points, self.motion.acceleration)
+        nodes[..., row, chain] = change(points)
         return nodes
 
     def tangent(self, nodes, row, chain):
@@ -507,7 +502,6 @@ class Flow:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        mesh : Mesh
         slopes : bool
 
         Returns

@@ -6,13 +6,9 @@ operations that some outputs need; what depends on properties and constants alon
 by `Tape.prepare`. `kernel` runs it compiled, `Tape.run` with NumPy.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.operators import GUARD, OPERATORS, bessel_k0, bessel_k1
-
-__all__ = ["LEAVES", "Graph", "Tape"]
 
 
 def _inverse_positive(x):
@@ -290,7 +286,6 @@ class Tape:
 
     Parameters
     ----------
-    graph : Graph
     outputs : sequence of int
         Nodes to compute.
     moving : collection of str

@@ -5,16 +5,12 @@ stage, is here one call for a step. Few points are left waiting by no interprete
 a stage needs stays in the cache. `compiled` packs laws into the arrays that are read here.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 
 import numba
 import numpy as np
 
 from bsp_gp.language.operators import GUARD
-
-__all__ = ["OPS", "Code", "carry", "slopes", "step"]
 
 Code = namedtuple("Code", "programs kept numbers loads steps outs parameters others n_registers")
 """A law packed: rows of integers for each program, and the numbers that do not change.

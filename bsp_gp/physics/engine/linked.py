@@ -11,13 +11,9 @@ inertia, ``A_ij = delta_ij + kappa_ij cos(q_i - q_j)`` and
 That is linear in the torques, so that what is fitted or searched beside them stays as it is.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.physics.engine.constrained import constraints_of
-
-__all__ = ["Linkages", "is_held", "linkages_of"]
 
 
 def linkages_of(law):
@@ -35,8 +31,6 @@ class Linkages:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
     """
 

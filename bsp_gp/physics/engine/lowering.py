@@ -9,8 +9,6 @@ instants at which its margin is zero. It is lowered to an input, its *mode*, and
 beside it: the integrator changes the mode where the margin changes its sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from bsp_gp.errors import LawError
@@ -19,13 +17,16 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 from bsp_gp.physics.engine.graph import LEAVES
 
-__all__ = ["MOVING", "ORIGIN", "Lowering", "Mode", "fades_at_rest"]
-
 MOVING = ("p_i", "p_j", "v_i", "v_j", "t", "mode")
 """Inputs that differ from instant to instant; all others belong to the bodies of a scene."""
 ORIGIN = "origin"
 """The point zero, which laws of users cannot name."""
 _CONDITIONS = ("does_collide", "is_on")
+_BY_COMPONENT = ("add", "sub", "mul", "div")
+_OF_NUMBERS = (
+    "square", "sqrt", "abs", "exp", "log", "sin", "cos", "tanh", "bessel_k0", "bessel_k1"
+)  # fmt: skip
+"""Operators that nodes have under the same name."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,6 @@ class Lowering:
 
     Parameters
     ----------
-    graph : Graph
     n_dims : int
     direction : callable
         ``direction(name)`` gives the components of a lab axis.
@@ -98,12 +98,15 @@ class Lowering:
             return self._input(node)
         if node.operator in _CONDITIONS:
             return self._condition(node)
-        if OPERATORS[node.operator].partials:
-            return g.call(node.operator, *(self.lower(arg) for arg in node.args))
+        args = [self.lower(arg) for arg in node.args]
+        if node.operator in _OF_NUMBERS or OPERATORS[node.operator].partials:
+            return g.call(node.operator, *args)
+        if node.operator in _BY_COMPONENT:
+            return self._both(getattr(g, node.operator), *args)
         handler = getattr(self, f"_{node.operator}", None)
         if handler is None:
             raise LawError(f"the operator {node.operator!r} has no derivative for fits to tracks")
-        return handler(*(self.lower(arg) for arg in node.args))
+        return handler(*args)
 
     def _input(self, node):
         g, name = self.graph, node.name
@@ -177,21 +180,6 @@ class Lowering:
             return tuple(function(x, y) for x, y in zip(a, b, strict=True))
         return function(a, b)
 
-    def _each(self, function, a):
-        return tuple(function(x) for x in a) if isinstance(a, tuple) else function(a)
-
-    def _add(self, a, b):
-        return self._both(self.graph.add, a, b)
-
-    def _sub(self, a, b):
-        return self._both(self.graph.sub, a, b)
-
-    def _mul(self, a, b):
-        return self._both(self.graph.mul, a, b)
-
-    def _div(self, a, b):
-        return self._both(self.graph.div, a, b)
-
     def _div_guarded(self, a, b):
         return self._both(self.graph.mul, a, self.graph.call("inverse_guarded", b))
 
@@ -199,7 +187,7 @@ class Lowering:
         return self.graph.pow(a, b)
 
     def _neg(self, a):
-        return self._each(self.graph.neg, a)
+        return tuple(map(self.graph.neg, a)) if isinstance(a, tuple) else self.graph.neg(a)
 
     def _norm(self, a):
         return self.graph.call("sqrt", self.graph.dot(a, a))
@@ -283,46 +271,12 @@ class Lowering:
     def _inverse(self, a):
         return self.graph.div(self.graph.one, a)
 
-    def _square(self, a):
-        return self.graph.call("square", a)
-
-    def _sqrt(self, a):
-        return self.graph.call("sqrt", a)
-
-    def _abs(self, a):
-        return self.graph.call("abs", a)
-
-    def _exp(self, a):
-        return self.graph.call("exp", a)
-
-    def _log(self, a):
-        return self.graph.call("log", a)
-
-    def _sin(self, a):
-        return self.graph.call("sin", a)
-
-    def _cos(self, a):
-        return self.graph.call("cos", a)
-
-    def _tanh(self, a):
-        return self.graph.call("tanh", a)
-
-    def _bessel_k0(self, a):
-        return self.graph.call("bessel_k0", a)
-
-    def _bessel_k1(self, a):
-        return self.graph.call("bessel_k1", a)
-
 
 def fades_at_rest(formula):
     """Whether a force goes to zero with the speed of its receiver, and cannot hold it at rest.
 
     Told from its factors: drag ``norm(v_i)^2 * normalize(v_i)`` does, friction and what has a
     power that is fitted do not. Where it acts against a medium, the speed in that is meant.
-
-    Parameters
-    ----------
-    formula : Formula
     """
     above, below = factors(formula)
     powers = {}

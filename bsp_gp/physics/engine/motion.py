@@ -4,8 +4,6 @@ States have the shape ``(2, R, d, M)``: places and velocities of R bodies at M p
 belongs to a chain and an instant; all points are computed at once.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -23,8 +21,6 @@ from bsp_gp.physics.engine.rails import rails_of
 from bsp_gp.physics.engine.seen import Frame
 from bsp_gp.physics.engine.walls import Walls, walls_of
 from bsp_gp.physics.series import late_inputs
-
-__all__ = ["CREEP", "Motion", "Points"]
 
 CREEP = 1e-12
 """Speed at which it is asked which way friction acts on a body at rest, m/s."""
@@ -189,8 +185,6 @@ class Motion:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
         The constants that derivatives are taken by; entity "" = one for all.
     """

@@ -4,14 +4,10 @@ A property that is fitted (`bsp_gp.fitting.parts.latents`) is a constant named a
 ``mass_i`` or ``mass_j``; its values and parameters are those of its bodies, here put in rows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.force import entry, key_of
-
-__all__ = ["Owners", "fitted_properties"]
 
 
 def fitted_properties(law):
@@ -25,8 +21,6 @@ class Owners:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
     others : ndarray of int, shape (R, J)
         Sources of every receiver.

@@ -1,9 +1,5 @@
 """Axes along which something holds all bodies where they are: a rail, a table."""
 
-from __future__ import annotations
-
-__all__ = ["rails_of"]
-
 
 def rails_of(law):
     """Axes along which no force of a law moves a body, tuple of int."""

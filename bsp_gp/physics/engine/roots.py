@@ -1,10 +1,6 @@
 """Where functions that cost an integration each leave the positive, for many of them at once."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["CLOSE", "FEW", "roots"]
 
 BISECTIONS = 60
 FEW, FIRST = 8, 9

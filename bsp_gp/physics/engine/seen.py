@@ -7,13 +7,9 @@ states, constants and phi are exact, and fixed bodies are seen through the same 
 and an exposure are no maps of places: ``seen = q - delay q' + (delay^2 + variance) / 2 q''``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["Frame", "Sight", "sight"]
 
 
 class Frame:

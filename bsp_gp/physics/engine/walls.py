@@ -7,11 +7,7 @@ wall (both sheets go on a little beyond the instant), and its derivatives jump a
 (saltation).
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["Walls", "walls_of"]
 
 AT_ONCE = 1e-3
 """Part of an interval that a step may end before or behind a contact."""
@@ -35,8 +31,6 @@ class Walls:
 
     Parameters
     ----------
-    law : ForceLaw
-    chains : Chains
     parameters : sequence of (name, entity)
     """
 
