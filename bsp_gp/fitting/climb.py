@@ -55,6 +55,8 @@ KEPT = 4
 """Starts that go on beyond the first level."""
 KEPT_WIDTH = 0.02
 """Extents that constants of a constraint may move while pieces of tracks do not determine them."""
+FINISHING = 60
+"""Linearisations that a minimum may take to its end whatever was spent on the way to it."""
 JOININGS = 6
 RISING = 10.0
 """Times that chi-squared may rise as nodes are joined."""
@@ -426,7 +428,11 @@ class Climb:
         new = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
         if new.code == "held":
             return self._joined(new, self.problem)
-        return self._finish(new) if is_last else new
+        if not is_last:
+            return new
+        if new.linearised is not None and new.status != "unconverged":
+            self.run.is_over.spare(FINISHING)
+        return self._finish(new)
 
     def whole(self, meshes):
         """The problem of whole tracks with these steps."""
@@ -434,9 +440,10 @@ class Climb:
 
     def _finish(self, minimum):
         """Choose the steps anew at a minimum, and descend again where they must be finer."""
+        found = None  # the last minimum with steps that were chosen for it, and its problem
         for _ in range(3):
             if self.run.is_over():
-                return self._stopped(minimum)
+                return self._kept(found, minimum)
             point = minimum.point
             if self.problem is not None and walls_of(self.run.law):
                 point = self.problem.righted(point)
@@ -449,11 +456,20 @@ class Climb:
                 new = self._joined(new, finer)
             if new.linearised is None:
                 if self.run.is_over():
-                    return self._stopped(minimum)
+                    return self._kept(found, minimum)
                 new = replace(new, point=minimum.point, values=minimum.values)
             minimum = replace(new, n_starts=minimum.n_starts, n_agree=minimum.n_agree)
             if minimum.linearised is None:
                 break
+            found = minimum, finer
+        return minimum
+
+    def _kept(self, found, minimum):
+        """What there is when the work is over: the last minimum, if there is one."""
+        if found is None or found[0].status == "unconverged":
+            return self._stopped(minimum)
+        minimum, self.problem = found
+        self.run.is_over.spare(FINISHING)  # to look at it
         return minimum
 
     def _stopped(self, minimum):

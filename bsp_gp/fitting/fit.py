@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.channels import Channels, join
-from bsp_gp.fitting.climb import Climb
+from bsp_gp.fitting.climb import FINISHING, Climb
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, TrackNoise
 from bsp_gp.fitting.led import led_by
 from bsp_gp.fitting.noise_estimate import estimate, estimate_beside, needs
@@ -266,6 +266,10 @@ class _Patience:
         self.left -= share
         return self.left < 0 or time.monotonic() > self.end
 
+    def spare(self, least):
+        """Leave so much at least, but of time."""
+        self.left = max(self.left, least)
+
 
 class _Run:
     """One call of `fit`."""
@@ -396,10 +400,14 @@ class _Run:
             minimum = climb.again(minimum, meshes)
         elif self.is_noise_estimated and minimum.linearised is not None:
             new = self.noise_beside(climb, minimum, paper_steps)
-            for _ in range(NOISE_PASSES):
-                is_settled, model = _same_noise(new, model), new
+            for number in range(NOISE_PASSES):
+                is_settled, known, model = _same_noise(new, model), model, new
                 before = climb, minimum
                 climb, minimum = weighed(self, climb, minimum, model)
+                if number and minimum.code == "stopped" and before[1].status != "unconverged":
+                    (climb, minimum), model = before, known  # a minimum, and noise near enough
+                    self.is_over.spare(FINISHING)
+                    break
                 if self.is_memory_in_the_way(before[1], minimum, model):
                     model = replace(model, correlated=0.0, correlation_time=0.0)
                     climb, minimum = weighed(self, *before, model)
