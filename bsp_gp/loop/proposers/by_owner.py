@@ -13,6 +13,8 @@ from bsp_gp.loop.proposers.laws import SAME
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
+PARALLEL = 1e-6
+"""Sine squared up to which a law is a declared term with another number."""
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
 SIZES = np.geomspace(1e-3, 1e3, 49)
@@ -38,6 +40,8 @@ class ByOwner:
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
+        known = [t for t in view.fit.law.terms if t.is_declared and not t.formula.constants]
+        known = [view.response.regression.column(t)[0][:, 0] for t in known]
         for by, ties in owners(view, FEWEST).items():
             for rest, cost in _bare_forms(forms, view, by).items():
                 try:
@@ -46,6 +50,8 @@ class ByOwner:
                     continue
                 if not np.isfinite(columns).all():
                     continue
+                if any(_is_along(columns.sum(axis=1), own) for own in known):
+                    continue  # another number of a declared term for each, see `Varying`
                 score = view.score_forces(columns)
                 if score.rank < FEWEST:
                     continue
@@ -62,6 +68,12 @@ class ByOwner:
         proposals = [p for _, p in found if p.promise > promised - least]
         proposals.sort(key=lambda p: -p.promise)
         return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
+
+
+def _is_along(column, other):
+    """Whether two columns are the same but for a factor."""
+    sizes = (column @ column) * (other @ other)
+    return bool(sizes > 0 and (column @ other) ** 2 > (1 - PARALLEL) * sizes)
 
 
 def forms_of(laws, view, more=()):

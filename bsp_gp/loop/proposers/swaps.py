@@ -57,12 +57,18 @@ def smooth_levels(view):
 
 
 def unexplained(fit, name):
-    """Chi-squared of a scene and its degrees of freedom."""
+    """Chi-squared of a scene and its degrees of freedom.
+
+    Tails of the noise, if it has any, are no reason why a whole track should lie far off.
+    """
     channels = fit.channels
     mine = channels.scene == channels.scene_names.index(name)
     chains = len(np.unique(channels.chain[mine]))
     dof = channels.seen[:, mine].sum() - chains * len(fit.local_columns)
-    return float(np.square(fit.whitened[:, mine]).sum()), max(int(dof), 1)
+    left = fit.whitened
+    if np.isfinite(fit.noise.degrees):
+        left = np.nan_to_num(fit.residual / np.array(fit.noise.levels)[channels.axis])
+    return float(np.square(left[:, mine]).sum()), max(int(dof), 1)
 
 
 def _swaps(scene, levels, choice):
