@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.table import SAME_MINIMUM
 
+FORCED = 10.0
+"""Times the nats of odd noise by which a force must be likelier than a memory of the noise for
+this to be none."""
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -51,8 +55,10 @@ def decide(table, criteria=None):
     if table.p_value > criteria.alpha:
         return Decision("nothing missing", "not_significant")
     candidates = table.candidates
+    # Of what no law explains that noise does not do either nothing is said but that it was seen.
+    is_forced = table.forced > FORCED * criteria.noise_nats
     if not candidates:
-        if table.noise_p <= criteria.alpha:  # and no free force explains more than noise does
+        if table.noise_p <= criteria.alpha and not is_forced:
             return Decision("the noise is not as assumed", "noise_explains")
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
@@ -71,9 +77,10 @@ def decide(table, criteria=None):
     is_odd = table.noise_p <= criteria.alpha
     needed = criteria.noise_nats if is_odd else SAME_MINIMUM
     if best.log_posterior - table.base.log_posterior <= needed:
-        if is_odd:
+        if is_odd and not is_forced:
             return Decision("the noise is not as assumed", "noise_explains")
-        return Decision("seen, not adopted", "no_better_than_before", best, False, rivals)
+        seen = None if is_forced and best.kind == "noise" else best
+        return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
     tied = [

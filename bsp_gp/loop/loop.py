@@ -239,7 +239,8 @@ class _Run:
             else:
                 turn.ask_without_memory(number, view)
         turn.note_time("fits")
-        table = HypothesisTable(tuple(turn.rows), turn.p_value, view.noise_chance if view else 1.0)
+        of_noise = (view.noise_chance, view.forced) if view else ()
+        table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
         table = table.without_repeats().with_probabilities()
         decision = decide(table, self.criteria)
         decision = turn.in_time(decision)

@@ -97,11 +97,14 @@ class HypothesisTable:
         Chance that noise alone shows as much in the best of everything that was tried.
     noise_p : float
         Chance that noise as it was assumed leaves as odd an error, see `View.noise_chance`.
+    forced : float
+        Nats by which a force that knows no physics is likelier than the memory of the noise.
     """
 
     rows: tuple[Row, ...]
     p_value: float
     noise_p: float = 1.0
+    forced: float = -math.inf
 
     @property
     def base(self):

@@ -114,10 +114,17 @@ class View:
         What forces do slowly looks like noise with a memory: where a force that knows no physics
         is likelier than the memory that was estimated, laws are looked for without it.
         """
-        if self._white is None:
+        if not self.forced > self.criteria.noise_nats:
             return None
-        found, response, less = self._white
-        return (found, response) if response.free_height > less + self.criteria.noise_nats else None
+        return self._white[:2]
+
+    @property
+    def forced(self):
+        """Nats by which a force that knows no physics is likelier than the memory of the noise."""
+        if self._white is None:
+            return -np.inf
+        _, response, less = self._white
+        return float(response.free_height - less)
 
     @cached_property
     def _white(self):

@@ -72,6 +72,7 @@ _WHOLE = (
     (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
     (r"cos\(\w+ \* ([xyz])_i\).*\* e_\1$",
      "force along {0} that repeats with {0} (a washboard, an egg crate)"),
+    (r"Omega\d*(?:_x\d*)?\b.*v_i\)", "a frame that turns (Coriolis and centrifugal forces)"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
     (r"^(?:m_i \* )?\(([xyz])_i - \w+\)\^3 (?:\* m_i )?\* e_\1$",
      "spring along {0} that hardens or softens, cubic in its stretch"),

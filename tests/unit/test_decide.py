@@ -27,8 +27,9 @@ def row(number, code="law", kind="force", gain=100.0, prior=-4.0, status="conver
     return replace(made, **changes)
 
 
-def decided(*rows, p=1e-6, base=BASE, criteria=None, noise_p=1.0):
-    return decide(HypothesisTable((base, *rows), p, noise_p).with_probabilities(), criteria)
+def decided(*rows, p=1e-6, base=BASE, criteria=None, noise_p=1.0, forced=-np.inf):
+    table = HypothesisTable((base, *rows), p, noise_p, forced)
+    return decide(table.with_probabilities(), criteria)
 
 
 def test_codes_are_those_of_the_closed_lists():
@@ -132,6 +133,13 @@ def test_noise_that_is_there_already_is_not_adopted_again():
     same = row(1, "noise", "noise", log_evidence=1e-9, prior=0.0, log_likelihood=-250.0, n_free=4)
     said = decided(same, noise_p=1.0)
     assert not said.is_adopted and said.reason == "no_better_than_before"
+
+
+@pytest.mark.parametrize("rows", [(), (row(1, gain=1.0),)])
+def test_what_forces_do_and_no_noise_does_is_not_called_noise(rows):
+    """A liquid that sloshes in a cart: no law is found, and a memory of the noise is no name."""
+    assert decided(*rows, noise_p=0.0, forced=5.0).verdict == "the noise is not as assumed"
+    assert decided(*rows, noise_p=0.0, forced=500.0).verdict == "seen, not adopted"
 
 
 def test_left_out_scenes_can_refuse_and_never_confirm_alone():

@@ -89,6 +89,8 @@ def formula(text):
         ("c1 * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j)", -8.0,
          "pull to the other body, as radial speed"),
         ("c1 * normalize(v_i - v_j)", -8.0, "force along the relative velocity"),
+        ("m_i * (Omega1^2 * (p_i - origin) + -2 * Omega1 * perp(v_i))", None,
+         "a frame that turns (Coriolis and centrifugal forces)"),
         ("c1 * (v_i - wind)", -0.1, "drag against the wind, linear in speed"),
         ("c1 * norm(v_i - wind) * (v_i - wind)", -0.1, "drag against the wind, quadratic in speed"),
         ("c1 * (v_i - wind)", 0.1, "force along the v_i - wind"),
