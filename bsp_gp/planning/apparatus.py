@@ -28,6 +28,10 @@ class Recording:
     sigma: np.ndarray | None = None
 
 
+class Refused(DataError):
+    """An apparatus does not make an experiment, and says so; others it may make."""
+
+
 class Command:
     """A program that stays running: ``{"id", "entities", "times"}`` in, ``{"id", "rows"}`` out.
 
@@ -66,7 +70,7 @@ class Command:
         self.process.stdout.close()
 
     def __call__(self, experiment):
-        """Run one experiment; DataError where the program fails or says what cannot be."""
+        """Run one experiment; `Refused` where the program says what cannot be, DataError else."""
         self._count += 1
         asked = {"id": self._count, **experiment.to_dict()}
         try:
@@ -85,7 +89,7 @@ class Command:
         if not isinstance(answer, dict) or answer.get("id") != self._count:
             raise DataError(f"{self.command} must answer the id {self._count}, got {line!r:.80}")
         if "error" in answer:
-            raise DataError(f"{self.command}: {answer['error']}")
+            raise Refused(f"{self.command}: {answer['error']}")
         return recording_of(answer, experiment)
 
 

@@ -24,7 +24,7 @@ from bsp_gp.output.place import whole_file
 from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
-from bsp_gp.planning.apparatus import Recording, recording_of
+from bsp_gp.planning.apparatus import Recording, Refused, recording_of
 from bsp_gp.planning.ends import at_the_ends
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
@@ -33,6 +33,8 @@ from bsp_gp.planning.rivals import Rival, in_common, kin_of, less_a_term, rivals
 from bsp_gp.randomness import generator
 
 LEAST_ROWS = 4
+MOST_REFUSED = 8
+"""Experiments of a round in place of which another is made where the apparatus refuses them."""
 ENOUGH = 2
 """Experiments for every number that may be chosen before a law is looked for."""
 FEW = 0.5
@@ -150,8 +152,7 @@ def discover(
             number -= 1
             break
         state.says(f"round {number}: {len(chosen)} experiment(s)")
-        for experiment in chosen:
-            state.add(experiment, recording_of(run(experiment), experiment))
+        state.make(run, chosen, plan_rng)
         state.learn(loop_rng, is_last=number == rounds)
         state.keep(number)
         if state.stands:
@@ -190,6 +191,30 @@ class _State:
             if self.left == ("rivals",):
                 return []
         return [self.means.draw(rng, self.part) for _ in range(count)]
+
+    def make(self, run, chosen, rng):
+        """Make experiments; in place of those that the apparatus refuses others by chance.
+
+        Raises
+        ------
+        Refused
+            If it refuses all.
+        """
+        queue, made, refused = list(chosen), 0, []
+        while queue:
+            experiment = queue.pop(0)
+            try:
+                recording = recording_of(run(experiment), experiment)
+            except Refused as error:
+                refused.append(error)
+                self.says(f"refused: {error}")
+                if len(refused) <= MOST_REFUSED:
+                    queue.append(self.means.draw(rng, self.part))
+                continue
+            self.add(experiment, recording)
+            made += 1
+        if not made:
+            raise refused[-1]
 
     def add(self, experiment, recording):
         """Remember what was seen."""

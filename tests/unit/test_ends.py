@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bsp_gp import discover
-from bsp_gp.planning.apparatus import Recording
+from bsp_gp.planning.apparatus import Recording, Refused
 from bsp_gp.planning.ends import at_the_ends
 from bsp_gp.planning.means import means_from
 
@@ -67,3 +67,25 @@ def test_what_a_force_does_close_by_is_found_though_chance_seldom_looks_there():
     close = min(gap(e) for e in found.experiments)
     assert close < 1.0
     assert not (found.stands and len(found.law.terms) == 1 and "exp" not in found.law.text())
+
+
+def test_in_place_of_an_experiment_that_is_refused_another_is_made():
+    asked = []
+
+    def run(experiment):
+        asked.append(experiment)
+        if len(asked) % 3 == 1:
+            raise Refused("./apparatus: too close")
+        times = np.array(experiment.times)
+        places = np.array([np.array(b.position) + np.outer(times, b.velocity)
+                           for b in experiment.bodies]).swapaxes(0, 1)  # fmt: skip
+        return Recording(times, places, np.full(places.shape, SIGMA))
+
+    found = discover(run, means(at_once=4), rounds=1, rng=0, time_limit=5)
+    assert len(found.experiments) == 4 < len(asked)
+
+    def never(experiment):
+        raise Refused("./apparatus: the laser is off")
+
+    with pytest.raises(Refused, match="the laser is off"):
+        discover(never, means(at_once=2), rounds=2, rng=0)
