@@ -2,10 +2,13 @@
 
 from types import SimpleNamespace
 
+import pytest
+
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.decide import Decision
 from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.table import Row
@@ -41,3 +44,22 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
     monkeypatch.setattr(turn, "_tell_near", lambda *_: None)
     turn.fit_best()
     assert len(fitted) == 4
+
+
+@pytest.mark.parametrize("left_out, leaves_nothing, verdict", [
+    ([], False, "effect adopted"), (["fits"], True, "effect adopted"),
+    (["fits"], False, "cannot tell"), (["proposers", "fits"], True, "cannot tell"),
+])  # fmt: skip
+def test_where_the_time_is_up_a_law_that_leaves_nothing_stands(left_out, leaves_nothing, verdict):
+    """Not as fact: rivals that were not fitted may do as well."""
+    data = throws(n_scenes=3, n_times=12)
+    hypothesis = Hypothesis.from_laws(data, ())
+    turn = _Turn(
+        SimpleNamespace(criteria=Criteria(), proposers=()), fit(hypothesis, data), hypothesis
+    )
+    best = Row(1, "law", "c * v_i", "laws", "converged", 50.0, -3.0, 50.0, 5)
+    turn.left_out = left_out
+    turn.leaving_nothing = [(1, 1, 47.0)] if leaves_nothing else []
+    said = turn.in_time(Decision("effect adopted", "adopted", best, True, (), True))
+    assert said.verdict == verdict and said.is_adopted == (verdict == "effect adopted")
+    assert said.is_fact == (not left_out)
