@@ -14,7 +14,7 @@ def is_astronomical(dataset):
 
 
 def spans_the_sky(scenes, units):
-    """The same of scenes in some units."""
+    """Whether scenes are: what these units make metres and seconds of is known, and large."""
     if not units.is_calibrated(Unit.of(m=1, s=1)):
         return False
     places = [s.positions.reshape(-1, s.n_dims) for s in scenes]

@@ -36,7 +36,10 @@ def as_table(text, path):
     DataError
         If this is no JSON, or none of these tables.
     """
-    records = [_flat(record, path) for record in _records(text, path)]
+    try:
+        records = [_flat(record, path) for record in _records(text, path)]
+    except RecursionError:
+        raise DataError("the JSON is nested too deeply", file=path, remedy=_REMEDY) from None
     names = list(dict.fromkeys(name for record in records for name in record))
     if not names:
         raise DataError("the file has no records", file=path, remedy=_REMEDY)
@@ -51,8 +54,6 @@ def _records(text, path):
     """The records of a file, dicts."""
     try:
         found = json.loads(text)
-    except RecursionError:
-        raise DataError("the JSON is nested too deeply", file=path, remedy=_REMEDY) from None
     except ValueError:
         return [_of_line(line, number, path)
                 for number, line in enumerate(text.splitlines(), 1) if line.strip()]  # fmt: skip
@@ -72,9 +73,8 @@ def _records(text, path):
 def _of_line(line, number, path):
     try:
         found = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        said = getattr(error, "msg", "nested too deeply")
-        raise DataError(f"this is no JSON ({said})", file=path, row=number,
+    except ValueError as error:
+        raise DataError(f"this is no JSON ({error.msg})", file=path, row=number,
                         remedy=_REMEDY) from None  # fmt: skip
     if not isinstance(found, dict):
         raise DataError("this line is no record", file=path, row=number, remedy=_REMEDY)

@@ -90,15 +90,13 @@ class _Pieces:
 
     def beside_laws(self, columns):
         """What the best of some laws leave, one added after the other."""
-        found, best = self._beside(self.taken)
-        chosen = self.taken
-        for _ in range(MOST_LAWS):
+        chosen, (found, best) = self.taken, self._beside(self.taken)
+        for _ in range(MOST_LAWS if columns.shape[1] else 0):
             trials = [self._beside(np.column_stack([chosen, column])) for column in columns.T]
-            residual, height = min(trials, key=lambda trial: trial[1], default=(found, best))
-            if not height < best - DEARER:
+            k = int(np.argmin([height for _, height in trials]))
+            if not trials[k][1] < best - DEARER:
                 break
-            k = next(k for k, trial in enumerate(trials) if trial[0] is residual)
-            chosen, found, best = np.column_stack([chosen, columns[:, k]]), residual, height
+            chosen, (found, best) = np.column_stack([chosen, columns[:, k]]), trials[k]
         return found
 
     def _beside(self, columns):

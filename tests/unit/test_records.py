@@ -36,6 +36,8 @@ def test_what_is_nested_has_names_of_its_own():
     ("[]", "no records"), ("{}", "no records"), ("3", "no table"), ("[1, 2]", "no table"),
     ('{"t": 1}\n{"t": 2', "no JSON"), ('{"t": 1}\n7', "no record"),
     ('{"t": 1, "p": [1, 2, 3, 4]}', "no place"), ("[" * 100_000, "nested too deeply"),
+    ('{"a": ' * 960 + "1" + "}" * 960, "nested too deeply"),
+    ('{"t": 1}\n' + "[" * 100_000, "nested too deeply"),
 ])  # fmt: skip
 def test_other_json_is_refused_with_a_remedy(text, said):
     with pytest.raises(DataError, match=said) as error:
