@@ -9,12 +9,10 @@ from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant, factors, quotient
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
-from bsp_gp.loop.proposers.laws import SAME
+from bsp_gp.loop.proposers.laws import SAME, declared_directions, is_along
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, split_linear
 
-PARALLEL = 1e-6
-"""Sine squared up to which a law is a declared term with another number."""
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
 SIZES = np.geomspace(1e-3, 1e3, 49)
@@ -40,8 +38,7 @@ class ByOwner:
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
-        known = [t for t in view.fit.law.terms if t.is_declared and not t.formula.constants]
-        known = [view.response.regression.column(t)[0][:, 0] for t in known]
+        declared = declared_directions(view)
         for by, ties in owners(view, FEWEST).items():
             for rest, cost in _bare_forms(forms, view, by).items():
                 try:
@@ -50,7 +47,7 @@ class ByOwner:
                     continue
                 if not np.isfinite(columns).all():
                     continue
-                if any(_is_along(columns.sum(axis=1), own) for own in known):
+                if is_along(columns.sum(axis=1), declared):
                     continue  # another number of a declared term for each, see `Varying`
                 score = view.score_forces(columns)
                 if score.rank < FEWEST:
@@ -68,12 +65,6 @@ class ByOwner:
         proposals = [p for _, p in found if p.promise > promised - least]
         proposals.sort(key=lambda p: -p.promise)
         return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
-
-
-def _is_along(column, other):
-    """Whether two columns are the same but for a factor."""
-    sizes = (column @ column) * (other @ other)
-    return bool(sizes > 0 and (column @ other) ** 2 > (1 - PARALLEL) * sizes)
 
 
 def forms_of(laws, view, more=()):

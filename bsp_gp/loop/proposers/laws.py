@@ -113,7 +113,7 @@ class Laws:
         best = max((c.gain for c in found), default=0.0)
         view.drawn = tuple(c for c in found if not c.constants)  # with constants inside
         found = [c for c in found if c.constants]
-        declared = _declared(view)
+        declared = declared_directions(view)
         kin = [
             c
             for formula in kin_of(view.fit.law, view.dataset.n_dims, self.logged)
@@ -331,18 +331,21 @@ def _declared_properties(law):
     return properties_of(terms[0].formula) if len(terms) == 1 else ((), ())
 
 
-def _declared(view):
+def declared_directions(view):
     """Moments of declared terms without constants, at unit length."""
-    out = []
-    for term in view.fit.law.terms:
-        if term.is_declared and not term.formula.constants:
-            out += [c for c in (_direction(view, term),) if c is not None]
-    return out
+    terms = [t for t in view.fit.law.terms if t.is_declared and not t.formula.constants]
+    found = [_unit(view.response.regression.column(term)[0][:, 0]) for term in terms]
+    return [direction for direction in found if direction is not None]
 
 
-def _direction(view, term):
-    """Moments of a term at unit length, whatever their size; None where it shows nothing."""
-    column = view.response.regression.column(term)[0][:, 0]
+def is_along(column, directions):
+    """Whether moments of a law (n,) are those of a declared term with another number."""
+    own = _unit(column) if directions else None
+    return own is not None and any(1 - (own @ d) ** 2 < PARALLEL for d in directions)
+
+
+def _unit(column):
+    """Moments at unit length, whatever their size; None where they show nothing."""
     top = np.max(np.abs(column), initial=0.0)
     if not (np.isfinite(top) and top > 0):
         return None
@@ -351,11 +354,10 @@ def _direction(view, term):
 
 def _is_parallel(view, candidate, declared):
     """Whether a law only changes the number of a declared term."""
-    if not declared:
-        return False
     _, rest = split_linear(candidate.formula)
-    own = None if rest.constants else _direction(view, Term(rest, candidate.kind))
-    return own is not None and any(1 - (own @ d) ** 2 < PARALLEL for d in declared)
+    if not declared or rest.constants:
+        return False
+    return is_along(view.response.regression.column(Term(rest, candidate.kind))[0][:, 0], declared)
 
 
 def _unknown_of_sources(dataset):
