@@ -316,6 +316,8 @@ class Dataset:
     logged : mapping of str to (str, Unit)
         Further columns beside the tracks that nobody declared, by their names in laws: heading and
         unit. Those in `Scene.logs` are not asked yet, see `bsp_gp.data.logged`.
+    is_film : bool
+        Whether times are those of frames, so that a shutter may have read rows one by one.
     """
 
     name: str
@@ -333,6 +335,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     noise_memory: float | None = None
     logged: Mapping = field(default_factory=dict)
+    is_film: bool = False
 
     def __post_init__(self):
         object.__setattr__(self, "logged", MappingProxyType(dict(self.logged)))

@@ -92,6 +92,7 @@ def joined(datasets, paths):
         first.units, {k: v for d in datasets for k, v in d.property_units.items()}, first.up,
         first.noise, first.velocity, first.latents, first.evaluation, provenance, tuple(told),
         first.noise_memory, {k: v for d in reversed(datasets) for k, v in d.logged.items()},
+        any(d.is_film for d in datasets),
     )  # fmt: skip
 
 

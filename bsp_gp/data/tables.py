@@ -392,6 +392,7 @@ def _assemble(table, roster, declaration, default_name):
         evaluation=declaration.evaluation,
         provenance=provenance,
         notes=tuple(notes),
+        is_film=declaration.fps is not None or Path(table.file).suffix.lower() == ".trk",
     )
 
 

@@ -15,6 +15,7 @@ CAUSES = {
     "tilt": "a camera that is turned", "slant": "a picture plane that is tilted",
     "drift": "a camera that drifts", "offset": "an origin that is off",
     "delay": "a delay of one body", "exposure": "an exposure that blurs",
+    "shutter": "a shutter that reads the picture row by row",
     "inclined": "an orbit whose plane is inclined to the sky", "late_log": "a log that is late",
     "lens": "a lens that distorts", "perspective": "perspective",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",

@@ -446,19 +446,19 @@ class InnerSearch:
         return np.where(good, rows / np.sqrt(np.where(good, square, 1.0)), 0.0)
 
     def _is_passed(self, form, values):
-        """Whether a body on a line passes a place at which its force is infinite, (C,).
+        """Whether a body passes a place on its line, or a plane, where its force is infinite, (C,).
 
         None does: it is thrown back, or held there. What such a force gains is a row that happens
         to lie near.
         """
         places = [name for name in values if name.startswith(PLACE)]
-        if len(self.axes) != 1 or len(places) != 1:
+        if len(places) != 1:
             return False
         k, at = "xyz".index(self.axes[0]), values[places[0]]
         is_within = (self.span[0][k] < at) & (at < self.span[1][k])
         powers = [0.0]
         for node in walk(form.term.formula):
-            if isinstance(node, Call) and "centre" in node.inputs:
+            if isinstance(node, Call) and ("centre" in node.inputs or places[0] in node.constants):
                 if node.operator == "inverse":
                     powers.append(-1.0)
                 elif node.operator == "pow" and isinstance(node.args[1], Number):

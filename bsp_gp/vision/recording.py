@@ -176,6 +176,7 @@ def to_dataset(video, track, calibration, regions=(), smooth=False):
     return Dataset(
         video.path.stem, (scene,), units=UnitSystem.from_declared(units), up="y",
         provenance={"source": f"tracked from {video.path.name}, {video.fps:g} frames a second"},
+        is_film=True,
     )  # fmt: skip
 
 

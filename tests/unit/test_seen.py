@@ -180,6 +180,9 @@ LAGS = (
 )
 
 
+SHUTTER = Instrument("shutter", (1,), 1.0, middle=(0.3, 0.2))
+
+
 def lagged(times=TIMES, lags=LAGS):
     places, velocities = world(times=times)
     data = np.concatenate([places, np.broadcast_to(POST, (len(times), 1, 2))], axis=1)
@@ -205,9 +208,26 @@ def test_what_is_seen_late_and_for_a_while():
         )
 
 
+def test_what_a_shutter_sees_row_by_row():
+    by = 0.01
+    flow, nodes = lagged(lags=((SHUTTER, (by,)),))
+    times = np.linspace(0.0, 1.5, 1501)
+    fine, speeds = world(times=times)
+    track = CubicHermiteSpline(times, fine, speeds)
+    found, inner = sight(flow, nodes).places[1:-1, 0], TIMES[1:-1]
+    for k in (0, 1):
+        late = np.zeros(len(inner))
+        for _ in range(20):  # a row is read when the body is there
+            late = by * (track(inner + late)[np.arange(len(inner)), k, 1] - SHUTTER.middle[1])
+        np.testing.assert_allclose(found[:, k], track(inner + late)[:, k], atol=8e-5)
+    places = np.moveaxis(nodes[0], (-2, -1), (0, 1))[1:-1, 0]
+    assert np.abs(found - places).max() > 1e-3
+
+
 @pytest.mark.slow
 def test_derivatives_of_what_is_seen_late_are_differences():
-    flow, nodes = lagged(TIMES[:4], ((LAGS[0][0], (0.2,)), (LAGS[1][0], (0.04,))))
+    lags = (LAGS[0][0], (0.2,)), (LAGS[1][0], (0.04,)), (SHUTTER, (0.05,))
+    flow, nodes = lagged(TIMES[:4], lags)
     shooting = Shooting(
         flow, ChainNoise(flow.chains.times, np.ones(flow.chains.observed.shape)),
         cut_windows(flow.chains.lengths),

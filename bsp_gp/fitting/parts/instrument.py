@@ -13,13 +13,17 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
-UNITS = {"drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2}
+UNITS = {
+    "drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2,
+    "shutter": TIME / LENGTH,
+}  # fmt: skip
 TEXTS = {
     "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",
     "slant": "X - M = (1 + {}) (x - M) along the axis",
     "perspective": "X - M = (1 + {} u) (x - M)", "lens": "X - M = (1 + {} r^2) (x - M)",
     "drift": "x = X + ({}) t of moving bodies", "offset": "x = X + ({}) of fixed bodies",
     "delay": "x(t) = X(t - {})", "exposure": "x = X + {} / 2 X''",
+    "shutter": "x(t) = X(t + {} (x - M))",
 }  # fmt: skip
 """What is seen of the true X and T; u and r are ways from the middle M in its sizes."""
 

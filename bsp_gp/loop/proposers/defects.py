@@ -7,14 +7,12 @@ out and the initial states of their chain are fitted again. What is left out is 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from bsp_gp.fitting.channels import join
-from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.proposers.stuck import LEAST_KEPT, stuck
+from bsp_gp.loop.proposers.stuck import LEAST_KEPT, is_broken, stuck
 from bsp_gp.loop.proposers.swaps import swaps
 
 MOST_POINTS = 256
@@ -25,9 +23,8 @@ MOST_FRAMES = 4
 """That are missing or repeated at once."""
 MOST_OFF, FEW_OFF = 0.05, 5
 """Part of the rows that may be off one by one, and how many may be of few."""
-MOST_BREAKS, BESIDE, UNLIKELY = 64, 4, 1e-3
-"""Ends of tracks of which it is asked whether they break, rows on each side that tell it, and the
-chance by which a track that goes on smoothly may look broken."""
+MOST_BREAKS = 64
+"""Ends of tracks of which it is asked whether they break."""
 FAR = ("swapped_tracks", "lost_track")
 """Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
@@ -283,31 +280,10 @@ def _lost(windows):
             found += [(paid[k], window, k) for k in np.argsort(-paid)[:MOST_BREAKS].tolist()]
     found.sort(key=lambda entry: -entry[0])
     for paid, window, k in found[:MOST_BREAKS]:
-        if paid > 0 and _is_broken(window, k):
+        at = int(window.first[k] or window.stop[k])
+        if paid > 0 and is_broken(window.chain.scene, window.entity, at):
             return [window.part(k)], paid
     return [], -np.inf
-
-
-def _is_broken(window, k):
-    """Whether a body jumps or turns off where its track is said to be lost, or found again."""
-    scene = window.chain.scene
-    places = scene.positions[:, scene.names.index(window.entity)]
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
-    at = int(window.first[k] or window.stop[k])
-    rows = np.concatenate([seen[seen < at][-BESIDE:], seen[seen >= at][:BESIDE]])
-    if len(rows) < 2 * BESIDE:
-        return True
-    t = scene.times[rows] - scene.times[rows].mean()
-    t, is_behind = t / np.abs(t).max(), rows >= at
-    smooth = np.stack([np.ones_like(t), t, t * t], axis=1)
-    broken = np.column_stack([smooth, is_behind, is_behind * t])
-
-    def left(basis):
-        rest = places[rows] - basis @ np.linalg.lstsq(basis, places[rows], rcond=None)[0]
-        return float(np.square(rest).sum())
-
-    least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
-    return left(smooth) - left(broken) > least * scatter(places) ** 2
 
 
 def _frames(moved):

@@ -73,7 +73,10 @@ class Hidden(Sources):
         null = np.zeros(view.moment_draws.shape[1])
         proposals, n_tried = [], 0
         known = []
-        for terms in (*pulls_of(view, stage.strength), attraction(view, stage)):
+        pulls = pulls_of(view, stage.strength)
+        if view.dataset.n_moving_axes > 1:  # on a line, `inside` asks for attractors anywhere
+            pulls.append(attraction(view, stage))
+        for terms in pulls:
             parts = [stage.columns(terms, still(part)) for part in stage.chunks]
             unit, size = stage.beside(np.concatenate(parts, axis=1))
             if any(_are_same(unit, other) for other in known):

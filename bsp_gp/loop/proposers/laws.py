@@ -15,7 +15,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.kin import kin_of
-from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
+from bsp_gp.loop.proposers.sums import cost_of, pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, signed_of
@@ -259,7 +259,7 @@ def _proposal(view, candidates, amounts=None, gain=None):
         term = Term(rename_constants(candidate.formula, names), candidate.kind)
         hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
         formulas.append(term.formula)
-    cost = sum(candidate.complexity for candidate in candidates)
+    cost = cost_of(candidates)
     gain = candidates[0].gain if gain is None else gain
     most = (1 - RESOLVED) * float(view.left @ view.left)
     return Proposal(

@@ -85,6 +85,8 @@ def kinds_of(dataset, fit):
     )
     out = [Instrument("scale"), Instrument("clock"), drift]
     out.append(Instrument("exposure", (), (FRAMES * step) ** 2))
+    if dataset.is_film:  # the picture is read within a frame
+        out += [Instrument("shutter", (k,), step / size, **picture) for k in axes]
     if len(axes) > 1:
         # A camera is turned against what was declared; what was found since turns with it.
         named = {n for t in fit.law.terms if t.is_declared for n in t.formula.inputs}

@@ -1,11 +1,14 @@
 """Tracks that stand still to their beginning or end: what was followed there was not the body.
 
-Standing still shows in the places whatever the law. It counts as far as the fit leaves the track
-unexplained, since what comes to rest looks the same.
+Standing still shows in the places whatever the law. It counts where it begins or ends at once: what
+starts slowly is the body. And it counts as far as the fit leaves the track unexplained, since what
+comes to rest looks the same.
 """
 
 import numpy as np
+from scipy import stats
 
+from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
@@ -16,6 +19,9 @@ LEAST_KEPT = 0.25
 """Part of a track that is its body's if the rest is not."""
 STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
+BESIDE, UNLIKELY = 4, 1e-3
+"""Rows on each side of an instant that tell whether a track breaks there, and the chance by which
+one that goes on smoothly may look broken."""
 
 
 def stuck(view):
@@ -49,6 +55,8 @@ def _ends(scene, k, levels, axes):
             continue
         steps = np.square(np.diff(places[rows[n - 1 :]], axis=0)).sum(axis=1)
         bounds = (int(rows[n - 1]), len(scene.times)) if is_tail else (0, int(rows[n - 1]) + 1)
+        if not is_broken(scene, scene.names[k], bounds[0] or bounds[1]):
+            continue
         count = n * int(axes.sum())
         part = LeftOut(
             scene.name, *bounds, scene.names[k],
@@ -68,3 +76,23 @@ def _still(places):
     scatter = (np.cumsum(np.square(places), axis=0) - count[:, None] * mean**2).sum(axis=1)
     dof = (count - 1) * places.shape[1]
     return int(count[scatter <= dof + STILL * np.sqrt(2 * np.maximum(dof, 1))].max(initial=0))
+
+
+def is_broken(scene, name, at):
+    """Whether a body jumps or turns off at a row where its track is said to be lost, or found."""
+    places = scene.positions[:, scene.names.index(name)]
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    rows = np.concatenate([seen[seen < at][-BESIDE:], seen[seen >= at][:BESIDE]])
+    if len(rows) < 2 * BESIDE:
+        return True
+    t = scene.times[rows] - scene.times[rows].mean()
+    t, is_behind = t / np.abs(t).max(), rows >= at
+    smooth = np.stack([np.ones_like(t), t, t * t], axis=1)
+    broken = np.column_stack([smooth, is_behind, is_behind * t])
+
+    def left(basis):
+        rest = places[rows] - basis @ np.linalg.lstsq(basis, places[rows], rcond=None)[0]
+        return float(np.square(rest).sum())
+
+    least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
+    return left(smooth) - left(broken) > least * scatter(places) ** 2

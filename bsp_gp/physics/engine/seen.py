@@ -4,7 +4,8 @@ A measurement shows q of a true place p = u(q, t; phi) at the true time T(t). Wi
 derivative D along a seen track, D u = J q' + du/dt, the true velocity is D u / T', and
 ``q'' = J^-1 (T'^2 a - D D u at q'' = 0)``. All of it is an expression, so that its derivatives by
 states, constants and phi are exact, and fixed bodies are seen through the same instrument. A delay
-and an exposure are no maps of places: ``seen = q - delay q' + (delay^2 + variance) / 2 q''``.
+and an exposure are no maps of places: ``seen = q - delay q' + (delay^2 + variance) / 2 q''``. A
+shutter that reads a picture row by row is a delay that changes along an axis.
 """
 
 from dataclasses import dataclass
@@ -93,12 +94,12 @@ class Sight:
 
 
 def sight(flow, nodes):
-    """What delays and exposures show of nodes (2, R, d, T, S) under the constants that are set."""
+    """What a clock of its own shows of nodes (2, R, d, T, S) under the constants that are set."""
     places = np.moveaxis(nodes[0], (-2, -1), (0, 1))
     motion, chains = flow.motion, flow.chains
     parts = {
         p.names[0]: p for p in motion.law.frame
-        if p.kind == "instrument" and p.code in ("delay", "exposure")
+        if p.kind == "instrument" and p.code in ("delay", "exposure", "shutter")
     }  # fmt: skip
     if not parts:
         return Sight(places)
@@ -107,10 +108,15 @@ def sight(flow, nodes):
     (p, v), a = points.state, motion.acceleration(points)
     by_state, by_constant = motion.slopes(points)
     bodies, late = np.array(chains.bodies).T[:, None, chain], {}
-    for name, part in parts.items():
-        late[name] = bodies == part.whose[0] if part.whose else np.zeros(bodies.shape)
+    for name, part in parts.items():  # seconds for each unit of the part's number
+        if part.code == "shutter":
+            (k,) = part.axes
+            late[name] = part.middle[k] - p[:, [k]]
+        else:
+            late[name] = bodies == part.whose[0] if part.whose else np.zeros(bodies.shape)
     delay = sum(motion.values[name] * mine for name, mine in late.items())
-    variance = sum(motion.values[name] for name, part in parts.items() if not part.whose)
+    is_blur = {name: part.code == "exposure" for name, part in parts.items()}
+    variance = sum(motion.values[name] for name in parts if is_blur[name])
     half = (delay**2 + variance) / 2
     n_seen = v.shape[0] * v.shape[1]
 
@@ -120,10 +126,15 @@ def sight(flow, nodes):
     by_state, by_constant = (flat(half)[..., None] * d for d in (by_state, by_constant))
     own = np.arange(n_seen)
     by_state[:, own, n_seen + own] -= flat(delay)
+    by_place = flat(v - delay * a)
+    for name, part in parts.items():
+        if part.code == "shutter":  # the delay changes with the place along the axis
+            axis = own - own % v.shape[1] + part.axes[0]
+            by_state[:, own, axis] += motion.values[name] * by_place
     for k, (name, _) in enumerate(motion.parameters):
         if name in parts:
             by_delay = late[name] * (delay * a - v)
-            by_constant[..., k] += flat(by_delay if parts[name].whose else a / 2)
+            by_constant[..., k] += flat(a / 2 if is_blur[name] else by_delay)
     shape = chains.times.shape
     places = places.copy()
     places[rows, chain] = np.moveaxis(p - delay * v + half * a, -1, 0)
