@@ -27,8 +27,8 @@ CAUSES = (
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind",
     "belt", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
     "shutter", "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "bad_row",
-    "hidden_body", "contact", "bounce", "rod", "wire", "frame", "reference", "kicks", "noise",
-    "varying_strength", "free_force",
+    "clock_jump", "hidden_body", "contact", "bounce", "rod", "wire", "frame", "reference", "kicks",
+    "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")

@@ -281,6 +281,14 @@ def bad_rows(effect):
     return f"{what}: {'; '.join(told)}" if told else CAUSES["bad_row"]
 
 
+def clock_jumps(effect):
+    """In plain words, rows counted from 1: "times that are off by -0.05 s from row 21 of 2 on"."""
+    every = re.findall(r"t ([+-]\S+) s\[(.+?), (\d+):\]", effect.name)
+    told = [f"by {-float(by):.4g} s from row {int(row) + 1} of {scene} on"
+            for by, scene, row in every]  # fmt: skip
+    return f"times that are off {', '.join(told)}" if told else CAUSES["clock_jump"]
+
+
 def kick(effect):
     """In plain words: "a kick: the velocity of ball jumps by 0.83 m/s at 0.72 s in scene 6"."""
     found = re.findall(r"(?:^kick |, )(.+?)\[(.+?), [^,\]]*\]", effect.name)

@@ -22,6 +22,7 @@ from bsp_gp.report.naming import (
     bad_rows,
     between_bumpers,
     change,
+    clock_jumps,
     constant_distance,
     describe,
     inclination,
@@ -37,7 +38,8 @@ _TOLD = 12
 _MOST_FINDINGS = 3
 _LIKELY = 0.1
 """Part of the probability of the likeliest from which causes of other kinds are told with it."""
-_NAMED = {"contact": kick, "inclined": inclination, "ripple": ripple, "bad_row": bad_rows}
+_NAMED = {"contact": kick, "inclined": inclination, "ripple": ripple, "bad_row": bad_rows,
+          "clock_jump": clock_jumps}  # fmt: skip
 """How causes of a code are told, whatever they are."""
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 

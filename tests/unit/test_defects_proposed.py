@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted, Swapped
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import CAUSES
 from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.proposers.clocks import put_forward
 from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.proposers.stuck import is_broken
 from bsp_gp.loop.view import selected
 from bsp_gp.report.page import page_of
 from tests.loop_views import GRAVITY, edited, throws, view_of
@@ -58,8 +61,8 @@ def best_of(data):
         (swap, "swapped_tracks", "1, 2 swapped[2, 17:]"),
         (spoil, "bad_row", "1 left out[2, 12:13]"),
         (lose, "lost_track", "2 left out[2, 25:40]"),
-        (drop, "bad_row", "t +0.05 s[2, 20:]"),
-        (repeat, "bad_row", "t -0.025 s[2, 20:]"),
+        (drop, "clock_jump", "t +0.05 s[2, 20:]"),
+        (repeat, "clock_jump", "t -0.025 s[2, 20:]"),
     ],
 )
 def test_a_defect_is_named_with_its_row(change, code, text):
@@ -198,3 +201,46 @@ def test_tails_tell_which_row_is_furthest_off():
     assert page_of(report).rounds[0].noise == (
         "it has heavier tails than a normal distribution (furthest off: 1, 4, row 21)",
     )
+
+
+def with_clock_put_on(data, row, seconds, scene=1):
+    """The data with the clock of a scene put forward at a row."""
+    scenes = list(data.scenes)
+    times = scenes[scene].times + np.where(np.arange(len(scenes[scene].times)) >= row, seconds, 0.0)
+    scenes[scene] = replace(scenes[scene], times=times)
+    return replace(data, scenes=tuple(scenes))
+
+
+@pytest.mark.parametrize("seconds", [0.0375, 0.075])  # one and a half steps, and three
+def test_a_clock_that_was_put_forward_is_found(seconds):
+    data = with_clock_put_on(throws(np.random.default_rng(2), n_bodies=2), 17, seconds)
+    best, gain, chance = best_of(data)
+    name = data.scenes[1].name
+    assert best.code == "clock_jump"
+    assert f"t -{seconds:.4g} s[{name}, 17:]" in best.text
+    assert gain > 20
+    assert chance < 1e-6
+    seen = best.hypothesis.parts[-1].seen(data)
+    np.testing.assert_allclose(np.diff(seen.scenes[1].times), np.diff(data.scenes[0].times))
+
+
+def test_rows_that_are_missing_are_no_clock_put_forward():
+    data = throws(np.random.default_rng(2), n_bodies=2)
+    kept = np.delete(np.arange(40), [8, 9])
+    scenes = tuple(
+        replace(s, times=s.times[kept], positions=s.positions[kept]) for s in data.scenes
+    )
+    assert put_forward(view_of(replace(data, scenes=scenes)))[0] == []
+
+
+def test_what_starts_slowly_is_no_lost_track():
+    """A body that sets off from rest stood still in its first rows: they were left out."""
+    times = np.arange(60) / 20
+    way = np.column_stack([0.4 * times**2, 0.1 * times**2])
+    rng = np.random.default_rng(0)
+    places = way + 0.02 * rng.standard_normal(way.shape)
+    scene = Scene("run", times, places[:, None], (Entity("ball", "disc", radius=0.1),))
+    assert not is_broken(scene, "ball", 6)
+    held = np.where(np.arange(60)[:, None] < 20, way[40] + 0.02 * rng.standard_normal((60, 2)), way)
+    lost = replace(scene, positions=held[:, None])
+    assert is_broken(lost, "ball", 20)

@@ -125,7 +125,7 @@ class Resting(LeftOut):
 
 @dataclass(frozen=True)
 class Shifted(Edit):
-    """From a row on, frames are missing or too many, and time stamps are off by that."""
+    """From a row on time stamps are off: frames are missing or too many, or a clock was put on."""
 
     seconds: float
 
@@ -133,7 +133,8 @@ class Shifted(Edit):
         after = np.arange(len(scene.times)) >= self.row
         times = scene.times + np.where(after, self.seconds, 0.0)
         # Of frames that were repeated only the first is kept.
-        kept = ~after | (times > scene.times[self.row - 1 : self.row + 1].mean())
+        half = float(np.median(np.diff(scene.times))) / 2
+        kept = ~after | (times > scene.times[self.row - 1] + half)
         shorter = {n: v if v is None else v[kept] for n, v in _tracks(scene).items()}
         logged = {name: values[kept] for name, values in scene.inputs.items()}
         return replace(scene, times=times[kept], inputs=logged, **shorter)

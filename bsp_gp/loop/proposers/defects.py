@@ -12,6 +12,7 @@ from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.clocks import put_forward
 from bsp_gp.loop.proposers.stuck import LEAST_KEPT, is_broken, stuck
 from bsp_gp.loop.proposers.swaps import swaps
 
@@ -25,7 +26,7 @@ MOST_OFF, FEW_OFF = 0.05, 5
 """Part of the rows that may be off one by one, and how many may be of few."""
 MOST_BREAKS = 64
 """Ends of tracks of which it is asked whether they break."""
-FAR = ("swapped_tracks", "lost_track")
+FAR = ("swapped_tracks", "lost_track", "clock_jump")
 """Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
 """Least eigenvalue of what rows say of initial states, in that of all rows."""
@@ -60,20 +61,22 @@ class Defects:
         n_tried = sum(len(w.first) for w, _ in windows) + sum(len(m[0].times) for m in moved)
         parts, excess, swapped, n_swaps = swaps(view)
         still, theirs, stands = stuck(view)
+        closed, gained, jumps = put_forward(view)
         n_still = n_tried or sum(len(s.times) * len(s.dynamic) for s in view.dataset.scenes)
         kinds = [
             ("swapped_tracks", parts, excess, n_swaps),
             ("lost_track", still, theirs, n_still),
+            ("clock_jump", closed, gained, n_still),
         ]
         if windows:
             kinds += [
                 ("bad_row", *_rows(windows, n_tried), n_tried),
                 ("lost_track", *_lost(windows), n_tried),
-                ("bad_row", *_frames(moved), n_tried),
+                ("clock_jump", *_frames(moved), n_tried),
             ]
         proposals = [_proposal(view, *kind) for kind in kinds if kind[1]]
         proposals.sort(key=lambda p: -p.promise)
-        gain = max(float(even[0]), swapped, stands)
+        gain = max(float(even[0]), swapped, stands, jumps)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_still)
 
 
