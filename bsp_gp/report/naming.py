@@ -217,6 +217,38 @@ def _vector(constants):
     return with_unit(f"({text})" if len(constants) > 1 else text, constants[0].unit)
 
 
+def along_one_line(phrases, values):
+    """Forces that differ in nothing but their axis told as one: "uniform push along (0.8, 0.6)".
+
+    Parameters
+    ----------
+    phrases : sequence of str
+        As `describe` has them.
+    values : sequence of float or None
+        Their strengths.
+
+    Returns
+    -------
+    tuple of str
+    """
+    found: dict = {}
+    for phrase, value in zip(phrases, values, strict=True):
+        axis = re.match(r"(?:uniform push|force) along ([xyz])\b", phrase)
+        if axis is None or value is None:
+            found[phrase, ""] = {}
+        else:
+            found.setdefault((phrase[: axis.start(1)], phrase[axis.end() :]), {})[axis[1]] = value
+    told = []
+    for (before, behind), parts in found.items():
+        size = math.hypot(*parts.values())
+        axes = "".join(parts)
+        if len(parts) > 1 and size > 0:
+            ways = (parts.get(axis, 0.0) / size for axis in ("xyz" if "z" in parts else "xy"))
+            axes = f"({', '.join(format_number(way, 3) for way in ways)})"
+        told.append(before + axes + behind)
+    return tuple(told)
+
+
 def constant_distance(effect):
     """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
     unit, (between, length) = effect.constants[-1].unit, effect.name.rsplit(" = ", 1)

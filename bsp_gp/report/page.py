@@ -19,6 +19,7 @@ from bsp_gp.report.codes import (
     STOPS,
 )
 from bsp_gp.report.naming import (
+    along_one_line,
     bad_rows,
     between_bumpers,
     change,
@@ -180,7 +181,7 @@ def _noise(finding):
 
 
 def _parts(effect, law, other):
-    """Each of several forces that were found as one, in plain words."""
+    """Each of several forces that were found as one, in plain words; one, if along several axes."""
     if effect.code in ("contact", "reference"):  # one force along every axis, or by every body
         return ()
     added = {c.name: c.value for c in effect.constants}
@@ -190,7 +191,8 @@ def _parts(effect, law, other):
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
     own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
     every = zip(terms, values, own, strict=True)
-    return tuple(describe(t.formula, v, other, exponents) for t, v, exponents in every)
+    told = [describe(t.formula, v, other, exponents) for t, v, exponents in every]
+    return along_one_line(told, values)
 
 
 def _name(effect, parts, other):
@@ -209,6 +211,8 @@ def _name(effect, parts, other):
         return change(effect.code, effect.name, own)
     if between := between_bumpers(effect):
         return between
+    if len(parts) == 1:
+        return parts[0]
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
@@ -227,7 +231,7 @@ def _name(effect, parts, other):
 
 def _effect(effect, name, parts, tied):
     return SimpleNamespace(
-        name=name, code=effect.code, parts=parts, kind=effect.kind,
+        name=name, code=effect.code, parts=parts if len(parts) > 1 else (), kind=effect.kind,
         law=effect.law or effect.name,
         written=effect.law, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,

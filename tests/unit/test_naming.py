@@ -16,7 +16,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
-from bsp_gp.report.naming import bad_rows, describe, kick
+from bsp_gp.report.naming import along_one_line, bad_rows, clock_jumps, describe, kick
 from bsp_gp.report.page import _parts
 from bsp_gp.report.sentences import group_range, powers_sentence
 from bsp_gp.units import Unit
@@ -299,3 +299,23 @@ def test_each_of_several_forces_is_told_with_the_powers_that_the_data_allow():
     told, other = _parts(effect, law, "the other body")
     assert told == "drag, speed to the 1.1 (0.20 to 2.0)"
     assert other == "force along the line to origin"
+
+
+def test_components_of_one_vector_are_told_as_one():
+    pushes = [f"uniform push along {axis}" for axis in "xyz"]
+    assert along_one_line(pushes, [2.0, -1.0, 2.0]) == (
+        "uniform push along (0.667, −0.333, 0.667)",
+    )
+    assert along_one_line(pushes[:1], [2.0]) == ("uniform push along x",)
+    assert along_one_line(["drag, linear in speed", pushes[1], pushes[0]], [-1.0, 3.0, 4.0]) == (
+        "drag, linear in speed", "uniform push along (0.8, 0.6)",
+    )  # fmt: skip
+    apart = ("force along x, x", "force along y, y")
+    assert along_one_line(apart, [1.0, 1.0]) == apart
+
+
+def test_times_that_are_off_are_told_with_their_rows():
+    effect = SimpleNamespace(name="t -0.37 s[run 2, 229:]; t +0.05 s[run 3, 4:]")
+    assert clock_jumps(effect) == (
+        "times that are off by 0.37 s from row 230 of run 2 on, by -0.05 s from row 5 of run 3 on"
+    )
