@@ -16,6 +16,7 @@ from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
+from bsp_gp.loop.proposers.priors import drives
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
@@ -242,6 +243,8 @@ def _proposal(view, search, scan):
     starts[names["c"]] = search.strength(scan)
     law = ForceLaw((Term(formulas[0], scan.form.term.kind),), starts)
     odd_nats = view.odd_nats if scan.form.term.kind == "field" else 0.0
+    if drives(formulas[0], starts[names["c"]]):
+        odd_nats += view.criteria.cause_nats
     return Proposal(
         "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
         -view.criteria.cause_nats - odd_nats - scan.form.nats, scan.best, 1 + len(ranges),

@@ -15,7 +15,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.kin import kin_of
-from bsp_gp.loop.proposers.sums import cost_of, pairs_of, properties_of, sets_of
+from bsp_gp.loop.proposers.priors import cost_of, drives
+from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
 from bsp_gp.loop.view import MOST_PAIRS, selected
 from bsp_gp.physics.bodies import angles_of, dataset_types, input_types_of, signed_of
@@ -250,6 +251,7 @@ def _like(candidate, own, nats):
 def _proposal(view, candidates, amounts=None, gain=None):
     """The proposal of one law, or of several at once."""
     hypothesis, law, formulas = view.hypothesis, view.fit.law, []
+    cost = cost_of(candidates)
     for k, candidate in enumerate(candidates):
         # A kin of a declared term shares that term's other constants.
         is_own = candidate.constants or candidate.formula.constants
@@ -259,7 +261,8 @@ def _proposal(view, candidates, amounts=None, gain=None):
         term = Term(rename_constants(candidate.formula, names), candidate.kind)
         hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
         formulas.append(term.formula)
-    cost = cost_of(candidates)
+        if len(names) == 1 and drives(term.formula, *values.values()):
+            cost += view.criteria.cause_nats
     gain = candidates[0].gain if gain is None else gain
     most = (1 - RESOLVED) * float(view.left @ view.left)
     return Proposal(

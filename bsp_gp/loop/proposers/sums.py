@@ -9,9 +9,10 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.response import RESOLVED
-from bsp_gp.language.formula import Call, Constant, Input, factors
+from bsp_gp.language.formula import Call, Constant, factors
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposers.priors import vector_of
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.candidate import Candidate
@@ -24,7 +25,6 @@ MOST_BEST = 12
 """Laws of pairs in sets, where these are too many to be all evaluated."""
 LEAST_APART = 0.02
 """Part of a law, squared, that must lie beside another for the two to be told apart."""
-AXES = ("e_x", "e_y", "e_z")
 SIMILAR = 0.01
 """Part of the best gain within which the simplest law says which properties matter."""
 
@@ -54,7 +54,7 @@ def pairs_of(view, found):
     first, second, cosine, apart = first[good], second[good], cosine[good], apart[good]
     a, b = scores[first], scores[second]
     gains = (a * a + b * b - 2 * a * b * cosine) / apart
-    cost, vectors = np.array([c.complexity for c in found]), [_vector_of(c) for c in found]
+    cost, vectors = np.array([c.complexity for c in found]), [vector_of(c) for c in found]
     is_one = np.array([vectors[i] == vectors[j] for i, j in zip(first, second, strict=True)])
     both = np.where(is_one, np.maximum(cost[first], cost[second]), cost[first] + cost[second])
     promise = 0.5 * gains - both
@@ -150,22 +150,6 @@ def _unit(view, columns):
     rows = rows if view is None else view.beside(rows)
     size = np.linalg.norm(rows, axis=0)
     return rows / np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0) * top
-
-
-def cost_of(candidates):
-    """Nats that laws cost together: components of one vector along axes are one cause."""
-    costs: dict = {}
-    for candidate in candidates:
-        vector = _vector_of(candidate)
-        costs[vector] = max(costs.get(vector, 0.0), candidate.complexity)
-    return sum(costs.values())
-
-
-def _vector_of(candidate):
-    """Factors of a law, those that are axes of the laboratory as one."""
-    above, below = factors(split_linear(candidate.formula)[1])
-    words = ["" if isinstance(f, Input) and f.name in AXES else to_text(f) for f in above]
-    return tuple(sorted(words)), tuple(sorted(map(to_text, below)))
 
 
 def properties_of(formula):
