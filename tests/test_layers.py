@@ -19,6 +19,7 @@ ROOMS = (
     "units",
     "randomness",
     "workers",
+    "threads",
     "output",
     "data",
     "language",

@@ -12,7 +12,6 @@ from functools import cached_property, reduce
 from operator import itemgetter
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.channels import Channels, join
@@ -33,6 +32,7 @@ from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.physics.geometry import POINT
+from bsp_gp.threads import one_thread
 
 STATUSES = ("nonfinite", "unconverged", "aliased", "at_bound", "refuted", "converged")
 """How a fit can end; the first that applies."""
@@ -226,7 +226,7 @@ def fit(
     run.is_over = _Patience(began, deadline, effort and effort * _longer(run.groups))
     # BLAS on one thread is faster on small matrices, with the same bits everywhere. Numbers that
     # overflow on trial lead to points that are not finite, and those are refused.
-    with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
+    with one_thread(), np.errstate(all="ignore"):
         found = []
         for paper in run.step_kinds():
             found.append(run.fit(paper))

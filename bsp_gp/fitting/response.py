@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.free_force import STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import less_exact, link, orthonormal
@@ -35,6 +34,7 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
+from bsp_gp.threads import one_thread
 
 PHASE = 0.4
 """Radians that a motion may turn between two instants at which forces are evaluated."""
@@ -274,7 +274,7 @@ def respond(fit, dataset, is_quick=False):
         Whether forces count that change from row to row: of all others few moments tell as much.
     """
     fit, dataset = as_driven(fit, dataset)
-    with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
+    with one_thread(), np.errstate(all="ignore"):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
         first, plain = 0, as_normal(fit)

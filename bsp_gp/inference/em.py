@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import FitError, SettingsError
 from bsp_gp.inference.beam import Beam, Contender
@@ -18,6 +17,7 @@ from bsp_gp.inference.e_step import EStep, infer, prior_posterior, refine
 from bsp_gp.inference.m_step import Exhaustive, averaged_regression
 from bsp_gp.physics.force import ForceLaw
 from bsp_gp.randomness import generator
+from bsp_gp.threads import one_thread
 
 CLASS_NATS = 3.0
 """Laws within this many nats of the best fit as well: the class that the data do not separate."""
@@ -202,7 +202,7 @@ def fit_em(
         If no law of the grammar has a finite value on the data.
     """
     started = time.perf_counter()
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         run = _Em(
             tuple(scenes), latents, grammar, likelihood, settings or EmSettings(),
             m_step or Exhaustive(), base or ForceLaw(), kinds or tuple(grammar.start),

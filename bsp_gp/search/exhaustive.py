@@ -12,7 +12,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.language.formula import Number
@@ -35,11 +34,13 @@ from bsp_gp.search.products import Block, Kept, Side
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 from bsp_gp.search.room import require_room
 from bsp_gp.search.scoring import RowScorer
+from bsp_gp.threads import one_thread
 
 SIZES_BYTES = 1 << 27
 """Upper bound of what is kept of one search for the next."""
-MOST_TIES = 250
-"""Laws equal to a candidate on the data that are named beside it."""
+MOST_TIES, MOST_TIED = 250, 100
+"""Laws equal to a candidate on the data that are named beside it, and candidates beside which they
+are, the likeliest ones."""
 
 
 def search_exhaustive(
@@ -102,7 +103,7 @@ def search_exhaustive(
             f"grammar {grammar.name} has no {kind} laws, only {list(grammar.start)}"
         )
     start = time.perf_counter()
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         search = Exhaustive(regression, grammar, kind, max_levels, top_k)
     result = search.search(
         nuisance=nuisance, target=target, groups=groups, null_targets=null_targets,
@@ -126,7 +127,7 @@ def law_pool(regression, grammar, *, kind, is_left, max_levels=8):
     columns : ndarray, shape (n, len(laws))
         Whitened accelerations.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         search = Exhaustive(regression, grammar, kind, max_levels, 1)
         return search.pool(is_left)
 
@@ -170,7 +171,7 @@ class Exhaustive:
     ):  # fmt: skip
         """Search for one target; parameters and result as in `search_exhaustive`."""
         started = time.perf_counter()
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_thread():
             self._set_target(target, nuisance, groups, null_targets)
             require_room(self, self.n_columns())
             self._run(progress)
@@ -466,17 +467,29 @@ class Exhaustive:
 
     def _candidates(self, max_ties):
         """The kept laws with exact losses, equal ones merged, lowest loss first."""
-        rescored = []
+        rescored, sources = [], {}
         for _, _, (block, directed), a, b in self.kept.items():
-            (complexity, formula), *ties = block.formulas(a, b, directed, max_ties)
-            found = self._rescore(formula, complexity, tuple(law for _, law in ties))
+            ((complexity, formula),) = block.formulas(a, b, directed, 0)
+            found = self._rescore(formula, complexity)
             if found is None:
                 self.n_failed += 1
             else:
                 rescored.append(found)
-        return merge_equal(rescored)
+                sources[formula] = block, a, b, directed
+        merged = merge_equal(rescored)
+        likeliest = sorted(range(len(merged)), key=lambda k: merged[k].loss + merged[k].complexity)
+        for k in likeliest[:MOST_TIED]:
+            lead = merged[k].formula
+            every: dict = {}
+            for formula in (lead, *merged[k].ties):
+                block, a, b, directed = sources[formula]
+                every |= dict.fromkeys(t for _, t in block.formulas(a, b, directed, max_ties)[1:])
+            names = dict.fromkeys((*every, *merged[k].ties))
+            names.pop(lead, None)
+            merged[k] = replace(merged[k], ties=tuple(names))
+        return merged
 
-    def _rescore(self, formula, complexity, ties=()):
+    def _rescore(self, formula, complexity):
         """Candidate with its exact loss, and its fitted whitened accelerations.
 
         None where its forces are next to nothing, so that no number is its constant.
@@ -503,6 +516,6 @@ class Exhaustive:
         loss = 0.5 * float(np.square(y - fitted).sum())
         value = constants[0] if len(constants) == 1 else dict(enumerate(constants))
         candidate = Candidate(
-            formula, self.kind, {name: value}, loss, complexity, total - 2 * loss, total, ties=ties
+            formula, self.kind, {name: value}, loss, complexity, total - 2 * loss, total
         )
         return candidate, fitted

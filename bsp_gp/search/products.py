@@ -48,18 +48,29 @@ class Block:
             Simplest first, at most `most` + 1.
         """
         left, right = self.left.entries[a], self.right.entries[b]
+        if not most:
+            sides = left.family(), right.family(), (directed, *directed.ties)
+            choice = [min(side, key=lambda part: part.complexity) for side in sides]
+            if self._is_sayable(choice):
+                complexity = self.cost + sum(part.complexity for part in choice)
+                return [(complexity, self.formula_of(*choice))]
         options = []
         for choice in itertools.islice(
             itertools.product(left.family(), right.family(), (directed, *directed.ties)), 4000
         ):
-            if self.needs_factor and choice[0].expression is choice[1].expression is None:
-                continue  # 1 * 1: not in the grammar, though equal to a law that is
-            if choice[0].expression is None and choice[1].operator != "mul":
-                continue  # neither is 1 / b
+            if not self._is_sayable(choice):
+                continue
             complexity = self.cost + sum(part.complexity for part in choice)
             options.append((complexity, len(options), choice))
         best = heapq.nsmallest(most + 1, options)
         return [(complexity, self.formula_of(*choice)) for complexity, _, choice in best]
+
+    def _is_sayable(self, choice):
+        """Whether a choice is in the grammar, and not only equal to a law that is."""
+        left, right, _ = choice
+        if self.needs_factor and left.expression is right.expression is None:  # 1 * 1
+            return False
+        return left.expression is not None or right.operator == "mul"  # no 1 / b
 
     def formula_of(self, left, right, directed):
         """Law of one choice: constant * (left op right) * direction [* condition]."""

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.errors import BspError, OutputError, SettingsError
 from bsp_gp.language.expression import from_lists, to_lists
 from bsp_gp.output.place import whole_file
 from bsp_gp.search.candidate import SearchResult
+from bsp_gp.threads import one_thread
 
 GRID = 5
 """Laws for which one counts whose inner constants are scored on a grid: it takes as long."""
@@ -120,7 +120,7 @@ def run_search(
         n_evaluated = _trials(
             strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor, is_part
         )
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         return _result(objective, keep, n_evaluated, time.perf_counter() - started)
 
 
@@ -136,7 +136,7 @@ def _trials(
     n_evaluated = 0
     try:
         for k, (expressions, n_scored) in enumerate(outcomes, 1):
-            with threadpool_limits(limits=1, user_api="blas"):
+            with one_thread():
                 objective.score(expressions)
             n_evaluated += n_scored
             if callback is not None and callback(k, objective):
@@ -161,7 +161,7 @@ def _numbered(path, k):
 
 def _run(strategy, objective, budget, entropy, callback, checkpoint, is_part=False):
     # One thread: the last bits of a sum may not depend on how many there are.
-    with threadpool_limits(limits=1, user_api="blas"), _patient_collector():
+    with one_thread(), _patient_collector():
         _steps(strategy, objective, budget, entropy, callback, checkpoint, is_part)
 
 

@@ -6,12 +6,12 @@ from itertools import combinations
 
 import numpy as np
 from scipy import stats
-from threadpoolctl import threadpool_limits
 
 from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.view import gains
+from bsp_gp.threads import one_thread
 
 FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
@@ -33,7 +33,7 @@ class Measurement:
         parts = [p for p in kinds_of(view.dataset, view.fit) if known.isdisjoint(p.names)]
         codes, tried = [part.code for part in parts], []
         for part in parts:
-            with threadpool_limits(1, "blas"), np.errstate(all="ignore"):
+            with one_thread(), np.errstate(all="ignore"):
                 columns = instrument_columns(view.fit, part)
             score = view.tangent.score(columns)
             log_prior = -view.criteria.cause_nats - math.log(codes.count(part.code))
