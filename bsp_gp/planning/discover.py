@@ -29,7 +29,14 @@ from bsp_gp.planning.ends import at_the_ends
 from bsp_gp.planning.means import Experiment
 from bsp_gp.planning.plan import N_DRAWS, SURE, moved_by, plan
 from bsp_gp.planning.reach import n_calm, n_foreseen, nearest
-from bsp_gp.planning.rivals import Rival, in_common, kin_of, less_a_term, rivals_of
+from bsp_gp.planning.rivals import (
+    Rival,
+    in_common,
+    kin_of,
+    less_a_term,
+    of_whole_powers,
+    rivals_of,
+)
 from bsp_gp.randomness import generator
 
 LEAST_ROWS = 4
@@ -318,7 +325,9 @@ class _State:
         if report.law.terms and is_told and not known:
             found = [_final(report), *found]
         found = [r for r in found if r.law.terms]
-        kin = kin_of(found[0], self.dataset) if found else []
+        kin = []
+        if found:
+            kin = [*kin_of(found[0], self.dataset), *of_whole_powers(found[0], self.dataset)]
         less = [one for rival in (*found[:1], *kin) for one in less_a_term(rival)]
         rivals: dict = {}
         for rival in (*found, *kin, *less):

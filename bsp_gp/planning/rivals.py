@@ -19,6 +19,8 @@ LEAST = 1e-3
 """Less likely rivals are left out."""
 MOST = 8
 """Rivals at the most, the likeliest."""
+NEARLY = 0.05
+"""By which a power may be off a whole one, or a half, that is tried in its place."""
 UNKNOWN = 0.1
 """Part of a constant by which it may be off where no fit told its error."""
 
@@ -179,6 +181,32 @@ def kin_of(rival, dataset):
         known = {name: (values | starts)[name] for name in law.names}
         out.append(Rival(law.text(digits=False), law.with_constants(known), 0.0))
     return out
+
+
+def of_whole_powers(rival, dataset):
+    """The law with powers that are nearly whole, or nearly halves, written as such.
+
+    Returns
+    -------
+    list of Rival
+        One, of no probability yet, its constants starts; none where no power is.
+    """
+    texts = [to_text(term.formula) for term in rival.law.terms]
+    values, changed = rival.law.constants, list(texts)
+    for name in rival.law.names:
+        power = round(2 * values[name]) / 2
+        if abs(values[name] - power) > NEARLY:
+            continue
+        what = r"\^" + name + r"\b"
+        if not power:
+            what = rf" \* (?:\([^()]*\)|\w+(?:\([^()]*\))?){what}"
+        changed = [re.sub(what, f"^{power:g}" if power else "", text) for text in changed]
+    if changed == texts:
+        return []
+    law = read_law(dataset, changed)
+    law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
+    known = {name: values[name] for name in law.names}
+    return [Rival(law.text(digits=False), law.with_constants(known), 0.0)]
 
 
 def less_a_term(rival):

@@ -14,7 +14,7 @@ from bsp_gp.planning.apparatus import Command, recording_of
 from bsp_gp.planning.discover import _State, calm, discover
 from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from
 from bsp_gp.planning.plan import foreseen, information, normals, plan, weights_of
-from bsp_gp.planning.rivals import Rival, in_common, kin_of
+from bsp_gp.planning.rivals import Rival, in_common, kin_of, of_whole_powers
 from tests.snippets import ROOT, blocks
 
 MEANS = {
@@ -180,6 +180,17 @@ def test_a_fitted_power_has_kin(means):
     (screened,) = kin_of(rival(means, faded, k1=1.5, n1=-1.3, L1=2.0), dataset)
     assert "bessel_k1" in screened.text and "exp" not in screened.text
     assert not kin_of(screened, dataset)
+
+
+def test_powers_that_are_nearly_whole_are_tried_as_such(means):
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    law = "-k1 * m_i * m_j * (m_i + m_j)^a1 * norm(p_i - p_j)^n1 * normalize(p_i - p_j)"
+    (whole,) = of_whole_powers(rival(means, law, k1=1.5, a1=-9e-5, n1=-1.001), dataset)
+    assert whole.law.names == ("k1",) and whole.law.constants["k1"] == 1.5
+    assert "m_i + m_j" not in whole.text and "^-1 " in whole.text
+    (half,) = of_whole_powers(rival(means, law, k1=1.5, a1=-0.7, n1=-1.49), dataset)
+    assert half.law.names == ("k1", "a1") and "norm(p_i - p_j)^-1.5" in half.text
+    assert not of_whole_powers(rival(means, law, k1=1.5, a1=-0.7, n1=-1.3), dataset)
 
 
 def test_a_whole_power_has_a_fitted_one_and_a_screened_force_as_kin(means):
