@@ -34,6 +34,10 @@ class Clock:
         """Whether the time is up."""
         return time.monotonic() >= self._end
 
+    def share(self, part):
+        """A clock of a part of the time that is left; this one where there is no limit."""
+        return self if self.limit is None else Clock(part * self.left)
+
     def tick(self, *_):
         """Raise `TimeIsUp` if it is."""
         if self.is_over:

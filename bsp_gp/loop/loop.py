@@ -57,6 +57,8 @@ MOST_UNKEPT = 3
 """Fits of a family that are no likelier than the law as it is, though they promised to be, or, of
 what is no law, that lead nowhere, after which no more of it are made: what its promises are made of
 is noise of another kind."""
+PROPOSING = 0.3
+"""Part of the time that is left which one proposer may take."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_FIRSTS, MOST_SECONDS = 3, 2
@@ -226,7 +228,7 @@ class _Run:
         if found.shows_tracks:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria,
                         self.usual)  # fmt: skip
-            view.tick, view.seconds_left = self.clock.tick, self.clock.left
+            view.seconds_left = self.clock.left
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             turn.propose(number, view)
@@ -302,19 +304,24 @@ class _Turn:
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
-        if self.run.clock.is_over and code not in self.left_out:
-            self.left_out.append(code)
+        if self.run.clock.is_over:
+            self.note(code)
         return self.run.clock.is_over
+
+    def note(self, code):
+        """Note what was left out."""
+        if code not in self.left_out:
+            self.left_out.append(code)
 
     def in_time(self, decision):
         """A decision as it stands where the time was up; as it is where it was not.
 
         What was not looked at might have changed it. A law that leaves nothing is adopted all the
-        same, though not as fact, where all was proposed: what promised more was fitted before it.
+        same, though not as fact: of what was proposed, all that promised more was fitted before it.
         """
         if not self.left_out:
             return decision
-        stands = decision.is_adopted and self.left_out == ["fits"]
+        stands = decision.is_adopted and set(self.left_out) <= {"fits", "proposers"}
         if stands and any(key == decision.best.id for key, *_ in self.leaving_nothing):
             return replace(decision, is_fact=False)
         return replace(
@@ -332,10 +339,15 @@ class _Turn:
             if self.base.is_failed and not sees_places:
                 continue
             self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
+            # What one of them takes long for must leave time to others, and to fits.
+            view.tick = self.run.clock.share(PROPOSING).tick
             try:
                 self.families.append(proposer.propose(view))
             except TimeIsUp:
-                self.note_time("proposers")
+                self.note("proposers")
+                continue
+            if self.families[-1].is_partial:
+                self.note("proposers")
 
     def ask_without_memory(self, number, view):
         """Look for what a memory of the noise may have taken for its own, where nothing else shows.
@@ -451,6 +463,8 @@ class _Turn:
         firsts = self._firsts()
         able = [p for p in self.run.proposers if getattr(p, "asks_seconds", False)]
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
+            if self.leaving_nothing:  # beside one of those before
+                break
             found = self.fits[row.id]
             near = continued(self.hypotheses[row.id], found)
             view = View(

@@ -168,6 +168,8 @@ class Family:
     is_control : bool
         Whether its best is fitted whatever it promises: what others must be better than.
     n_tried : int
+    is_partial : bool
+        Whether the time was up before all was tried.
     """
 
     name: str
@@ -179,6 +181,7 @@ class Family:
     is_control: bool = False
     is_continuum: bool = False
     n_tried: int = 0
+    is_partial: bool = False
 
 
 def both_of(first, second):

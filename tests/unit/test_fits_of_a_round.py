@@ -48,7 +48,8 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
 
 @pytest.mark.parametrize("left_out, leaves_nothing, verdict", [
     ([], False, "effect adopted"), (["fits"], True, "effect adopted"),
-    (["fits"], False, "cannot tell"), (["proposers", "fits"], True, "cannot tell"),
+    (["fits"], False, "cannot tell"), (["proposers", "fits"], True, "effect adopted"),
+    (["proposers"], False, "cannot tell"), (["fits", "held_out"], True, "cannot tell"),
 ])  # fmt: skip
 def test_where_the_time_is_up_a_law_that_leaves_nothing_stands(left_out, leaves_nothing, verdict):
     """Not as fact: rivals that were not fitted may do as well."""

@@ -206,7 +206,7 @@ def test_less_time_never_adopts_more_and_says_what_it_left_out():
             told |= set(last.left_out)
             assert not last.decision.is_fact
             if last.decision.is_adopted:  # it leaves nothing, and promised most
-                assert last.left_out == ("fits",)
+                assert set(last.left_out) <= {"proposers", "fits"}
                 continue
             assert last.decision.verdict == "cannot tell"
             assert last.decision.reason in ("time_is_up", "declared_model_not_fitted")

@@ -14,6 +14,7 @@ from bsp_gp.fitting.parts.ranged import RangedForces
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, rename_constants
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives
@@ -75,14 +76,19 @@ class Inside:
         parts, scans = {"field": search, "pair": search}, []
         if view.n_pairs > MOST_PAIRS:
             parts["pair"] = search.of_part(*view.part(SCANNED))
+        is_partial = False
         for form in (*self.forms, *drawn):
-            if view.tick is not None:
-                view.tick()
+            try:
+                if view.tick is not None:
+                    view.tick()
+            except TimeIsUp:  # what was scanned up to here is looked at, which is the lesser part
+                is_partial = True
+                break
             axes = search.axes_of(form)
             if axes and not (is_noise and len(axes) > 1):
                 scans.append(parts[form.term.kind].scan(form))
         if not scans:
-            return Family(self.name)
+            return Family(self.name, is_partial=is_partial)
         distinct = []
         for scan in sorted(scans, key=lambda s: -s.promise):
             twin = next((c for c in distinct if scan.is_like(c)), None)
@@ -118,7 +124,7 @@ class Inside:
             self.name, tuple(proposals), max(s.gain for s in scans), 1,
             np.max([s.null for s in scans], axis=0),
             f"{len(scans)} forms with constants inside scored at {count} places on grids",
-            n_tried=count,
+            n_tried=count, is_partial=is_partial,
         )  # fmt: skip
 
 

@@ -29,20 +29,23 @@ SIMILAR = 0.01
 """Part of the best gain within which the simplest law says which properties matter."""
 
 
-def pairs_of(view, found):
+def pairs_of(view, found, usual=()):
     """Two laws at once that promise more than any alone, the best few.
 
     Parameters
     ----------
     found : list of Candidate
         The likeliest first.
+    usual : collection of Formula
+        Laws that are always among them: variants of one that explains much crowd out the rest.
 
     Returns
     -------
     list of (tuple of Candidate, ndarray, float)
         Laws, their constants, and what they gain.
     """
-    found = [c for c in found if len(c.formula.constants) == 1][:MOST_PAIRED]
+    found = [c for c in found if len(c.formula.constants) == 1]
+    found = found[:MOST_PAIRED] + [c for c in found[MOST_PAIRED:] if c.formula in usual]
     if len(found) < 2:
         return []
     unit, size = _unit(view, _columns(view, found))
