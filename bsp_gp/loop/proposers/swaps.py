@@ -50,7 +50,7 @@ def smooth_levels(view):
         places = (scene.positions / levels)[:, scene.dynamic][..., np.isfinite(levels)]
         for k in range(places.shape[1]):
             numbers = (2 * WINDOW - 4) * places.shape[2]
-            rough.append(roughness(scene.times, places[:, [k]]) / numbers)
+            rough.append(_roughness(scene.times, places[:, [k]]) / numbers)
     rough = np.concatenate(rough) if rough else np.ones(1)
     share = float(np.sqrt(np.median(rough))) if len(rough) and np.median(rough) > 0 else 1.0
     return min(share, 1.0), min(share, 1.0) * levels
@@ -78,7 +78,7 @@ def _swaps(scene, levels, choice):
         places = scene.positions[..., axes] / levels[axes]
         bodies = scene.dynamic
         if len(bodies) > MOST_BODIES:
-            rough = [-roughness(scene.times, places[:, [k]]).max(initial=0.0) for k in bodies]
+            rough = [-_roughness(scene.times, places[:, [k]]).max(initial=0.0) for k in bodies]
             bodies = np.sort(bodies[np.argsort(rough)[:MOST_BODIES]])
         pairs = map(list, combinations(bodies.tolist(), 2))
         tried = [(*_best_row(scene.times, places[:, pair]), pair) for pair in pairs]
@@ -96,14 +96,14 @@ def _best_row(times, pair):
     if len(seen) < 2 * WINDOW:
         return 0.0, 0
     times, pair = times[seen], pair[seen]
-    kept = roughness(times, pair)
+    kept = _roughness(times, pair)
     typical = max(float(np.median(kept)) / ((2 * WINDOW - 4) * pair[0].size), 1.0)
-    gain = (kept - roughness(times, pair, True)) / typical
+    gain = (kept - _roughness(times, pair, True)) / typical
     k = int(np.argmax(gain))
     return float(gain[k]), int(seen[k + 1])
 
 
-def roughness(times, tracks, is_exchanged=False):
+def _roughness(times, tracks, is_exchanged=False):
     """What cubics leave of tracks (T, n, d) around every row but the first, (T - 1,)."""
     good = np.isfinite(tracks).all(axis=(1, 2))
     times, tracks = times[good], tracks[good]
