@@ -348,6 +348,7 @@ class _Turn:
                 continue
             if self.families[-1].is_partial:
                 self.note("proposers")
+        view.tick = self.run.clock.tick
 
     def ask_without_memory(self, number, view):
         """Look for what a memory of the noise may have taken for its own, where nothing else shows.

@@ -235,11 +235,12 @@ def along_one_line(phrases, values):
     for phrase, value in zip(phrases, values, strict=True):
         axis = re.match(r"(?:uniform push|force) along ([xyz])\b", phrase)
         if axis is None or value is None:
-            found[phrase, ""] = {}
+            found[phrase, "", len(found)] = {}
         else:
-            found.setdefault((phrase[: axis.start(1)], phrase[axis.end() :]), {})[axis[1]] = value
+            key = phrase[: axis.start(1)], phrase[axis.end() :], -1
+            found.setdefault(key, {})[axis[1]] = value
     told = []
-    for (before, behind), parts in found.items():
+    for (before, behind, _), parts in found.items():
         size = math.hypot(*parts.values())
         axes = "".join(parts)
         if len(parts) > 1 and size > 0:

@@ -310,6 +310,7 @@ def test_components_of_one_vector_are_told_as_one():
     assert along_one_line(["drag, linear in speed", pushes[1], pushes[0]], [-1.0, 3.0, 4.0]) == (
         "drag, linear in speed", "uniform push along (0.800, 0.600)",
     )  # fmt: skip
+    assert along_one_line(["drag"] * 2, [-1.0, -2.0]) == ("drag", "drag")
     apart = ("force along x, x", "force along y, y")
     assert along_one_line(apart, [1.0, 1.0]) == apart
 
