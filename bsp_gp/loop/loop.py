@@ -228,7 +228,7 @@ class _Run:
         if found.shows_tracks:
             view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria,
                         self.usual)  # fmt: skip
-            view.seconds_left = self.clock.left
+            view.tick, view.seconds_left = self.clock.tick, self.clock.left
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             turn.propose(number, view)

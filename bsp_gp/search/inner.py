@@ -454,7 +454,7 @@ class InnerSearch:
         places = [name for name in values if name.startswith(PLACE)]
         if len(places) != 1:
             return False
-        k, at = "xyz".index(self.axes[0]), values[places[0]]
+        k, at = "xyz".index(places[0].removeprefix(PLACE)), values[places[0]]
         is_within = (self.span[0][k] < at) & (at < self.span[1][k])
         powers = [0.0]
         for node in walk(form.term.formula):
