@@ -29,8 +29,9 @@ COARSE = 1.5
 def in_blocks(dataset, most_rows=MOST_ROWS):
     """The data set with its long, dense tracks averaged, and a note of it.
 
-    Nothing is done where rows are counted (`Evaluation`), noise is exact or has a declared memory,
-    bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is told.
+    Nothing is done where rows are counted (`Evaluation`), noise is exact, adds up or has a declared
+    memory, bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is
+    told.
 
     Parameters
     ----------
@@ -43,6 +44,7 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
         The same one where no scene was averaged.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
+    is_plain &= dataset.velocity != "only"
     if not is_plain or all(len(scene.times) <= most_rows for scene in dataset.scenes):
         return dataset
     sigma = np.array(estimate_noise(dataset).sigma)

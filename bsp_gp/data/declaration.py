@@ -115,7 +115,7 @@ class Declaration:
         if columns is not None:
             renames = reader.texts(columns, "columns")
             changes["velocity"] = reader.choice(
-                renames, "velocity", ("measured", "ignore"), self.velocity
+                renames, "velocity", ("measured", "only", "ignore"), self.velocity
             )
             renames.pop("velocity", None)
             changes["columns"] = {**self.columns, **_our_keys(renames)}
@@ -255,7 +255,7 @@ class _Reader:
         split = self.table("split", ("train", "test"))
         initial = self.table("initial", ("position", "velocity"))
         columns = self.texts(self.table("columns"), "columns")
-        velocity = self.choice(columns, "velocity", ("measured", "ignore"), "ignore")
+        velocity = self.choice(columns, "velocity", ("measured", "only", "ignore"), "ignore")
         columns.pop("velocity", None)
         top = {k: self.content[k] for k in ("name", *PROVENANCE_KEYS) if k in self.content}
         top = self.texts({k: _flat(v) for k, v in top.items()}, "top level")

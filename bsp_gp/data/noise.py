@@ -117,7 +117,7 @@ def estimate_noise(data):
     if not any(len(scene.dynamic) for scene in scenes):
         raise DataError("no entity is dynamic, so there is no motion to explain")
     n_dims = scenes[0].n_dims
-    tracks = [_tracks(scenes, axis) for axis in range(n_dims)]
+    tracks = [_tracks(scenes, axis, _step(data)) for axis in range(n_dims)]
     is_active = [any(np.ptp(x) > 0 for _, x in tracks[axis]) for axis in range(n_dims)]
     span = [_span(tracks[axis]) for axis in range(n_dims)]
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
@@ -167,18 +167,31 @@ def finest_noise(data):
         that of a declared value is the latter alone.
     """
     scenes = data.scenes if isinstance(data, Dataset) else tuple(data)
-    tracks = [_tracks(scenes, axis) for axis in range(scenes[0].n_dims)]
+    tracks = [_tracks(scenes, axis, _step(data)) for axis in range(scenes[0].n_dims)]
     return tuple(_grid_steps(tracks)), tuple(FLOOR * _span(axis) for axis in tracks)
 
 
-def _tracks(scenes, axis):
-    """Times and positions of every dynamic entity, gaps left out; at least two points each."""
+def _step(data):
+    """Interval between rows of places that are sums of velocities; 0 where they are not."""
+    is_summed = isinstance(data, Dataset) and data.velocity == "only"
+    return data.typical_step if is_summed else 0.0
+
+
+def _tracks(scenes, axis, step=0.0):
+    """Times and positions of every dynamic entity, gaps left out; at least two points each.
+
+    With a step, what is added to the places from row to row.
+    """
     found = []
     for scene in scenes:
         for entity in scene.dynamic:
             x = scene.positions[:, entity, axis]
             known = np.isfinite(x)
-            if np.count_nonzero(known) > 1:
+            if step and np.count_nonzero(known) > 2:
+                times, x = scene.times[known], x[known]
+                added = np.diff(x) * np.sqrt(step / np.diff(times))
+                found.append(((times[1:] + times[:-1]) / 2, added))
+            elif np.count_nonzero(known) > 1:
                 found.append((scene.times[known], x[known]))
     return found
 

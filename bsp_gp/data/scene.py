@@ -7,6 +7,7 @@ set is not calibrated (`Dataset.units` says which).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from types import MappingProxyType
 
@@ -306,7 +307,8 @@ class Dataset:
     noise_memory : float or None
         Declared correlation time of the position noise, s; 0 = white.
     velocity : str
-        "measured" if the velocity columns are data in their own right, else "ignore".
+        "measured" if the velocity columns are data in their own right, "only" if places are sums of
+        them (`bsp_gp.data.rates`), else "ignore".
     latents : tuple of LatentDeclaration
     evaluation : Evaluation
     provenance : mapping of str to str
@@ -398,6 +400,11 @@ class Dataset:
             low, high = np.fmin.reduce(places, axis=0), np.fmax.reduce(places, axis=0)
             moving |= (high > low).any(axis=0)
         return int(moving.sum())
+
+    @cached_property
+    def typical_step(self):
+        """Median time from row to row, s."""
+        return float(np.median(np.concatenate([np.diff(scene.times) for scene in self.scenes])))
 
     @property
     def property_names(self):

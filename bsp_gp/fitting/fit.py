@@ -579,7 +579,7 @@ class _Run:
                 ChainNoise(
                     chains.times, white[: shape[0], part].reshape(shape),
                     np.nan_to_num(amplitude[: shape[0], part]).reshape(shape),
-                    model.correlation_time,
+                    model.correlation_time, model.adding,
                 )
             )  # fmt: skip
         return tuple(out)

@@ -387,7 +387,7 @@ def read_torque(text, types, units):
     """A law of an angle: ``theta_i`` and ``omega_i`` are it and its rate, and scalars are torques.
 
     Those of another arm are ``theta_j`` and ``omega_j``; ``abs(omega_i)`` is the size of a rate.
-    The column of an angle is often called x: ``x_i`` is ``theta_i``.
+    The column of an angle is often called x: ``x_i`` is ``theta_i``, and so is ``theta`` alone.
 
     What stands for a mass is the moment of inertia.
     """
@@ -396,7 +396,7 @@ def read_torque(text, types, units):
         Constant("radian"): radian, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
     }  # fmt: skip
     text = re.sub(r"\bsign\(([^()]*\bomega_[ij][^()]*)\)", r"sign((\1) / hertz)", text)
-    text = re.sub(r"\bx_([ij])\b", r"theta_\1", text)
+    text = re.sub(r"\btheta\b", "theta_i", re.sub(r"\bx_([ij])\b", r"theta_\1", text))
     size = r"\b(?:abs|norm)\(([^()]*\b(?:omega|theta)_[ij][^()]*)\)"
     text = re.sub(size, r"norm((\1) * e_x)", text)
     for name, shown in (("theta", "(p_{} - origin)"), ("omega", "v_{}")):

@@ -136,7 +136,7 @@ def _parts(task, model):
         for part, index, names in task.groups:
             if names and len(np.unique(index[task.free])) > 1:
                 found.append(part)
-        speed = task.channels.speed
+        speed = None if model.adding else task.channels.speed
         is_moving = speed is not None and np.any(speed[task.channels.seen & task.free] > 0)
         found += ["speed", "tails"] if is_moving else ["tails"]
     if np.max(np.count_nonzero(task.channels.seen, axis=0)) < 4 and "correlation" in found:

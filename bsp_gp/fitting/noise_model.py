@@ -13,9 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise, finest_noise
-from bsp_gp.fitting.whitening import Whitener
+from bsp_gp.fitting.whitening import Adding, SummedWhitener, Whitener
 
 KNOWN = ("quoted", "declared")
+ANYWHERE = 100.0
+"""Extents of tracks by which places that were added up may begin elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,9 @@ class NoiseModel:
     correlation_time : float, s
     is_correlation_known : bool
         Declared, white included.
+    adding : Adding or None
+        Of errors that add up from row to row, each by a level: of places that are sums of measured
+        velocities.
     findings : tuple of NoiseFinding
         Which parts were asked for when it was estimated.
     """
@@ -97,6 +102,7 @@ class NoiseModel:
     correlated: float = 0.0
     correlation_time: float = 0.0
     is_correlation_known: bool = False
+    adding: Adding | None = None
     findings: tuple = field(default=(), compare=False)
 
     @classmethod
@@ -104,7 +110,10 @@ class NoiseModel:
         """What a data set says of its noise; levels not said are estimated from differences."""
         found = estimate_noise(dataset)
         steps, floors = finest_noise(dataset)
-        memory = dataset.noise_memory
+        adding, memory = None, dataset.noise_memory
+        if dataset.velocity == "only":
+            extent = max(float(np.nanmax(np.ptp(s.positions, axis=0))) for s in dataset.scenes)
+            adding, memory = Adding(dataset.typical_step, ANYWHERE * extent), 0.0
         sources = tuple(_source(dataset, axis) for axis in range(len(found.sigma)))
         return cls(
             levels=found.sigma,
@@ -114,6 +123,7 @@ class NoiseModel:
             correlated=1.0 if memory else 0.0,
             correlation_time=memory or 0.0,
             is_correlation_known=memory is not None,
+            adding=adding,
         )
 
     @property
@@ -182,6 +192,8 @@ class NoiseModel:
         white, amplitude = self.parts(channels)
         if weights is not None:
             white = white / weights
+        if self.adding:
+            return SummedWhitener(channels.times, white, self.adding)
         return Whitener(channels.times, white, amplitude, self.correlation_time)
 
     def tail_weights(self, scaled, channels):
@@ -224,7 +236,11 @@ class NoiseModel:
     def describe(self):
         """One line for people."""
         axes = zip("xyz", self.levels, self.sources, strict=False)
-        said = [f"{axis} {size:.4g} m ({how})" for axis, size, how in axes if math.isfinite(size)]
+        per, unit = (self.adding.step, "m/s") if self.adding else (1.0, "m")
+        said = [f"{axis} {size / per:.4g} {unit} ({how})" for axis, size, how in axes
+                if math.isfinite(size)]  # fmt: skip
+        if self.adding:
+            said.append("of velocities, which add up to places")
         for kind, factors in (("body", self.bodies), ("scene", self.scenes)):
             if factors:
                 listed = ", ".join(f"{name} {value:.3g}" for name, value in factors[:6])

@@ -85,6 +85,7 @@ class Pieces:
             np.where(inside, noise.times[rows, self.chain], np.nan),
             np.where(inside_, noise.variance[rows, self.chain], np.nan),
             np.where(inside_, noise.amplitude[rows, self.chain], 0.0), noise.correlation_time,
+            noise.adding,
         )  # fmt: skip
 
     def nodes(self, nodes):

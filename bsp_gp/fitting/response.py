@@ -356,6 +356,7 @@ def _noise(fit, chains, part):
     return ChainNoise(
         chains.times, white[: shape[0], part].reshape(shape),
         np.nan_to_num(amplitude[: shape[0], part]).reshape(shape), fit.noise.correlation_time,
+        fit.noise.adding,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.fitting.problem import Linearised
-from bsp_gp.fitting.whitening import Whitener
+from bsp_gp.fitting.whitening import SummedWhitener, Whitener
 from bsp_gp.physics.engine.flow import Flow
 
 
@@ -20,12 +20,14 @@ class ChainNoise:
     amplitude : ndarray, shape (T, S, R, d), m
         Standard deviation of the part with a memory.
     correlation_time : float, s
+    adding : Adding, optional
+        As of `NoiseModel`.
     """
 
-    def __init__(self, times, variance, amplitude=None, correlation_time=0.0):
+    def __init__(self, times, variance, amplitude=None, correlation_time=0.0, adding=None):
         self.times, self.variance = times, variance
         self.amplitude = np.zeros(variance.shape) if amplitude is None else amplitude
-        self.correlation_time = correlation_time
+        self.correlation_time, self.adding = correlation_time, adding
         self._lengths = np.isfinite(times).sum(axis=0)
         self._whiteners = {}
 
@@ -39,7 +41,8 @@ class ChainNoise:
         rows : ndarray of int, shape (L, W)
         chain : ndarray of int, shape (W,)
         """
-        if not self.amplitude.any() or len(rows) < self._lengths[chain].max():
+        is_white = not self.amplitude.any() and not self.adding
+        if is_white or len(rows) < self._lengths[chain].max():
             # Within windows that are pieces of tracks the memory is left out: they only lead on.
             variance = self.variance[rows, chain] + np.square(self.amplitude[rows, chain])
             seen = np.isfinite(variance) & np.isfinite(errors[-1])
@@ -50,11 +53,13 @@ class ChainNoise:
         if key not in self._whiteners:
             variance = self.variance[:n, chain]
             shape = variance.shape
-            times = np.broadcast_to(self.times[:n, chain, None, None], shape)
-            self._whiteners[key] = Whitener(
-                times.reshape(n, -1), variance.reshape(n, -1),
-                self.amplitude[:n, chain].reshape(n, -1), self.correlation_time,
-            )  # fmt: skip
+            times = np.broadcast_to(self.times[:n, chain, None, None], shape).reshape(n, -1)
+            variance = variance.reshape(n, -1)
+            if self.adding:
+                self._whiteners[key] = SummedWhitener(times, variance, self.adding)
+            else:
+                amplitude = self.amplitude[:n, chain].reshape(n, -1)
+                self._whiteners[key] = Whitener(times, variance, amplitude, self.correlation_time)
         flat = np.where(np.isfinite(errors), errors, 0.0).reshape(*errors.shape[:2], -1)
         return self._whiteners[key].whiten(flat).reshape(errors.shape)
 

@@ -65,6 +65,10 @@ def as_normal(fit):
         speed_growth=model.speed_growth / math.sqrt(share),
     )  # fmt: skip
     weights = weights_of(model, channels, fit.residual) / expected_weights(model, channels)
+    if model.adding:  # each row has its own part of errors that add up
+        whitener = noise.whitener(channels)
+        residual = whitener.colour(weights * whitener.whiten(fit.residual))
+        return replace(fit, noise=noise, residual=np.where(whitener.seen, residual, np.nan))
     return replace(fit, noise=noise, residual=fit.residual * weights)
 
 

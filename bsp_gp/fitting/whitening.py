@@ -15,6 +15,7 @@ block; the linear one of the mean is a triangular band that LAPACK solves for al
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
@@ -117,6 +118,59 @@ class Whitener:
             return innovations
         foreseen = _recur(self._rho, self._gain * _earlier(innovations))
         return np.where(self.seen, innovations + self._foreseen * foreseen, 0.0)
+
+
+@dataclass(frozen=True)
+class Adding:
+    """How errors add up from row to row.
+
+    Attributes
+    ----------
+    step : float, s
+        Interval in which a level is added.
+    begin : float, metres
+        Standard deviation of where a track begins.
+    """
+
+    step: float
+    begin: float
+
+
+class SummedWhitener(Whitener):
+    """Whitens errors that add up from row to row: of places that are sums of measured velocities.
+
+    Parameters
+    ----------
+    times : array-like, shape (T, C) or (T, 1), s
+    variance : array-like, shape (T, C), squared units of the errors
+        Of what is added from the row before, if that lies one step back; nan or inf = not seen.
+    adding : Adding
+    """
+
+    def __init__(self, times, variance, adding):
+        super().__init__(times, variance)
+        times = np.broadcast_to(np.asarray(times, dtype=float), self.seen.shape)
+        rows = np.where(self.seen, np.arange(len(times))[:, None], -1)
+        before = np.maximum.accumulate(rows, axis=0)
+        self._before = np.concatenate([np.full_like(before[:1], -1), before[:-1]])
+        earlier = np.take_along_axis(times, np.maximum(self._before, 0), axis=0)
+        gaps = np.where(self.seen & (self._before >= 0), times - earlier, adding.step)
+        self.spread = self.spread * np.sqrt(gaps / adding.step)
+        self.spread[self.seen & (self._before < 0)] = adding.begin
+        self._per_spread = np.where(self.seen, 1.0 / self.spread, 0.0)
+
+    def innovations(self, errors):
+        errors = np.where(self.seen, errors, 0.0)
+        rows = np.broadcast_to(np.maximum(self._before, 0), errors.shape)
+        earlier = np.take_along_axis(errors, rows, axis=-2)
+        return np.where(self.seen & (self._before >= 0), errors - earlier, errors)
+
+    def whiten(self, errors):
+        return self.innovations(errors) * self._per_spread
+
+    def colour(self, whitened):
+        added = np.where(self.seen, whitened, 0.0) * self.spread
+        return np.where(self.seen, np.cumsum(added, axis=-2), 0.0)
 
 
 def _decay(times, correlation_time):

@@ -201,7 +201,7 @@ class View:
     @cached_property
     def step(self):
         """Median time from row to row, s."""
-        return float(np.median(np.concatenate([np.diff(s.times) for s in self.dataset.scenes])))
+        return self.dataset.typical_step
 
     @cached_property
     def is_astronomical(self):

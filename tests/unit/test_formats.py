@@ -237,7 +237,7 @@ def test_gyroscopes_and_fields_are_no_bodies(tmp_path):
     path = tmp_path / "phone.csv"
     names = [f"Gyroscope {a} (rad/s)" for a in "xyz"] + [f"Magnetic field {a} (µT)" for a in "xyz"]
     path.write_text("Time (s)," + ",".join(names) + "\n" + "0,1,2,3,4,5,6\n" * 3, "utf-8")
-    with pytest.raises(DataError, match="angular velocities"):
+    with pytest.raises(DataError, match="several columns may be the velocity: Gyroscope x"):
         load_dataset(path)
 
 

@@ -210,7 +210,7 @@ def _at_walls(places, levels, near):
 def _unexplained(view):
     """Chi-squared that the law leaves of places beyond that of noise, surely."""
     fit = view.fit
-    left = fit.residual / fit.noise.sizes(fit.channels)
+    left = fit.whitened if fit.noise.adding else fit.residual / fit.noise.sizes(fit.channels)
     count = np.count_nonzero(np.isfinite(left))
     chance = count + REFUTED * math.sqrt(2 * count)
     return float(np.nansum(np.square(left))) - chance

@@ -1,0 +1,144 @@
+"""Tables of velocities alone: places are their sums, of which errors add up."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bsp_gp import Dataset, load_dataset, save_dataset
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.errors import DataError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.simulated import draw_noise
+from bsp_gp.fitting.whitening import Adding, SummedWhitener
+
+SIGMA, STEP = 0.01, 0.04
+
+
+def swinging(rng, n=400):
+    """Velocities of a damped bob: x'' = -5 x - 0.1 x', with noise."""
+    t = np.arange(n) * STEP
+    rate = -0.05 + 1j * np.sqrt(5 - 0.05**2)
+    return t, (0.2 * rate * np.exp(rate * t)).real + SIGMA * rng.standard_normal(n)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def table(rng):
+    t, v = swinging(rng)
+    return pd.DataFrame({"t (s)": t, "v (m/s)": v})
+
+
+def test_places_are_sums_between_the_rows(table):
+    data = Dataset.from_frames(table)
+    (scene,) = data.scenes
+    assert data.velocity == "only"
+    assert len(scene.times) == len(table) + 1
+    np.testing.assert_allclose(scene.times[1:-1], table["t (s)"][1:] - STEP / 2)
+    added = np.diff(scene.positions[:, 0, 0]) / STEP
+    np.testing.assert_allclose(added, table["v (m/s)"], atol=1e-12)
+    assert abs(scene.positions[:, 0, 0].mean()) < 1e-12
+    assert any("errors add up" in note for note in data.notes)
+
+
+def test_their_noise_is_that_of_velocities(table):
+    sigma = estimate_noise(Dataset.from_frames(table)).sigma[0]
+    assert sigma / STEP == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_constants_are_found_within_their_errors(table):
+    data = Dataset.from_frames(table, units={"mass": "kg"}, properties={"mass": 1.0})
+    found = fit(Hypothesis.from_laws(data, ("-k * (p_i - origin)", "-c * v_i")), data)
+    assert found.status == "converged"
+    values = dict(zip((p[0] for p in found.parameters), found.values, strict=True))
+    errors = dict(zip(values, np.sqrt(np.diag(found.covariance)), strict=True))
+    assert abs(values["k"] - 5.0) < 4 * errors["k"] < 0.05
+    assert abs(values["c"] - 0.1) < 4 * errors["c"] < 0.05
+    level = found.noise.levels[0] / STEP
+    assert level == pytest.approx(SIGMA, rel=0.12)
+    assert "m/s (estimated); of velocities" in found.noise.describe()
+
+
+@pytest.mark.parametrize("unit, scale", [("km/h", 3.6), ("cm/s", 100.0)])
+def test_units_of_velocities_count(table, unit, scale):
+    other = pd.DataFrame({"t [min]": table["t (s)"] / 60, f"v ({unit})": scale * table["v (m/s)"]})
+    one, two = (Dataset.from_frames(frame) for frame in (table, other))
+    np.testing.assert_allclose(one.scenes[0].positions, two.scenes[0].positions, atol=1e-9)
+    np.testing.assert_allclose(one.scenes[0].times, two.scenes[0].times, atol=1e-9)
+
+
+def test_one_axis_of_a_gyroscope_is_an_angle(tmp_path, rng):
+    t, v = swinging(rng)
+    names = ["Time (s)", *(f"Gyroscope {axis} (rad/s)" for axis in "xyz"), "Absolute (rad/s)"]
+    rest = SIGMA * rng.standard_normal((2, len(t)))
+    frame = pd.DataFrame(dict(zip(names, [t, rest[0], v, rest[1], np.abs(v)], strict=True)))
+    frame.to_csv(tmp_path / "gyro.csv", index=False)
+    data = load_dataset(tmp_path / "gyro.csv")
+    assert data.units.is_angle
+    assert "Gyroscope y" in data.provenance["columns"]
+
+
+def test_columns_of_two_axes_and_of_runs(rng):
+    t = np.arange(20) * 0.1
+    frame = pd.DataFrame({
+        "run": np.repeat([1, 2], 20), "t": np.tile(t, 2), "vx": 1.0, "vy": np.tile(-9.81 * t, 2),
+    })  # fmt: skip
+    data = Dataset.from_frames(frame)
+    assert [scene.name for scene in data.scenes] == ["1", "2"]
+    fallen = np.diff(data.scenes[1].positions[:, 0, 1])
+    np.testing.assert_allclose(fallen, -0.981 * t, atol=1e-12)
+
+
+def test_gaps_part_a_track_and_wild_rows_are_told(table):
+    table.loc[100, "v (m/s)"] += 1.0
+    table = table.drop(index=range(200, 210))
+    data = Dataset.from_frames(table)
+    assert [scene.name for scene in data.scenes] == ["part 1", "part 2"]
+    notes = " ".join(data.notes)
+    assert "far off their neighbours are left out: 1, in 101" in notes
+    assert "behind a gap" in notes
+
+
+def test_several_columns_that_may_be_the_velocity_are_asked_for(table):
+    table["u (m/s)"] = 0.1
+    table = table.rename(columns={"v (m/s)": "w (m/s)"})
+    with pytest.raises(DataError, match="several columns may be the velocity: w .m/s., u"):
+        Dataset.from_frames(table)
+    assert Dataset.from_frames(table, columns={"vx": "w (m/s)"}).velocity == "only"
+
+
+def test_a_saved_data_set_is_the_same(table, tmp_path):
+    data = Dataset.from_frames(table)
+    save_dataset(data, tmp_path / "saved")
+    again = load_dataset(tmp_path / "saved")
+    assert again.velocity == "only"
+    np.testing.assert_array_equal(again.scenes[0].positions, data.scenes[0].positions)
+
+
+def test_errors_that_add_up_are_whitened_and_drawn(rng):
+    times = np.array([[0.0], [0.1], [0.2], [0.4], [0.5]])
+    variance = np.full((5, 1), 0.04)
+    variance[3] = np.nan
+    whitener = SummedWhitener(times, variance, Adding(0.1, 50.0))
+    errors = np.array([[3.0], [3.4], [3.0], [7.0], [3.6]])
+    expected = [3 / 50, 2.0, -2.0, 0.0, 0.6 / (0.2 * np.sqrt(3))]
+    np.testing.assert_allclose(whitener.whiten(errors)[:, 0], expected, atol=1e-12)
+    white = rng.standard_normal((3, 5, 1)) * whitener.seen
+    np.testing.assert_allclose(whitener.whiten(whitener.colour(white)), white, atol=1e-9)
+
+
+def test_drawn_errors_are_white_once_whitened(table, rng):
+    data = Dataset.from_frames(table, units={"mass": "kg"}, properties={"mass": 1.0})
+    found = fit(Hypothesis.from_laws(data, ("-k * (p_i - origin)", "-c * v_i")), data)
+    model = NoiseModel.of(data)
+    drawn = draw_noise(model, found.channels, 5, rng)[..., :1]
+    channels = found.channels.only(np.arange(found.channels.seen.shape[1]) < 1)
+    white = model.whitener(channels).whiten(np.nan_to_num(drawn))[:, 1:, 0]
+    assert white.std() == pytest.approx(1.0, abs=0.1)
+    lag = (white[:, 1:] * white[:, :-1]).mean()
+    assert abs(lag) < 4 / np.sqrt(white.size)
