@@ -2,16 +2,15 @@
 
 Every tool has one set-up for all laws, the best that we know of (`peers_tools.py`), and one budget
 of processor time for a run; what of ours is over it counts as failed. Ours gets the motion itself;
-of the table it gets every row as a disc beside a fixed one. All laws but one, shifted gravity, are
-in one of its grammars: the comparison says what it is worth to have a grammar of mechanics, not
-that ours would come upon any law. That of laws with constants inside, `peers_inner.toml`, has 90
-forms. Needs the extra `peers` (a tool that is not installed is left out).
+of the table it gets every row as a disc beside a fixed one. It searches its shipped grammar as the
+loop does, stage by stage; the last four laws are no form of it. Needs the extra `peers` (a tool
+that is not installed is left out).
 """
 
 import sys
 import time
+from copy import copy
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
 from common import options, run_jobs, write_study
@@ -31,30 +30,35 @@ from peers_tasks import (
 from peers_tools import gplearn, pyoperon, pysindy
 from threadpoolctl import threadpool_limits
 
-from bsp_gp.language.formula import walk
+from bsp_gp.errors import EvaluationError
+from bsp_gp.language.formula import Call, Constant, rename_constants, walk
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposers.laws import PLACED
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term
+from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.search.choice import Searching, searches_for
+from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.compare import certified
-from bsp_gp.search.genetic import Genetic
+from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, read_forms
 from bsp_gp.search.objective import Objective
-from bsp_gp.search.run import Budget, run_search
 
 TOOLS = ("bsp_gp", "pyoperon", "gplearn", "pysindy")
 FORMS = ("table", "motion")
 BUDGET, QUICK_BUDGET = 60.0, 10.0
 """Processor seconds of a run."""
-INNER = str(Path(__file__).with_name("peers_inner.toml"))
-EXPLAINED, EXACT = 1e-12, 1e-18
-"""Shares of the sum of squares: below the first a grammar suffices, below the second no law of it
-can do better."""
+EXPLAINED = 1e-12
+"""Part of the sum of squares below which a law explains the data."""
+LEVELS, DRAWN = 8, 1500
+"""Of derivations of laws without inner constants; laws that are drawn."""
+MOST_FORMS, MOST_LEADS = 8, 3
+"""Forms whose constants are fitted, and of these such beside which others are sought."""
 COLOURS = {"bsp_gp": "#222222", "pyoperon": "#0072b2", "gplearn": "#d55e00", "pysindy": "#009e73"}
 CANNOT = {
-    "bsp_gp": "free-form functions (shifted gravity); constants inside only where a grammar of "
-              "such laws is given (`peers_inner.toml`: {n_forms} forms, the three laws of that "
-              "kind asked for here among them)",
+    "bsp_gp": "functions that neither its forms with constants inside nor its rules for drawn "
+              "laws can say",
     "pyoperon": "sums over pairs, vectors and units: here a Python callback sums the pairs, "
                 "constants are then mutated, and fitted in the final tree only",
     "gplearn": "sums over pairs, vectors and units: here a metric sums the pairs; constants are "
@@ -69,40 +73,144 @@ CANNOT = {
 
 
 def ours(task, form, seed, seconds):
-    """Grammars in turn, until one explains the data: single terms, inner constants, sums."""
+    """The shipped grammar until a law explains the data: exhaustive, constants inside, sums, drawn.
+
+    What is drawn are laws of the grammar's rules with constants inside, by cross-entropy and by
+    genetic programming, which set out from the best before them.
+    """
     parts = motion(task, seed)
     if form == "table":
         parts = [table_scenes(task, x, y) for x, y in table(task, seed)]
     started = time.process_time()
     known, *others = (build_regression(scenes, sigma=1e-3) for scenes in parts)
-    types = set(dataset_types(dataset_of(parts[0])))
-    best = None
-    for name in ("physics", INNER, "newtonian_sum"):
-        grammar, missing = load_grammar(name).masked(types, 2)
-        objective = Objective(known, grammar, "pair", starts=6)
-        if name.endswith(".toml"):
-            # No exhaustive search of laws with constants inside: all of its few laws are drawn.
-            left = seconds - (time.process_time() - started)
-            budget = Budget(seconds=max(left, 1.0), n_steps=100)
-            result = run_search(
-                Genetic(population=30, offspring=30), objective, budget, keep=1,
-                rng=np.random.default_rng((seed, 5)),
-                callback=lambda _, o: best_loss(o) <= EXACT * o.total, is_part=True,
-            )  # fmt: skip
-            candidate = result.best
-        else:
-            candidate = certified(objective, missing_inputs=missing).best
-        if best is None or candidate.loss < best.loss:
-            best = candidate
-        if best.loss <= EXPLAINED * objective.total or time.process_time() - started > seconds:
+    tried = Tried(known, dataset_of(parts[0]), np.random.default_rng((seed, 5)))
+    for stage in (tried.enumerated, tried.inside, tried.drawn, tried.beside, tried.sums):
+        stage()
+        if tried.is_explained or time.process_time() - started > seconds:
             break
     spent = time.process_time() - started
-    law = ForceLaw((Term(best.formula, best.kind),), best.constants)
-    constants = ", ".join(f"{k} = {v:.6g}" for k, v in best.constants.items())
+    law, loss = tried.best
+    constants = ", ".join(f"{k} = {v:.6g}" for k, v in law.constants.items())
     errors = [error_of(law, regression, form) for regression in others]
     return {"error": errors[0], "error_far": errors[1], "seconds": round(spent, 3),
-            "found": f"{to_text(best.formula)}; {constants}",
-            "size": sum(1 for _ in walk(best.formula))}  # fmt: skip
+            "found": " + ".join(to_text(term.formula) for term in law.terms) + f"; {constants}",
+            "size": sum(1 for term in law.terms for _ in walk(term.formula))}  # fmt: skip
+
+
+class Tried:
+    """Laws between pairs that were tried on a regression, stage by stage.
+
+    Attributes
+    ----------
+    best : (ForceLaw, float)
+        The law that leaves least, and half the sum of squares that it leaves.
+    """
+
+    def __init__(self, known, dataset, rng):
+        types = dataset_types(dataset)
+        grammar = load_grammar("physics")
+        self.grammar, self.missing = grammar.masked(set(types), 2)
+        self.free, _ = grammar.beyond.masked({*types, *PLACED}, 2)
+        self.known, self.rng, self.best = known, rng, (None, np.inf)
+        self.objective = Objective(known, self.grammar, "pair")
+        target = self.objective.y
+        self.forms = [form for form in read_forms(grammar, dataset, (), set(types))
+                      if form.term.kind == "pair"]  # fmt: skip
+        self.search = InnerSearch(
+            known, target, np.zeros((len(target), 0)), lambda columns: columns,
+            np.ones(2, dtype=bool), grammar.inside["ranges"], types,
+        )  # fmt: skip
+        searches = searches_for("auto", self.grammar, ("pair",), LEVELS)
+        self.searching = Searching(searches, self.grammar, DRAWN, self.missing, self.free)
+        self.leads, self.seeds = [], []
+
+    def searched(self, name):
+        """Laws that a search finds."""
+        result, _ = self.searching.run(
+            name, self.known, "pair", self.rng, target=self.objective.y, nuisance=None,
+            null=np.zeros((len(self.objective.y), 0)), max_ties=1, progress=None,
+            inner=self.search, known=self.seeds,
+        )  # fmt: skip
+        return sorted(result.candidates, key=lambda c: -c.gain)
+
+    @property
+    def is_explained(self):
+        return self.best[1] <= EXPLAINED * self.objective.total
+
+    def take(self, law):
+        """Fit the constants of a law, and keep it if it leaves less than the best."""
+        try:
+            fit = fit_constants(self.objective.projected, law, starts=3)
+        except EvaluationError:
+            return
+        if fit.loss < self.best[1]:
+            self.best = fit.law, fit.loss
+
+    def enumerated(self):
+        """All products of the grammar, with their certificate."""
+        found = self.searched("exhaustive")[:MOST_FORMS]
+        self.take(ForceLaw((Term(found[0].formula, "pair"),), found[0].constants))
+        self.seeds = [candidate.formula for candidate in found]
+
+    def sums(self):
+        """Sums of laws without inner constants."""
+        grammar, missing = load_grammar("newtonian_sum").masked(self.search._types.keys(), 2)
+        found = certified(Objective(self.known, grammar, "pair"), missing_inputs=missing).best
+        self.take(ForceLaw((Term(found.formula, found.kind),), found.constants))
+
+    def inside(self):
+        """The forms of the grammar with constants inside, each where it does best."""
+        self.leads = self.scanned(self.search)
+        for scan in self.leads:
+            self.take(law_of([(self.search, scan)]))
+        self.seeds += [Call("mul", Constant("c1"), scan.form.term.formula) for scan in self.leads]
+
+    def beside(self):
+        """Two of them at once."""
+        for lead in self.leads[:MOST_LEADS]:
+            taken = orthonormal(self.search.linearised(lead), len(self.objective.y))
+            other = copy(self.search)
+            other.beside = lambda columns, q=taken: columns - q @ (q.T @ columns)
+            other.target = other.beside(self.search.target)
+            for scan in self.scanned(other)[:MOST_LEADS]:
+                self.take(law_of([(self.search, lead), (other, scan)]))
+
+    def scanned(self, search):
+        """Scans of all forms, likeliest first, looked at closely."""
+        found = [scan for form in self.forms if (scan := search.scan(form)) is not None]
+        for zoom in range(ZOOMS):
+            found = sorted(found, key=lambda scan: -scan.promise)[: max(80 >> zoom, 8)]
+            found = [search.closer(scan, zoom) for scan in found]
+        return sorted(found, key=lambda scan: -scan.promise)[:MOST_FORMS]
+
+    def drawn(self):
+        """Laws that cross-entropy and genetic programming draw."""
+        for name in ("genetic", "cross_entropy"):
+            if self.is_explained:
+                return
+            for candidate in self.searched(name)[:MOST_FORMS]:
+                if candidate.constants:
+                    term = Term(candidate.formula, "pair")
+                    self.take(ForceLaw((term,), candidate.constants))
+                    continue
+                rest = split_linear(candidate.formula)[1]
+                scan = self.search.scan(Form(Term(rest, "pair"), 0.0))
+                for zoom in range(ZOOMS):
+                    scan = self.search.closer(scan, zoom)
+                self.take(law_of([(self.search, scan)]))
+
+
+def law_of(scans):
+    """A sum of forms with constants where their grids have them."""
+    terms, constants = [], {}
+    for k, (search, scan) in enumerate(scans, 1):
+        names = {axis.name: f"{axis.name}{k}" for axis in scan.axes} | {"c": f"c{k}"}
+        formula = Call("mul", Constant("c"), scan.form.term.formula)
+        terms.append(Term(rename_constants(formula, names), "pair"))
+        constants |= {names[a.name]: float(a.values(x))
+                      for a, x in zip(scan.axes, scan.at, strict=True)}  # fmt: skip
+        constants[f"c{k}"] = search.strength(scan)
+    return ForceLaw(tuple(terms), constants)
 
 
 def error_of(law, regression, form):
@@ -116,10 +224,6 @@ def error_of(law, regression, form):
         error.append((factor * residual)[batch.valid])
         target.append((factor * batch.target)[batch.valid])
     return relative(np.concatenate(error), np.concatenate(target))
-
-
-def best_loss(objective):
-    return min((score.loss for _, score in objective.best.values()), default=np.inf)
 
 
 # --- the table --------------------------------------------------------------------------------
@@ -171,15 +275,9 @@ def summary(table, seconds):
             cells = [cell(mine[mine["tool"] == tool]) for tool in tools]
             lines.append(f"| {name}: {TASKS[name].text} | " + " | ".join(cells) + " |")
     lines += ["\n## What each cannot express or do\n"]
-    lines += [f"- {tool}: {CANNOT[tool].format(n_forms=n_forms())}" for tool in TOOLS]
+    lines += [f"- {tool}: {CANNOT[tool]}" for tool in TOOLS]
     lines += ["\nVersions: " + ", ".join(f"{tool} {known_version(tool)}" for tool in TOOLS)]
     return "\n".join(lines) + "\n"
-
-
-def n_forms():
-    """Laws of the grammar with constants inside, but for the values of their constants."""
-    grammar = load_grammar(INNER)
-    return grammar.count(grammar.start["pair"], len(grammar.types))
 
 
 def cell(some):

@@ -77,6 +77,22 @@ TASKS = {
              lambda mi, mj, r, s: 50 * mi * mj / (r + 3) ** 2),
         Task("contact", "-80 (s - r) where r < s",
              lambda mi, mj, r, s: -80 * np.maximum(s - r, 0.0), 12.0, 8.0, True),
+        # Eight more, the last four of which are no form of our grammar, chosen before it was tuned.
+        Task("massive carrier", "60 m_i m_j (1 + r / 5) exp(-r / 5) / r^2",
+             lambda mi, mj, r, s: 60 * mi * mj * (1 + r / 5) * np.exp(-r / 5) / r**2),
+        Task("Gaussian", "3 m_i m_j r exp(-(r / 7)^2)",
+             lambda mi, mj, r, s: 3 * mi * mj * r * np.exp(-((r / 7) ** 2))),
+        Task("powers of masses", "30 m_i^0.6 m_j^1.4 / r^1.5",
+             lambda mi, mj, r, s: 30 * mi**0.6 * mj**1.4 / r**1.5),
+        Task("rest length", "-4 (6.5 - r)", lambda mi, mj, r, s: -4 * (6.5 - r)),
+        Task("saturating", "8 m_i m_j r / (r^2 + 5^2)",
+             lambda mi, mj, r, s: 8 * mi * mj * r / (r**2 + 25)),
+        Task("two powers", "60 m_i m_j / r^1.5 - 250 m_i m_j / r^3.2",
+             lambda mi, mj, r, s: mi * mj * (60 / r**1.5 - 250 / r**3.2)),
+        Task("growing and screened", "10 m_i m_j sqrt(r) / (1 + exp((r - 9) / 2))",
+             lambda mi, mj, r, s: 10 * mi * mj * np.sqrt(r) / (1 + np.exp((r - 9) / 2))),
+        Task("oscillating", "25 m_i m_j cos(r / 3) / r",
+             lambda mi, mj, r, s: 25 * mi * mj * np.cos(r / 3) / r),
     )
 }  # fmt: skip
 

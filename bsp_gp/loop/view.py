@@ -14,11 +14,14 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, TrackNoise
 from bsp_gp.fitting.response import respond
 from bsp_gp.fitting.tangent import Tangent, p_of_gain, score_of
+from bsp_gp.language.formula import Call, Input, Number
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.questions import least_chance
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.columns import orthonormal
+from bsp_gp.units import Unit, parse_unit
 
 MOST_PAIRS = 100_000
 """Pairs of bodies, at all instants, for which every law is evaluated; of more only the best are."""
@@ -202,6 +205,27 @@ class View:
     def step(self):
         """Median time from row to row, s."""
         return self.dataset.typical_step
+
+    def since(self, near):
+        """The time since the first row, a Formula; the time itself where that begins nearby.
+
+        Parameters
+        ----------
+        near : float
+            Part of the span of the times that is nearby.
+        """
+        begin = min(float(scene.times[0]) for scene in self.dataset.scenes)
+        span = max(float(scene.times[-1]) for scene in self.dataset.scenes) - begin
+        time = Input("t", STATE_INPUTS["t"])
+        if abs(begin) < near * span:
+            return time
+        second = Unit.of(s=1)
+        unit = self.dataset.units.text(second) if self.dataset.units.is_calibrated(second) else ""
+        size = parse_unit(unit)[0] if unit else 1.0
+        digits = 4 if abs(begin) < 1e3 * span else 17  # as a person would write it
+        text = f"{begin / size:.{digits}g}"
+        written = f"{text} [{unit}]" if unit else text
+        return Call("sub", time, Number(float(text) * size, second, written))
 
     @cached_property
     def is_astronomical(self):

@@ -9,6 +9,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
+from bsp_gp.units import parse_unit
 
 _DIRECTIONS = {
     "v_i": "velocity",
@@ -66,10 +67,14 @@ def is_untold(exponent):
 
 
 _OBLATE = re.compile(r"norm\((p_i - \w+)\)\^-5 \* \(\(1 - 5 \* .* \* \(\1\) \+ 2 \* ")
+SWINGS = "push with a period along "
+YEAR = 0.02
+"""Part of a year by which a period may differ from one to be told as a year."""
+_TURNS = r"cos\(\w+ \* (?:t|\(t - [^()]*\))\).*sin\(\w+ \* (?:t|\(t - [^()]*\))\).*"
 _WHOLE = (
-    (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*\* ([xyz])_i \* e_\1$",
+    (_TURNS + r"\* ([xyz])_i \* e_\1$",
      "force along {0} in proportion to {0}, with a period (an oscillating trap)"),
-    (r"cos\(\w+ \* t\).*sin\(\w+ \* t\).*e_([xyz])$", "push with a period along {}"),
+    (_TURNS + r"e_([xyz])$", SWINGS + "{}"),
     (r"cos\(\w+ \* ([xyz])_i\).*\* e_\1$",
      "force along {0} that repeats with {0} (a washboard, an egg crate)"),
     (r"Omega\d*(?:_x\d*)?\b.*v_i\)", "a frame that turns (Coriolis and centrifugal forces)"),
@@ -240,6 +245,9 @@ def along_one_line(phrases, values):
             key = phrase[: axis.start(1)], phrase[axis.end() :], -1
             found.setdefault(key, {})[axis[1]] = value
     told = []
+    swings = [phrase for phrase in phrases if phrase.startswith(SWINGS)]
+    if len(swings) > 1 and len(swings) == len(phrases):  # one rate, an amplitude along every axis
+        return (SWINGS + " and ".join(phrase[len(SWINGS) :] for phrase in swings),)
     for (before, behind, _), parts in found.items():
         size = math.hypot(*parts.values())
         axes = "".join(parts)
@@ -248,6 +256,20 @@ def along_one_line(phrases, values):
             axes = f"({', '.join(format_number(way, 3) for way in ways)})"
         told.append(before + axes + behind)
     return tuple(told)
+
+
+def period(effect):
+    """How long a period is, ", every 1.002 yr"; and of what it may be the period, if that shows."""
+    rate = next((c for c in effect.constants if re.fullmatch(r"w\d+", c.name)), None)
+    unit = rate.unit.removeprefix("1/") if rate and rate.unit.startswith("1/") else ""
+    if not unit or not rate.value > 0:
+        return ""
+    size, year = 2 * math.pi / rate.value, parse_unit("yr")[0] / parse_unit(unit)[0]
+    is_year = abs(size / year - 1) < YEAR
+    if is_year or size > year:
+        size, unit = size / year, "yr"
+    more = " (a year, as the way of the earth round the sun shows: parallax)" if is_year else ""
+    return f", every {with_unit(format_number(size, 4), unit)}{more}"
 
 
 def constant_distance(effect):

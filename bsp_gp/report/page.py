@@ -28,6 +28,7 @@ from bsp_gp.report.naming import (
     describe,
     inclination,
     kick,
+    period,
     ripple,
 )
 from bsp_gp.report.numbers import format_number, format_value, is_number
@@ -212,7 +213,7 @@ def _name(effect, parts, other):
     if between := between_bumpers(effect):
         return between
     if len(parts) == 1:
-        return parts[0]
+        return parts[0] + (period(effect) if effect.code == "period" else "")
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
@@ -222,6 +223,7 @@ def _name(effect, parts, other):
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
         phrase = describe(effect.formula, value, other, effect.exponents)
+        phrase += period(effect) if effect.code == "period" else ""
         own = OWN_STRENGTHS.get(effect.code)
         return f"{phrase}, {own}" if own else phrase
     if effect.code == "rod":

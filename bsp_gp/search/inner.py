@@ -481,7 +481,7 @@ class InnerSearch:
             count = len(next(iter(values.values())))
             value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
             moments = batch.whiten(np.moveaxis(value, 0, 3))
-            parts.append(moments[:, :, 0, :, 0].reshape(-1, count))
+            parts.append(np.moveaxis(moments, 3, -1).reshape(-1, count))
         return np.concatenate(parts)
 
     def _lookup(self, index, term):

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
-from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
-from bsp_gp.units import Unit
 
+NEAR = 0.01
+"""Part of the span of the times within which their zero is the first row."""
 MOST = 5.0
 """Times its strength by which a term may have grown at the end."""
 LEFT = 0.02
@@ -25,7 +25,7 @@ class Growing:
         law, proposals, null = view.fit.law, [], np.zeros(view.moment_draws.shape[1])
         begin = min(float(scene.times[0]) for scene in view.dataset.scenes)
         span = max(float(scene.times[-1]) for scene in view.dataset.scenes) - begin
-        since = _since(view, begin, span)
+        since = view.since(NEAR)
         best = 0.0
         for index, term in view.single_terms:
             if "t" in term.formula.inputs:
@@ -42,16 +42,6 @@ class Growing:
         proposals.sort(key=lambda p: -p.promise)
         rank = 1 if proposals else 0
         return Family(self.name, tuple(proposals), best, rank, null, n_tried=len(proposals))
-
-
-def _since(view, begin, span):
-    """The time since the first row; the time itself where that begins nearby."""
-    time = Input("t", dataset_types(view.dataset)["t"])
-    if abs(begin) < 0.01 * span:
-        return time
-    if abs(begin) < 1e3 * span:
-        begin = float(f"{begin:.4g}")  # as a person would write it
-    return Call("sub", time, Number(begin, Unit.of(s=1)))
 
 
 def _proposals(view, index, since, span, score):

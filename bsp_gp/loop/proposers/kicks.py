@@ -61,7 +61,8 @@ class Kicks:
         fit = view.fit
         axes = np.flatnonzero(np.isfinite(fit.noise.levels))
         tracks = _tracks(view.dataset, axes)
-        is_asked = not fit.law.terms and not fit.law.frame and tracks
+        # Stars are kicked by nothing, and what kicks do, which is anything, hides what orbits do.
+        is_asked = not fit.law.terms and not fit.law.frame and tracks and not view.is_sky
         if not is_asked or min(len(t.times) for t in tracks) < LEAST_ROWS:
             return Family(self.name)
         if view.tick is not None:

@@ -122,7 +122,7 @@ class Laws:
         ]
         null = np.maximum(null, _null_of(view, kin, draws))
         found = [c for c in self._ranked(view, found, kin) if not _is_parallel(view, c, declared)]
-        sets = pairs_of(view, found, set(self.common))
+        sets = pairs_of(view, found, {*self.common, *(c.formula for c in kin)})
         if self.searching.is_exhaustive:
             sets = [*sets, *sets_of(view, self, found, declared)]
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]

@@ -22,6 +22,9 @@ ZOOMS, CLOSER = 4, 4.0
 """Finer rates about the best, and how much finer each time."""
 MOST_PEAKS = 4
 """Rates that are looked at closely beside other forces."""
+FAR = 1.0
+"""Spans of the times from their zero from which on waves count from the first row: else the least
+change of a rate, as of decimal years, turns them round."""
 BLOCK = 128
 """Frequencies that are scored at a time."""
 
@@ -298,9 +301,8 @@ def coordinate_of(types, axis):
 
 def _push(view, axes, has_mass, is_placed=False):
     """Terms of one rate, one per axis, and their constants, the rate last."""
-    types = dataset_types(view.dataset)
     rate = Constant(fresh_name(view.fit.law, "w"))
-    angle = Call("mul", rate, Input("t", types["t"]))
+    angle = Call("mul", rate, view.since(FAR))
     return waving(view, axes, rate, lambda axis: angle, has_mass, is_placed)
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Constant, Input, Number
+from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
-from bsp_gp.loop.proposers.periods import Scan, rates_of
-from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.loop.proposers.periods import FAR, Scan, rates_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
 
@@ -45,7 +44,7 @@ def _proposal(view, index, rates, rate, gain):
     law = view.fit.law
     term = law.terms[index]
     a, b, w = (fresh_name(law, stem) for stem in ("a", "b", "w"))
-    angle = Call("mul", Constant(w), Input("t", dataset_types(view.dataset)["t"]))
+    angle = Call("mul", Constant(w), view.since(FAR))
     waves = [Call("mul", Constant(n), Call(f, angle)) for n, f in ((a, "cos"), (b, "sin"))]
     strength = Call("add", Call("add", Number(1.0), waves[0]), waves[1])
     formula = Call("mul", strength, term.formula)

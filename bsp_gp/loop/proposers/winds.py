@@ -20,7 +20,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name, split_linear
 _VELOCITY = Input("v_i", STATE_INPUTS["v_i"])
 _AXES = "xyz"
 _TOLD = {"wind": ("medium", "drag"), "belt": ("ground", "friction")}
-COUNTS = {2: 21, 3: 9}
+COUNTS = {1: 41, 2: 21, 3: 9}
 """Velocities of a ground that are tried along each axis, by the number of these."""
 BEYOND, SLOWLY = 0.1, 0.15
 """How far beyond the velocities of the bodies, in parts of their range; the part of all that in
@@ -103,9 +103,12 @@ class Winds:
 
 
 def _against(view, terms, stem):
-    """Names of the components of a velocity, and the terms with their motion past it."""
+    """Names of the components of a velocity, and the terms with their motion past it.
+
+    Along axes on which something moves: nothing is told of others.
+    """
     names, medium = [], None
-    for axis in _AXES[: view.dataset.n_dims]:
+    for axis in _moving(view):
         names.append(fresh_name(view.fit.law, f"{stem}_{axis}"))
         part = Call("mul", Constant(names[-1]), Input(f"e_{axis}", STATE_INPUTS[f"e_{axis}"]))
         medium = part if medium is None else Call("add", medium, part)
@@ -113,12 +116,17 @@ def _against(view, terms, stem):
     return names, [(k, Term(substitute(t.formula, past), t.kind)) for k, t in terms]
 
 
+def _moving(view):
+    """Names of the axes along which something is seen to move."""
+    return [_AXES[k] for k in np.flatnonzero(np.isfinite(view.fit.noise.levels))]
+
+
 def _proposal(view, code, blown, names, starts, gain, rank):
     """The hypothesis with the motion of some terms past what moves."""
     hypothesis = view.hypothesis
     for k, term in blown:
         hypothesis = with_term_at(hypothesis, k, term.formula, dict.fromkeys(names, 0.0))
-    medium = " + ".join(f"{n} * e_{a}" for n, a in zip(names, _AXES, strict=False))
+    medium = " + ".join(f"{n} * e_{a}" for n, a in zip(names, _moving(view), strict=True))
     what, where = _TOLD[code]
     return Proposal(
         code, f"the {what} moves: v_i - ({medium}) for v_i in {where}",
@@ -204,7 +212,7 @@ def _velocities(view):
 
     They go through the range of those of the bodies and somewhat beyond, and closer about rest.
     """
-    seen = _seen(view)
+    seen = _seen(view)[:, np.isfinite(view.fit.noise.levels)]
     low, high = seen.min(axis=0), seen.max(axis=0)
     count, more = COUNTS[seen.shape[1]], BEYOND * (high - low)
     for part in (1.0, SLOWLY):
