@@ -188,7 +188,8 @@ class Climb:
         ends = []
         for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
             ends += way(points)
-            if self._is_enough(ends) or self.is_behind or self.run.is_over():
+            # Flown through contacts no start may come to an end.
+            if ends and (self._is_enough(ends) or self.is_behind or self.run.is_over()):
                 break
         best = min(ends, key=_height)
         agree = sum(_agree(m, best) for m in ends)

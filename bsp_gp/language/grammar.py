@@ -13,6 +13,7 @@ import ast
 import functools
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -235,8 +236,13 @@ class Grammar:
             Inputs of which laws on one body alone may be.
         """
         known = {property_of(name)[0] for name in self.inputs if property_of(name)}
-        source, is_changed = json.loads(json.dumps(dict(self.source))), False
         inputs = inputs or {}
+        source = json.loads(json.dumps(dict(self.source)))
+        own = {*source.get("constants", {}), *source.get("inside", {}).get("ranges", {})}
+        taken = sorted(own & set(inputs))
+        for name in taken:  # the grammar's constant gives way to what was measured
+            source = _with_other_name(source, name, f"{name}_own")
+        is_changed = bool(taken)
         for column in [*sorted(set(columns) - known), *sorted(inputs)]:
             type_ = inputs.get(column) or columns[column]
             is_velocity = type_ == Type("vector", VELOCITY)
@@ -258,6 +264,16 @@ class Grammar:
                     bodies = "|".join(own).replace("{name}_i", "{name}")
                 source["rules"][nonterminal] += " | " + bodies.replace("{name}", column)
         return read_grammar(source) if is_changed else self
+
+
+def _with_other_name(source, name, other):
+    """A source, or a part of it, with another name of a constant."""
+    if isinstance(source, dict):
+        return {_with_other_name(key, name, other): _with_other_name(value, name, other)
+                for key, value in source.items()}  # fmt: skip
+    if isinstance(source, list):
+        return [_with_other_name(part, name, other) for part in source]
+    return re.sub(rf"(?<![\w{{]){name}(?![\w}}])", other, source) if isinstance(source, str) else source
 
 
 def _rebuild(source, enabled):

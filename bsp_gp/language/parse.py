@@ -282,6 +282,8 @@ class _Builder:
     def place(self, parts):
         """``(a, b)``, the point with these coordinates, as in a constraint."""
         axes = [f"e_{axis}" for axis in "xyz" if f"e_{axis}" in self.types]
+        if len(parts) == 2:  # in the plane z = 0, in which everything may lie
+            axes = axes[:2]
         if len(parts) != len(axes):
             self.fail(f"a place has {len(axes)} coordinates here, got {len(parts)}")
         place = self.name("origin")
