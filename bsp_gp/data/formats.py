@@ -34,6 +34,8 @@ from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
+_NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
+"""What stands for no value where a number is expected."""
 _HEAD_LINES = 60
 
 
@@ -279,7 +281,9 @@ def _read_frame(source, layout, as_text):
         "skip_blank_lines": False,
         "skipinitialspace": True,
         "keep_default_na": False,
-        "na_values": {key: [""] if key in text else _NAN for key in keys},
+        "na_values": {
+            key: [""] if key in text else _NO_NUMBER if key in numeric else _NAN for key in keys
+        },
         "decimal": layout.decimal,
         "encoding": source.encoding,
         "compression": None,  # it was read as text so far, whatever its name ends in
@@ -319,7 +323,7 @@ def _parse_slowly(source, options, numeric, names):
     decimal_comma = "," if options["sep"] != "," else None
     frame = pd.read_csv(source.for_pandas, dtype=str, **options)
     for column in numeric:
-        cells = frame[column].where(~frame[column].str.strip().isin(_NAN))  # no value
+        cells = frame[column].where(~frame[column].str.strip().isin(_NO_NUMBER))
         if names[column] == "t" and seconds_of(cells) is not None:
             frame[column] = cells
             continue

@@ -46,6 +46,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
+from bsp_gp.data.twice import measures_at_once
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -332,6 +333,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, twice = measures_at_once(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
@@ -351,6 +353,7 @@ def _assemble(table, roster, declaration, default_name):
         *units_notes,
         *input_notes,
         *rows.notes,
+        *twice,
         *apart,
         *still,
         *(roster.notes if roster else ()),

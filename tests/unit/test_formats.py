@@ -115,6 +115,32 @@ def test_tracker_single_mass(tmp_path):
     assert scene.positions[:, 0, 0].tolist() == X
 
 
+def test_a_header_may_end_with_a_delimiter_that_rows_have_not(tmp_path):
+    path = tmp_path / "run.txt"
+    path.write_text(",mass A,,\nt,x,y,\n0.0E0,0,1\n5.0E-1,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    scene = load_dataset(path).scenes[0]
+    assert scene.names == ("mass A",)
+    assert scene.positions[:, 0, 0].tolist() == X
+
+
+@pytest.mark.parametrize("header", ["t\tx\ty error", "# t\tx\ty error", "t\tx\ty\terror"])
+def test_tabs_and_blanks_may_be_mixed(tmp_path, header):
+    path = tmp_path / "copied.txt"
+    rows = "0\t0\t 1\t9\n0.5\t1.5  2\t9\n1\t4.25\t3\t9\n"
+    path.write_text(f"# as copied\n{header}\n{rows}", encoding="utf-8")
+    scene = load_dataset(path, columns={"error": "ignore"}).scenes[0]
+    assert scene.positions[:, 0].tolist() == [[0, 1], [1.5, 2], [4.25, 3]]
+
+
+@pytest.mark.parametrize("cell", ["X", "-", "--", "...", "NA", "n/a", "?", "none", ""])
+def test_what_stands_for_no_value_is_none(tmp_path, cell):
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,x,y,sx,sy\n0,0,1,0.1,{cell}\n0.5,{cell},{cell},,\n1,4,3,0.1,0.1\n"
+                    "2,4,5,1,1\n", encoding="utf-8")  # fmt: skip
+    scene = load_dataset(path).scenes[0]
+    assert scene.times.tolist() == [0, 1, 2] and np.isnan(scene.sigma[0, 0, 1])
+
+
 @pytest.mark.parametrize(
     "text",
     [
