@@ -114,7 +114,8 @@ def read_table(path, *, rename=None, as_text=False):
             file=path, remedy="is it a table, with one row per time and entity?",
         ) from None  # fmt: skip
     line = layout.header_line + 1 or None
-    groups = groups_of(layout.headings, () if as_text else layout.title_cells, file=path, line=line)
+    titles = () if as_text else layout.title_cells
+    groups = groups_of(layout.headings, titles, file=path, line=line, is_track=not as_text)
     frame = _read_frame(source, layout, as_text)
     return long_table(
         frame, layout.headings, layout.units, groups, file=path, title=_title(layout, head),
@@ -154,7 +155,8 @@ def long_table(
         frame = stack(frame, groups, file)
     else:
         rest = [h for h in found if h.sure == UNKNOWN]
-        frame = frame.set_axis(names, axis=1)[[name for name in names if name]]
+        kept = [k for k, name in enumerate(names) if name and names.count(name) == 1]
+        frame = frame[kept].set_axis([names[k] for k in kept], axis=1)
     if frames is not None:
         frame = frame.assign(frame=frames[frame.index].to_numpy())
         notes = (*notes, COUNTED)

@@ -308,6 +308,7 @@ def headings(cells, rename=None, *, is_track=True):
     ----------
     rename : mapping of str to str, optional
         Our name -> the file's name, which may or may not occur. ``NAME_x`` is the x of body NAME.
+        A column of one run stands for that of every run, unless that of another is named too.
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
 
@@ -319,6 +320,7 @@ def headings(cells, rename=None, *, is_track=True):
     ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
     back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
             if k.strip() not in ignored}  # fmt: skip
+    back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
@@ -326,6 +328,13 @@ def headings(cells, rename=None, *, is_track=True):
         found = [_guessed(h, {f.name for f in found}) for h in found]
         found = _with_clock(found)
     return tuple(_settled(found))
+
+
+def _of_every_run(back):
+    """What the caller names, without the run, unless the same is named of several runs."""
+    parts = {theirs: _run_of(theirs) for theirs in back}
+    plain = {rest if is_run(run) else theirs: theirs for theirs, (run, rest) in parts.items()}
+    return {new: back[old] for new, old in plain.items()} if len(plain) == len(back) else back
 
 
 def _with_clock(found):
@@ -349,7 +358,9 @@ def is_ignored(text, cells):
 
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
-    run, rest = _run_of(cell) if is_track and cell not in back else ("", cell)
+    run, rest = _run_of(cell) if is_track else ("", cell)
+    if cell in back:
+        run, rest = "", rest if is_run(run) else cell
     rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
     stem, unit = _split_unit(rest, back, is_track)
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know

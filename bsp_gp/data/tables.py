@@ -281,9 +281,10 @@ def _frame_table(frame, rename, what):
         raise DataError("the table has no rows", file=what)
     found = headings(frame.columns, rename, is_track=what == "frames")
     plain = frame.set_axis(range(frame.shape[1]), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
+    is_track = what == "frames"
     return long_table(
-        plain, found, [h.unit for h in found], groups_of(found, file=what), file=what,
-        as_text=what != "frames",
+        plain, found, [h.unit for h in found], groups_of(found, file=what, is_track=is_track),
+        file=what, as_text=not is_track,
     )  # fmt: skip
 
 

@@ -301,3 +301,45 @@ def test_a_first_name_may_be_said_with_its_mark(tmp_path):
     columns = {"t": "%time", "x": "pos", "stamp": "ignore"}
     dataset = load_dataset(path, columns=columns, units={"length": "m", "time": "s"})
     assert dataset.scenes[0].times.tolist() == [0.0, 9.0, 18.0]
+
+
+def _runs(tmp_path, *names, count=2):
+    """A table of runs side by side, each with these columns."""
+    path = tmp_path / "runs.csv"
+    header = [f"{name} Run #{k}" for k in range(1, count + 1) for name in names]
+    own = [10 * k + i for k in range(count) for i in range(len(names))]
+    rows = [[str(value + j) for value in own] for j in range(5)]
+    path.write_text("\n".join(map(",".join, [header, *rows])) + "\n", encoding="utf-8")
+    return path
+
+
+PENDULUM = ("Time (s)", "Angle (rad)", "Acceleration (m/s²)", "Position (m)")
+
+
+@pytest.mark.parametrize("name", ["x", "theta"])
+@pytest.mark.parametrize("theirs", ["Angle (rad) Run #1", "Angle (rad) Run #2", "Angle (rad)"])
+def test_a_column_that_is_named_is_that_of_every_run(tmp_path, name, theirs):
+    data = load_dataset(_runs(tmp_path, *PENDULUM), columns={name: theirs})
+    assert [scene.name for scene in data.scenes] == ["Run #1", "Run #2"]
+    assert [scene.positions[0, 0, 0] for scene in data.scenes] == [1.0, 11.0]
+    assert data.units.declared["length"] == "rad"
+
+
+def test_columns_of_two_runs_that_are_named_are_two_bodies(tmp_path):
+    columns = {"red_x": "Position (m) Run #1", "blue_x": "Position (m) Run #2"}
+    path = _runs(tmp_path, "Time (s)", "U (V)", "I (A)", "Position (m)")
+    (scene,) = load_dataset(path, columns={"t": "Time (s) Run #1", **columns}).scenes
+    assert scene.names == ("red", "blue") and scene.positions[0, :, 0].tolist() == [3.0, 13.0]
+
+
+def test_of_runs_without_a_sure_place_it_is_asked_for(tmp_path):
+    with pytest.raises(DataError, match="of Run #1 no column is a place.* Angle .*for all"):
+        load_dataset(_runs(tmp_path, *PENDULUM))
+
+
+def test_columns_of_one_name_that_nobody_uses_do_no_harm(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,x,note,y,note\n0,0,a,1,b\n1,1,a,2,b\n2,4,a,3,b\n", encoding="utf-8")
+    data = load_dataset(path)
+    assert data.scenes[0].positions[:, 0, 1].tolist() == [1, 2, 3]
+    assert "not used: note" in data.notes
