@@ -144,6 +144,7 @@ def long_table(
             "the file has a header but no rows", file=file, row=line,
             remedy="one row per time and entity is needed",
         )  # fmt: skip
+    found, groups = _without_wrong_errors(frame, found, groups)
     names = [h.name for h in found]
     frame, date_notes, dated = _without_dates(frame, names) if not as_text else (frame, [], False)
     frames, untimed = None, ""
@@ -185,6 +186,18 @@ def long_table(
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
         unused=unused, untimed=untimed, is_dated=dated,
     )  # fmt: skip
+
+
+def _without_wrong_errors(frame, found, groups):
+    """Headings and groups without errors that were guessed, where one is not above 0."""
+    guessed = [k for k, h in enumerate(found) if h.sure == GUESS and h.name in ("sx", "sy", "sz")]
+    if not any((pd.to_numeric(frame[k], errors="coerce") <= 0).any() for k in guessed):
+        return found, groups
+    found = [replace(h, name=h.stem or h.theirs, sure=UNKNOWN, body="") if k in guessed else h
+             for k, h in enumerate(found)]  # fmt: skip
+    return found, tuple(
+        replace(g, columns={n: k for n, k in g.columns.items() if k not in guessed}) for g in groups
+    )
 
 
 def _with_bodies(frame, found):

@@ -87,6 +87,12 @@ _WHOSE_SPEED_WORDS = _set(
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
 _TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
+_PLACES = ("x", "y", "z")
+_ERROR_MARK = (
+    r"(?:error|err|sigma|σ|stddev|stdev|std|sd|uncertainty|unc|fehler|unsicherheit|erreur|±)"
+)
+_ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
+"""Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(
     r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
 )
@@ -326,7 +332,7 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
-        found = _with_clock(found)
+        found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
 
 
@@ -474,6 +480,37 @@ def _with_polar_errors(found):
             of = out[-1].name if is_bare_error(h.name) else of
         out.append(replace(h, name=f"s{of}", sure=GUESS) if of else h)
     return out
+
+
+def _with_errors(found):
+    """Beside the places of a body: their errors, if every one of them has a column of its own."""
+    known = [h for h in found if h.sure != UNKNOWN and h.name in _PLACES]
+    places = {(h.run, text): h for h in known for text in (_plain(h), f"{h.body}{h.name}".lower())}
+    errors = {}
+    for before, h in zip([None, *found], found, strict=False):
+        match = _ERROR_OF.fullmatch(_plain(h)) if h.sure == UNKNOWN and h.theirs else None
+        if not match:
+            continue
+        text = match[1] or match[2]
+        place = places.get((h.run, text)) if text else before if before in known else None
+        if place and (not h.unit or unit_of(h.unit) == unit_of(place.unit or "m")):
+            errors.setdefault(place.owner, {}).setdefault(f"s{place.name}", []).append(h)
+    of = {}
+    for owner, own in errors.items():
+        axes = {h.name for h in found if h.owner == owner and h.sure != UNKNOWN}
+        if set(own) == {f"s{axis}" for axis in axes & {*_PLACES}} and not axes & set(own):
+            of |= {id(each[0]): (name, owner[1]) for name, each in own.items() if len(each) == 1}
+    return [
+        replace(h, name=of[id(h)][0], body=of[id(h)][1], sure=GUESS) if id(h) in of else h
+        for h in found
+    ]
+
+
+def _plain(heading):
+    """The letters of a heading, without its run and its unit at the end."""
+    text = heading.of_any_run
+    text = re.sub(r"\s*[(\[{<][^()\[\]{}<>]*[)\]}>]$", "", text) if heading.unit else text
+    return re.sub(r"[\s_.-]", "", text).lower()
 
 
 def _with_dates(found):

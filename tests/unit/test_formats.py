@@ -61,7 +61,7 @@ def test_units_in_the_header(tmp_path, text):
     [
         (["t", "ratio / s", "x", "in s"], ("t", "ratio / s", "x", "in s")),
         (["t", "x / s", "y in kg", "x"], ("t", "x / s", "y in kg", "x")),
-        (["t", "x error", "fit x", "x"], ("t", "x error", "fit x", "x")),
+        (["t", "x error", "fit x", "x"], ("t", "sx", "fit x", "x")),
         (["t", "x", "v_x / (m/s)", "y velocity (m/s²)"], ("t", "x", "vx", "vy")),
         (["t", "x", "position x"], ("t", "x", "position x")),
     ],
@@ -343,3 +343,39 @@ def test_columns_of_one_name_that_nobody_uses_do_no_harm(tmp_path):
     data = load_dataset(path)
     assert data.scenes[0].positions[:, 0, 1].tolist() == [1, 2, 3]
     assert "not used: note" in data.notes
+
+
+ERRORS = {
+    "x_err": "t,x,x_err,y,y_err",
+    "err_x": "t,x,err_x,y,err_y",
+    "sigma": "t (s),x (m),σx,y (m),σ_y",
+    "right of it": "t,x,Error,y,Error",
+    "of what is called so": "t,Δ1,Δ1.Error,Δ2,Error Δ2",
+    "of a body": "t,red_x,red_x_err,red_y,red_y_err",
+}
+NO_ERRORS = {
+    "differences": "t,x,dx,y,dy",
+    "vectors": "t,x,e_x,y,u_y",
+    "of one axis": "t,x,x_err,y,q",
+    "parts": "t,x,x_err (%),y,y_err (%)",
+    "fits": "t,x,x_fit,y,y_residual",
+}
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+def test_errors_beside_places_count_row_by_row_and_are_told(tmp_path, kind):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{ERRORS[kind]}\n0,0,0.1,1,0.2\n1,1.5,0.3,2,\n2,4,0.1,3,0.4\n", "utf-8")
+    columns = {"x": "Δ1", "y": "Δ2"} if "Δ" in ERRORS[kind] else {}
+    data = load_dataset(path, columns=columns)
+    assert data.scenes[0].sigma[:, 0, 0].tolist() == [0.1, 0.3, 0.1]
+    assert np.isnan(data.scenes[0].sigma[1, 0, 1]) and any("as sx" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("header", [*NO_ERRORS.values(), "t,x,x_err,y,y_err"])
+def test_what_only_looks_like_errors_is_left_alone(tmp_path, header):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header}\n0,0,0.1,1,0.2\n1,1.5,0.3,2,-0.1\n2,4,0.1,3,0.4\n", "utf-8")
+    data = load_dataset(path)
+    assert data.scenes[0].sigma is None
+    assert any(note.startswith(f"not used: {header.split(',')[2]}") for note in data.notes)
