@@ -417,9 +417,10 @@ def _check_order(rows):
         place = int(np.flatnonzero(order == k)[0])
         before, now = (rows.times[each] / rows.second for each in (order[place - 1], k))
         if now == before:
+            own = rows.times[key == key[k]]
             rows.fail(
                 f"{rows.label(k)} has two rows at t = {before:.9g} (duplicate)", k, "t",
-                f"keep one row per scene, time and entity; {_BELOW}",
+                f"keep one row per scene, time and entity; {_BELOW}{_of_rounded(own)}",
             )  # fmt: skip
         rows.fail(
             f"times of {rows.label(k)} must increase, got {before:.9g} then {now:.9g}",
@@ -428,6 +429,18 @@ def _check_order(rows):
     smallest = np.full(len(rows.scene_names), np.inf)
     np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])
     return smallest
+
+
+def _of_rounded(times):
+    """What to do where times in order may be those of frames, rounded; empty of others."""
+    steps = np.diff(times)
+    if (steps < 0).any() or (steps == 0).mean() > 0.5:
+        return ""
+    rate = len(steps) / (times[-1] - times[0])
+    return (
+        "; if times were rounded and every row is a frame, leave their column out, --columns "
+        f"ITS_NAME=ignore --fps {rate:.4g}"
+    )
 
 
 def _time_index(rows, smallest):

@@ -29,6 +29,7 @@ from bsp_gp.data.headings import (
 from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
+from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
 from bsp_gp.data.untimed import COUNTED, rows_as_frames
 from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
@@ -145,12 +146,18 @@ def long_table(
             remedy="one row per time and entity is needed",
         )  # fmt: skip
     found, groups = _without_wrong_errors(frame, found, groups)
+    dated, frames, untimed = False, None, ""
+    if not as_text:
+        frame, found, steps = with_sums_of_steps(frame, found)
+        frame, dates, dated = _without_dates(frame, [h.name for h in found])
+        notes = (*notes, *steps, *dates)
+        if not {"t", "frame"} & {h.name for h in found} and has_place(found):
+            frames, untimed = rows_as_frames(frame, found)
     names = [h.name for h in found]
-    frame, date_notes, dated = _without_dates(frame, names) if not as_text else (frame, [], False)
-    frames, untimed = None, ""
-    if not (as_text or {"t", "frame"} & set(names)) and has_place(found):
-        frames, untimed = rows_as_frames(frame, found)
     if groups:
+        clocks = [k for k, name in enumerate(names) if name == "t"]
+        frame, even = with_even_clocks(frame, clocks)
+        notes = (*notes, *even)
         used = {k for group in groups for k in group.columns.values()}
         rest = [h for k, h in enumerate(found) if k not in used or h.sure == UNKNOWN]
         frame = stack(frame, groups, file)
@@ -167,6 +174,8 @@ def long_table(
     if not (groups or as_text):
         frame, found = _with_bodies(frame, found)
         rest = [h for h in found if h.sure == UNKNOWN]
+        frame, even = with_even_clocks(frame, ["t"] if "t" in frame.columns else [])
+        notes = (*notes, *even)
     run = run_of(title)
     if run and "scene" not in is_named:
         frame, title = frame.assign(scene=run), ""
@@ -180,7 +189,7 @@ def long_table(
         renamed=frozenset(h.ignored or (f"{h.body}_{h.name}" if h.body else h.name)
                           for h in found if h.is_renamed or h.ignored),
         file=str(file), digest=digest, title=title or None, decimal=decimal,
-        notes=(*notes, *date_notes, *filter(None, [told(found)])),
+        notes=(*notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
