@@ -68,7 +68,8 @@ _MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
 _SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
 _ACCELERATION_WORDS = _set(
-    "acceleration accelerometer beschleunigung accélération aceleración accelerazione acc accel"
+    "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
+    " acc accel"
 )
 _ERROR_WORDS = _set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"

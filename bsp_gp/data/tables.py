@@ -27,7 +27,7 @@ from bsp_gp.data.assembly import (
     unwrapped,
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
-from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion
+from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion, ratio_of
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
@@ -552,7 +552,7 @@ def _units_of(tables, declared):
         kind = COLUMN_KINDS.get(column, column)
         if column in declared or kind not in declared:
             units[column] = text
-        elif text != declared[kind]:
+        elif ratio_of(text, declared[kind]) != 1.0:
             notes.append(f"{column} is in {declared[kind]!r} as declared, not in {text!r}")
     return units | declared, notes
 

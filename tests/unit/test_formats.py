@@ -107,6 +107,15 @@ def test_a_declared_kind_wins_over_the_header_and_is_told(tmp_path, header, leng
     assert len(told) == (0 if f"({length})" in header else 2)
 
 
+def test_a_unit_in_words_is_the_declared_one(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t_segundos,X_metros,Y_metros\n0,0,1\n0.5,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    data = load_dataset(path, units={"length": "m", "time": "s"})
+    assert data.notes == ()
+    data = load_dataset(path, units={"length": "cm"})
+    assert "x is in 'cm' as declared, not in 'metros'" in data.notes
+
+
 def test_tracker_single_mass(tmp_path):
     path = tmp_path / "run.txt"
     path.write_text("mass A\nt\tx\ty\n0,0\t0,0\t1\n0,5\t1,5\t2\n1\t4,25\t3\n", encoding="utf-8")
