@@ -431,16 +431,21 @@ def _check_order(rows):
     return smallest
 
 
+SLOWEST = 0.1
+"""Frames a second of what may be a film."""
+
+
 def _of_rounded(times):
     """What to do where times in order may be those of frames, rounded; empty of others."""
     steps = np.diff(times)
     if (steps < 0).any() or (steps == 0).mean() > 0.5:
         return ""
     rate = len(steps) / (times[-1] - times[0])
-    return (
+    remedy = (
         "; if times were rounded and every row is a frame, leave their column out, --columns "
         f"ITS_NAME=ignore --fps {rate:.4g}"
     )
+    return remedy if rate >= SLOWEST else ""
 
 
 def _time_index(rows, smallest):

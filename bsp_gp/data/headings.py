@@ -489,7 +489,8 @@ def _with_errors(found):
     places = {(h.run, text): h for h in known for text in (_plain(h), f"{h.body}{h.name}".lower())}
     errors = {}
     for before, h in zip([None, *found], found, strict=False):
-        match = _ERROR_OF.fullmatch(_plain(h)) if h.sure == UNKNOWN and h.theirs else None
+        is_free = h.sure == UNKNOWN and not (h.is_renamed or h.ignored)
+        match = _ERROR_OF.fullmatch(_plain(h)) if is_free else None
         if not match:
             continue
         text = match[1] or match[2]

@@ -222,13 +222,15 @@ def _washington(text, path):
         if line[:1].strip():  # of a pair, and what is known of it
             pairs.append(" ".join(line[:12].split()))
         elif line.strip():
+            if any(len(line[p.stop - 1 : p.stop + 1].strip()) > 1 for p in _MEASURE):
+                raise ValueError(f"line {k + 1} has other columns")
             cells = [line[part].strip() for part in _MEASURE]
             plain = [cell if _is_number(cell) else "" for cell in cells]
             limits += [k + 1] * (not {*cells} <= {"", ".", *plain})
             out[k] = "\t".join([pairs[-1], *plain])
     out[start] = "\t".join(["run" if len(set(pairs)) > 1 else "designation", *_MEASURED])
     listed = ", ".join(map(str, limits[:8])) + (" ..." if len(limits) > 8 else "")
-    note = f"{len(limits)} row(s) with limits, or marks beside a number, are no values there: line"
+    note = f"in {len(limits)} row(s) limits, or numbers with a mark, are no values: line"
     return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
 
 

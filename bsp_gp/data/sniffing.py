@@ -206,8 +206,8 @@ def _likely_header(head):
         for delimiter in _DELIMITERS:
             cells = _header_cells(line, delimiter)
             row = split_line(_below(head, number), delimiter)
-            is_row = len(row) == len(cells) > 1 and all(map(_is_number, row))
-            if is_row and not any(map(_is_number, cells)):
+            is_row = len(row) == len(cells) > 1 and all(_is_number(c or "0") for c in row)
+            if is_row and any(row) and not any(map(_is_number, cells)):
                 return number, delimiter
     number = next(k for k, line in enumerate(head) if line.strip())
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}

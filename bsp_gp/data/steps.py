@@ -81,11 +81,12 @@ def with_even_clocks(frame, columns):
     Recordings below each other are told apart by a column ``scene``. Rows of bodies below each
     other share their times, as those do that were written twice: they are left alone.
     """
-    if "entity" in frame.columns:
+    clocks = [c for c in columns if frame[c].dtype.kind == "f" and (frame[c].diff() == 0).any()]
+    if "entity" in frame.columns or not clocks:
         return frame, ()
     keys = frame["scene"] if "scene" in frame.columns else pd.Series(0, frame.index)
     is_copy, notes = (frame == frame.shift()).all(axis=1), ()
-    for column in (c for c in columns if frame[c].dtype.kind == "f"):
+    for column in clocks:
         out = frame[column].copy()
         for _, part in frame[column].groupby(keys, sort=False):
             n_ties = (part.diff() == 0).sum()

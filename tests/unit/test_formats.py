@@ -379,6 +379,9 @@ def test_errors_beside_places_count_row_by_row_and_are_told(tmp_path, kind):
     data = load_dataset(path, columns=columns)
     assert data.scenes[0].sigma[:, 0, 0].tolist() == [0.1, 0.3, 0.1]
     assert np.isnan(data.scenes[0].sigma[1, 0, 1]) and any("as sx" in note for note in data.notes)
+    if kind == "x_err":
+        ignored = load_dataset(path, columns={"x_err": "ignore", "y_err": "ignore"})
+        assert ignored.scenes[0].sigma is None
 
 
 @pytest.mark.parametrize("header", [*NO_ERRORS.values(), "t,x,x_err,y,y_err"])

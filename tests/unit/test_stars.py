@@ -301,3 +301,8 @@ def test_measures_at_one_time_that_agree_are_their_mean(tmp_path):
 def test_measures_at_one_time_that_disagree_are_refused_with_the_time_of_the_file(tmp_path, second):
     with pytest.raises(DataError, match=r"line 4.*two rows at t = 2001 \(duplicate\)"):
         _loaded(tmp_path, _at_once(second), units={"time": "yr", "length": "arcsec"})
+
+
+def test_mailed_measures_in_other_columns_are_refused(tmp_path):
+    with pytest.raises(DataError, match="line 9 has other columns"):
+        _loaded(tmp_path, _mailed("ABC   1").replace("       1950.25    ", " " * 15 + "1950.25"))

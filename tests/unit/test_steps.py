@@ -33,6 +33,13 @@ def test_steps_of_time_are_summed_and_told(tmp_path, name, first):
         assert counted.scenes[0].times == pytest.approx(np.arange(N) / 10)
 
 
+def test_a_title_above_steps_of_which_the_first_is_blank_is_no_header(tmp_path):
+    path = tmp_path / "puck.csv"
+    rows = [f"{x},{x**2},{step}" for x, step in zip(X[1:], STEPS[1:], strict=True)]
+    path.write_text("\n".join(["Table 3", "", "x,y,dt", "0,0,", *rows]) + "\n", encoding="utf-8")
+    assert load_dataset(path).scenes[0].times[1] == pytest.approx(STEPS[1])
+
+
 def test_steps_to_the_next_row_end_before_the_last_one():
     data = dataset_from_frames(frame(dt=np.append(STEPS[:-1], np.nan)))
     assert data.scenes[0].times == pytest.approx(np.append(0, np.cumsum(STEPS[:-1])))
