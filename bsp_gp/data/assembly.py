@@ -61,6 +61,8 @@ class Rows:
         Whether positions are angles.
     logged : dict of str to (str, ndarray, Unit)
         Further columns, see `bsp_gp.data.logged.logged_columns`.
+    second : float
+        Of the unit of the file's times, how many seconds it is.
     """
 
     scene: np.ndarray
@@ -79,6 +81,7 @@ class Rows:
     is_placed: bool = False
     is_angle: bool = False
     logged: dict = field(default_factory=dict)
+    second: float = 1.0
 
     def fail(self, problem, row, column=None, remedy=None):
         """Raise a DataError about one row."""
@@ -132,6 +135,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         declaration.first_position == "exact",
         conversion.system.is_angle,
         logged_columns(table, inputs_of(table, declaration)),
+        conversion.time() if "t" in table.frame.columns else 1.0,
     )
 
 
@@ -411,19 +415,37 @@ def _check_order(rows):
     if bad.any():
         k = order[1:][bad].min()
         place = int(np.flatnonzero(order == k)[0])
-        before = rows.times[order[place - 1]]
-        if rows.times[k] == before:
+        before, now = (rows.times[each] / rows.second for each in (order[place - 1], k))
+        if now == before:
+            own = rows.times[key == key[k]]
             rows.fail(
                 f"{rows.label(k)} has two rows at t = {before:.9g} (duplicate)", k, "t",
-                f"keep one row per scene, time and entity; {_BELOW}",
+                f"keep one row per scene, time and entity; {_BELOW}{_of_rounded(own)}",
             )  # fmt: skip
         rows.fail(
-            f"times of {rows.label(k)} must increase, got {before:.9g} then {rows.times[k]:.9g}",
+            f"times of {rows.label(k)} must increase, got {before:.9g} then {now:.9g}",
             k, "t", f"sort the rows by time; {_BELOW}",
         )  # fmt: skip
     smallest = np.full(len(rows.scene_names), np.inf)
     np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])
     return smallest
+
+
+SLOWEST = 0.1
+"""Frames a second of what may be a film."""
+
+
+def _of_rounded(times):
+    """What to do where times in order may be those of frames, rounded; empty of others."""
+    steps = np.diff(times)
+    if (steps < 0).any() or (steps == 0).mean() > 0.5:
+        return ""
+    rate = len(steps) / (times[-1] - times[0])
+    remedy = (
+        "; if times were rounded and every row is a frame, leave their column out, --columns "
+        f"ITS_NAME=ignore --fps {rate:.4g}"
+    )
+    return remedy if rate >= SLOWEST else ""
 
 
 def _time_index(rows, smallest):

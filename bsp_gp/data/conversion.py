@@ -72,7 +72,8 @@ def ratio_of(one, other):
         (scale, unit), (of, kind) = read(one.strip()), read(other.strip())
     except UnitError:
         return None
-    return scale / of if unit == kind else None
+    is_alike = unit == kind and bool(_PIXEL.search(one)) == bool(_PIXEL.search(other))
+    return scale / of if is_alike else None
 
 
 def _scale(text):

@@ -29,11 +29,14 @@ from bsp_gp.data.headings import (
 from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
+from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
 from bsp_gp.data.untimed import COUNTED, rows_as_frames
 from bsp_gp.data.wide import groups_of, stack
 from bsp_gp.errors import DataError
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
+_NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
+"""What stands for no value where a number is expected."""
 _HEAD_LINES = 60
 
 
@@ -112,7 +115,8 @@ def read_table(path, *, rename=None, as_text=False):
             file=path, remedy="is it a table, with one row per time and entity?",
         ) from None  # fmt: skip
     line = layout.header_line + 1 or None
-    groups = groups_of(layout.headings, () if as_text else layout.title_cells, file=path, line=line)
+    titles = () if as_text else layout.title_cells
+    groups = groups_of(layout.headings, titles, file=path, line=line, is_track=not as_text)
     frame = _read_frame(source, layout, as_text)
     return long_table(
         frame, layout.headings, layout.units, groups, file=path, title=_title(layout, head),
@@ -141,18 +145,26 @@ def long_table(
             "the file has a header but no rows", file=file, row=line,
             remedy="one row per time and entity is needed",
         )  # fmt: skip
+    found, groups = _without_wrong_errors(frame, found, groups)
+    dated, frames, untimed = False, None, ""
+    if not as_text:
+        frame, found, steps = with_sums_of_steps(frame, found)
+        frame, dates, dated = _without_dates(frame, [h.name for h in found])
+        notes = (*notes, *steps, *dates)
+        if not {"t", "frame"} & {h.name for h in found} and has_place(found):
+            frames, untimed = rows_as_frames(frame, found)
     names = [h.name for h in found]
-    frame, date_notes, dated = _without_dates(frame, names) if not as_text else (frame, [], False)
-    frames, untimed = None, ""
-    if not (as_text or {"t", "frame"} & set(names)) and has_place(found):
-        frames, untimed = rows_as_frames(frame, found)
     if groups:
+        clocks = [k for k, name in enumerate(names) if name == "t"]
+        frame, even = with_even_clocks(frame, clocks)
+        notes = (*notes, *even)
         used = {k for group in groups for k in group.columns.values()}
         rest = [h for k, h in enumerate(found) if k not in used or h.sure == UNKNOWN]
         frame = stack(frame, groups, file)
     else:
         rest = [h for h in found if h.sure == UNKNOWN]
-        frame = frame.set_axis(names, axis=1)[[name for name in names if name]]
+        kept = [k for k, name in enumerate(names) if name and names.count(name) == 1]
+        frame = frame[kept].set_axis([names[k] for k in kept], axis=1)
     if frames is not None:
         frame = frame.assign(frame=frames[frame.index].to_numpy())
         notes = (*notes, COUNTED)
@@ -162,6 +174,8 @@ def long_table(
     if not (groups or as_text):
         frame, found = _with_bodies(frame, found)
         rest = [h for h in found if h.sure == UNKNOWN]
+        frame, even = with_even_clocks(frame, ["t"] if "t" in frame.columns else [])
+        notes = (*notes, *even)
     run = run_of(title)
     if run and "scene" not in is_named:
         frame, title = frame.assign(scene=run), ""
@@ -175,12 +189,24 @@ def long_table(
         renamed=frozenset(h.ignored or (f"{h.body}_{h.name}" if h.body else h.name)
                           for h in found if h.is_renamed or h.ignored),
         file=str(file), digest=digest, title=title or None, decimal=decimal,
-        notes=(*notes, *date_notes, *filter(None, [told(found)])),
+        notes=(*notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
                 for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
         unused=unused, untimed=untimed, is_dated=dated,
     )  # fmt: skip
+
+
+def _without_wrong_errors(frame, found, groups):
+    """Headings and groups without errors that were guessed, where one is not above 0."""
+    guessed = [k for k, h in enumerate(found) if h.sure == GUESS and h.name in ("sx", "sy", "sz")]
+    if not any((pd.to_numeric(frame[k], errors="coerce") <= 0).any() for k in guessed):
+        return found, groups
+    found = [replace(h, name=h.stem or h.theirs, sure=UNKNOWN, body="") if k in guessed else h
+             for k, h in enumerate(found)]  # fmt: skip
+    return found, tuple(
+        replace(g, columns={n: k for n, k in g.columns.items() if k not in guessed}) for g in groups
+    )
 
 
 def _with_bodies(frame, found):
@@ -279,7 +305,9 @@ def _read_frame(source, layout, as_text):
         "skip_blank_lines": False,
         "skipinitialspace": True,
         "keep_default_na": False,
-        "na_values": {key: [""] if key in text else _NAN for key in keys},
+        "na_values": {
+            key: [""] if key in text else _NO_NUMBER if key in numeric else _NAN for key in keys
+        },
         "decimal": layout.decimal,
         "encoding": source.encoding,
         "compression": None,  # it was read as text so far, whatever its name ends in
@@ -319,7 +347,7 @@ def _parse_slowly(source, options, numeric, names):
     decimal_comma = "," if options["sep"] != "," else None
     frame = pd.read_csv(source.for_pandas, dtype=str, **options)
     for column in numeric:
-        cells = frame[column].where(~frame[column].str.strip().isin(_NAN))  # no value
+        cells = frame[column].where(~frame[column].str.strip().isin(_NO_NUMBER))
         if names[column] == "t" and seconds_of(cells) is not None:
             frame[column] = cells
             continue

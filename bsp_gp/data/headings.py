@@ -68,7 +68,8 @@ _MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
 _SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
 _ACCELERATION_WORDS = _set(
-    "acceleration accelerometer beschleunigung accélération aceleración accelerazione acc accel"
+    "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
+    " acc accel"
 )
 _ERROR_WORDS = _set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
@@ -87,6 +88,12 @@ _WHOSE_SPEED_WORDS = _set(
 _OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
 _TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
+_PLACES = ("x", "y", "z")
+_ERROR_MARK = (
+    r"(?:error|err|sigma|σ|stddev|stdev|std|sd|uncertainty|unc|fehler|unsicherheit|erreur|±)"
+)
+_ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
+"""Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(
     r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
 )
@@ -308,6 +315,7 @@ def headings(cells, rename=None, *, is_track=True):
     ----------
     rename : mapping of str to str, optional
         Our name -> the file's name, which may or may not occur. ``NAME_x`` is the x of body NAME.
+        A column of one run stands for that of every run, unless that of another is named too.
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
 
@@ -319,13 +327,21 @@ def headings(cells, rename=None, *, is_track=True):
     ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
     back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
             if k.strip() not in ignored}  # fmt: skip
+    back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
-        found = _with_clock(found)
+        found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
+
+
+def _of_every_run(back):
+    """What the caller names, without the run, unless the same is named of several runs."""
+    parts = {theirs: _run_of(theirs) for theirs in back}
+    plain = {rest if is_run(run) else theirs: theirs for theirs, (run, rest) in parts.items()}
+    return {new: back[old] for new, old in plain.items()} if len(plain) == len(back) else back
 
 
 def _with_clock(found):
@@ -349,7 +365,9 @@ def is_ignored(text, cells):
 
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
-    run, rest = _run_of(cell) if is_track and cell not in back else ("", cell)
+    run, rest = _run_of(cell) if is_track else ("", cell)
+    if cell in back:
+        run, rest = "", rest if is_run(run) else cell
     rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
     stem, unit = _split_unit(rest, back, is_track)
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
@@ -463,6 +481,38 @@ def _with_polar_errors(found):
             of = out[-1].name if is_bare_error(h.name) else of
         out.append(replace(h, name=f"s{of}", sure=GUESS) if of else h)
     return out
+
+
+def _with_errors(found):
+    """Beside the places of a body: their errors, if every one of them has a column of its own."""
+    known = [h for h in found if h.sure != UNKNOWN and h.name in _PLACES]
+    places = {(h.run, text): h for h in known for text in (_plain(h), f"{h.body}{h.name}".lower())}
+    errors = {}
+    for before, h in zip([None, *found], found, strict=False):
+        is_free = h.sure == UNKNOWN and not (h.is_renamed or h.ignored)
+        match = _ERROR_OF.fullmatch(_plain(h)) if is_free else None
+        if not match:
+            continue
+        text = match[1] or match[2]
+        place = places.get((h.run, text)) if text else before if before in known else None
+        if place and (not h.unit or unit_of(h.unit) == unit_of(place.unit or "m")):
+            errors.setdefault(place.owner, {}).setdefault(f"s{place.name}", []).append(h)
+    of = {}
+    for owner, own in errors.items():
+        axes = {h.name for h in found if h.owner == owner and h.sure != UNKNOWN}
+        if set(own) == {f"s{axis}" for axis in axes & {*_PLACES}} and not axes & set(own):
+            of |= {id(each[0]): (name, owner[1]) for name, each in own.items() if len(each) == 1}
+    return [
+        replace(h, name=of[id(h)][0], body=of[id(h)][1], sure=GUESS) if id(h) in of else h
+        for h in found
+    ]
+
+
+def _plain(heading):
+    """The letters of a heading, without its run and its unit at the end."""
+    text = heading.of_any_run
+    text = re.sub(r"\s*[(\[{<][^()\[\]{}<>]*[)\]}>]$", "", text) if heading.unit else text
+    return re.sub(r"[\s_.-]", "", text).lower()
 
 
 def _with_dates(found):

@@ -2,9 +2,9 @@
 
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
-loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, and vector tables of JPL
-Horizons (its manual: a preamble, a line of names, rows in CSV form between ``$$SOE`` and
-``$$EOE``).
+loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, measures of double stars as
+the US Naval Observatory mails them, and vector tables of JPL Horizons (its manual: a preamble, a
+line of names, rows in CSV form between ``$$SOE`` and ``$$EOE``).
 """
 
 import csv
@@ -90,9 +90,11 @@ def _qualisys(text, path):
     start = next(k for k, line in enumerate(lines) if line.startswith("MARKER_NAMES"))
     about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
     names = [name for name in _cells(lines[start], "\t")[1:] if name]
-    rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip()]
-    first = next(k for k, row in enumerate(rows) if _is_number(row[0]))
-    header, rows = rows[first - 1] if first else [], rows[first:]
+    rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip(" ")]
+    first = next(k for k, row in enumerate(rows) if all(_is_number(c or "0") for c in row))
+    # Above them are the headings, or what else is said of every marker.
+    header = rows[first - 1] if first and len(rows[first - 1]) >= 3 * len(names) else []
+    rows = rows[first:]
     before = len(header or rows[0]) - 3 * len(names)
     rate = float(about["FREQUENCY"])
     at = header.index("Time") if "Time" in header else None
@@ -202,18 +204,48 @@ def _horizons(text, path):
     return "\n".join(lines) + "\n"
 
 
+_MEASURE = (slice(7, 18), slice(18, 26), slice(26, 33), slice(33, 44), slice(44, 53))
+"""Where a line of the Washington catalogue has date, angle, its error, separation, its error."""
+_MEASURED = ("Besselian epoch", "theta (deg)", "theta_err", "rho (arcsec)", "rho_err")
+
+
+def _washington(text, path):
+    """The measures of pairs of stars, each a run where they are several; lines stay where they are.
+
+    What is no number but a limit (``<  0.020``) is no value, and told.
+    """
+    lines = text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("MEASURES"))
+    end = next(k for k in range(start, len(lines)) if lines[k].startswith("---"))
+    pairs, limits, out = [], [], ["" for _ in lines[:end]]
+    for k, line in enumerate(lines[start + 1 : end], start + 1):
+        if line[:1].strip():  # of a pair, and what is known of it
+            pairs.append(" ".join(line[:12].split()))
+        elif line.strip():
+            if any(len(line[p.stop - 1 : p.stop + 1].strip()) > 1 for p in _MEASURE):
+                raise ValueError(f"line {k + 1} has other columns")
+            cells = [line[part].strip() for part in _MEASURE]
+            plain = [cell if _is_number(cell) else "" for cell in cells]
+            limits += [k + 1] * (not {*cells} <= {"", ".", *plain})
+            out[k] = "\t".join([pairs[-1], *plain])
+    out[start] = "\t".join(["run" if len(set(pairs)) > 1 else "designation", *_MEASURED])
+    listed = ", ".join(map(str, limits[:8])) + (" ..." if len(limits) > 8 else "")
+    note = f"in {len(limits)} row(s) limits, or numbers with a mark, are no values: line"
+    return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
+
+
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
-    "NO_OF_FRAMES": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy, "*" * 10: _horizons,
+    "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
     "LabVIEW Measurement": _labview, "API": _horizons, "Ephemeris": _horizons, "JPL": _horizons,
-    "{": _horizons,
+    "{": _horizons, "*" * 10: _horizons, "USNO Double Star": _washington,
 }  # fmt: skip
 HEADS = tuple(_KNOWN)
 """How such files begin."""
 
 
 def without_preamble(text, path):
-    """The plain table in a text that begins as one of `HEADS`; the text itself if it is none.
+    """The plain table in a text that begins as one of `HEADS`, and notes; else the text itself.
 
     Raises
     ------
@@ -222,7 +254,8 @@ def without_preamble(text, path):
     """
     plain = next(rule for head, rule in _KNOWN.items() if text.startswith(head))
     try:
-        return plain(text, path)
+        made = plain(text, path)
+        return made if isinstance(made, tuple) else (made, ())
     except (LookupError, ValueError, StopIteration, TypeError) as error:
         raise DataError(
             f"the file begins as {text.splitlines()[0][:30]!r}, and its preamble cannot be read "

@@ -19,7 +19,7 @@ def as_table(text, path):
 
     What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``;
     two or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x``
-    and ``pos_y``.
+    and ``pos_y``. Objects by name, each with a list of records, are recordings of these names.
 
     Parameters
     ----------
@@ -58,6 +58,9 @@ def _records(text, path):
         return [_of_line(line, number, path)
                 for number, line in enumerate(text.splitlines(), 1) if line.strip()]  # fmt: skip
     if isinstance(found, dict):
+        named = {name: _records_within(value) for name, value in found.items()}
+        if found and all(named.values()):
+            return [{"scene": name, **each} for name, rows in named.items() for each in rows]
         lists = {name: value for name, value in found.items() if isinstance(value, list)}
         if len(lists) == 1 and all(isinstance(each, dict) for each in next(iter(lists.values()))):
             return next(iter(lists.values()))  # records under a name, beside what is said of them
@@ -68,6 +71,14 @@ def _records(text, path):
     if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
         raise DataError("this JSON is no table", file=path, remedy=_REMEDY)
     return found
+
+
+def _records_within(found):
+    """The records of an object that holds one list of them, beside what is said of them; or []."""
+    values = found.values() if isinstance(found, dict) else ()
+    lists = [value for value in values if isinstance(value, list) and value]
+    is_one = len(lists) == 1 and all(isinstance(each, dict) for each in lists[0])
+    return lists[0] if is_one else []
 
 
 def _of_line(line, number, path):

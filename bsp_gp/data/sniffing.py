@@ -5,7 +5,14 @@ import re
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.headings import Heading, has_place, headings, is_ignored, number_columns
+from bsp_gp.data.headings import (
+    TEXT_COLUMNS,
+    Heading,
+    has_place,
+    headings,
+    is_ignored,
+    number_columns,
+)
 from bsp_gp.errors import DataError, in_python
 
 _DELIMITERS = (",", ";", "\t", None)
@@ -74,7 +81,7 @@ def sniff(head, rename, marks, path):
     said = {*rename, *rename.values()}
     for number, line in enumerate(head):
         for delimiter in _DELIMITERS:
-            cells = _header_cells(line, delimiter, said)
+            cells = _without_idle_end(head, number, delimiter, _header_cells(line, delimiter, said))
             if is_track and (len(cells) < 2 or not _is_even(head, number, delimiter, cells)):
                 continue
             found = headings(cells, rename, is_track=is_track)
@@ -82,6 +89,7 @@ def sniff(head, rename, marks, path):
                 return _finish(head, number, delimiter, found)
     number, delimiter = _likely_header(head)
     cells = _header_cells(head[number], delimiter, said)
+    cells = _without_idle_end(head, number, delimiter, cells)
     if cells and all(_is_number(cell) for cell in cells if cell):
         raise DataError(
             f"the first line holds {len(cells)} number(s) where the names of the columns are "
@@ -97,9 +105,11 @@ def _without_header(head, rename):
     Where nobody says which column is which, they are t, x, y and z, if the first is a time.
     """
     first = next((k for k, s in enumerate(head) if s.strip() and not _COMMENT.match(s)), len(head))
-    rows, delimiter = _rows_of_numbers([line for line in head[first:] if line.strip()])
-    numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
     said = {theirs.strip() for theirs in rename.values() if _is_number(theirs)}
+    names = {theirs for ours, theirs in rename.items() if ours in TEXT_COLUMNS}
+    lines = [line for line in head[first:] if line.strip()]
+    rows, delimiter = _rows_of_numbers(lines, said - names)
+    numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
     named = {} if said or any(map(_COMMENT.match, head)) else _named_by_place(rows, rename)
     if not named and not (said and said <= set(numbers)):
         return None
@@ -114,10 +124,17 @@ def _without_header(head, rename):
     )  # fmt: skip
 
 
-def _rows_of_numbers(lines):
-    """Rows of lines that begin with one of numbers, and the delimiter; none of other lines."""
-    for delimiter in _DELIMITERS:
-        if lines and all(_is_number(cell or "0") for cell in split_line(lines[0], delimiter)):
+def _rows_of_numbers(lines, said):
+    """Rows of lines that begin with one of numbers, and the delimiter; none of other lines.
+
+    Where it is said by their numbers which columns have them, others may be texts, unless these
+    numbers are names in that line.
+    """
+    for delimiter in _DELIMITERS if lines else ():
+        cells = split_line(lines[0], delimiter)
+        by_number = [cells[int(k) - 1] for k in said if k.isdecimal() and 0 < int(k) <= len(cells)]
+        is_told = len(by_number) == len(said) > 0 and not said <= set(cells)
+        if all(_is_number(cell or "0") for cell in (by_number if is_told else cells)):
             return [split_line(line, delimiter) for line in lines], delimiter
     return [], None
 
@@ -150,9 +167,22 @@ def _are_places(cells):
 
 
 def _is_even(head, number, delimiter, cells):
-    """Whether blanks tell cells apart: the rows below have as many, and no quotes hold blanks."""
+    """Whether white space tells cells apart: the rows below have as many, and no quotes hold it.
+
+    Tabs do so unless they are mixed with blanks, and any white space would be even.
+    """
+    if delimiter == "\t":
+        rows = [line for line in head[number:] if line.strip() and not _COMMENT.match(line)]
+        tabs, blanks = ({len(split_line(row, mark)) for row in rows} for mark in ("\t", None))
+        return len(tabs) < 2 or len(blanks) > 1
     below = _below(head, number).split()
     return delimiter is not None or not below or len(below) == len(cells)
+
+
+def _without_idle_end(head, number, delimiter, cells):
+    """Names of a header without the delimiter at its end, where the row below has none there."""
+    n_below = len(split_line(_below(head, number), delimiter))
+    return cells[:-1] if cells and not cells[-1] and 0 < n_below < len(cells) else cells
 
 
 def _below(head, number):
@@ -176,8 +206,8 @@ def _likely_header(head):
         for delimiter in _DELIMITERS:
             cells = _header_cells(line, delimiter)
             row = split_line(_below(head, number), delimiter)
-            is_row = len(row) == len(cells) > 1 and all(map(_is_number, row))
-            if is_row and not any(map(_is_number, cells)):
+            is_row = len(row) == len(cells) > 1 and all(_is_number(c or "0") for c in row)
+            if is_row and any(row) and not any(map(_is_number, cells)):
                 return number, delimiter
     number = next(k for k, line in enumerate(head) if line.strip())
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}

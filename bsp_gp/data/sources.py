@@ -178,12 +178,12 @@ def _told_apart(source, names):
         if not head.startswith(HEADS):
             return source
         text = head + stream.read()
-    plain = without_preamble(text, source.path)
+    plain, notes = without_preamble(text, source.path)
     header = plain.split("\n", 1)[0].split("\t")
     own = set(names) - {*header, *(cell.rpartition(" (")[0] for cell in header)}
     if plain == text or own and any(own <= _cells_of(line) for line in text.splitlines()[:_HEADER]):
         return source
-    return replace(source, text=plain, counts=_counts(plain))
+    return replace(source, text=plain, counts=_counts(plain), notes=(*source.notes, *notes))
 
 
 _HEADER = 60

@@ -27,7 +27,7 @@ from bsp_gp.data.assembly import (
     unwrapped,
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
-from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion
+from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion, ratio_of
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
@@ -46,6 +46,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
+from bsp_gp.data.twice import measures_at_once
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -280,9 +281,10 @@ def _frame_table(frame, rename, what):
         raise DataError("the table has no rows", file=what)
     found = headings(frame.columns, rename, is_track=what == "frames")
     plain = frame.set_axis(range(frame.shape[1]), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
+    is_track = what == "frames"
     return long_table(
-        plain, found, [h.unit for h in found], groups_of(found, file=what), file=what,
-        as_text=what != "frames",
+        plain, found, [h.unit for h in found], groups_of(found, file=what, is_track=is_track),
+        file=what, as_text=not is_track,
     )  # fmt: skip
 
 
@@ -332,6 +334,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, twice = measures_at_once(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
@@ -351,6 +354,7 @@ def _assemble(table, roster, declaration, default_name):
         *units_notes,
         *input_notes,
         *rows.notes,
+        *twice,
         *apart,
         *still,
         *(roster.notes if roster else ()),
@@ -548,7 +552,7 @@ def _units_of(tables, declared):
         kind = COLUMN_KINDS.get(column, column)
         if column in declared or kind not in declared:
             units[column] = text
-        elif text != declared[kind]:
+        elif ratio_of(text, declared[kind]) != 1.0:
             notes.append(f"{column} is in {declared[kind]!r} as declared, not in {text!r}")
     return units | declared, notes
 

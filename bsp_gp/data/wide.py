@@ -9,6 +9,7 @@ from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
 from bsp_gp.errors import DataError
 
 _AXES = ("x", "y", "z")
+MOST_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Group:
     run: str = ""
 
 
-def groups_of(found, titles=(), *, file=None, line=None):
+def groups_of(found, titles=(), *, file=None, line=None, is_track=True):
     """Groups of the columns of a table; () where it is a long one.
 
     Parameters
@@ -39,20 +40,37 @@ def groups_of(found, titles=(), *, file=None, line=None):
         Cells of the line above the header, which may name the groups.
     file, line : optional
         For complaints.
+    is_track : bool
+        Whether it is a table of positions, in which columns that mean nothing to us may share a
+        name.
     """
     owners = dict.fromkeys(h.owner for h in found if h.sure != UNKNOWN and h.owner != ("", ""))
     groups = _owned(found, owners) if owners else _repeated(found, titles)
-    names = [h.name for h in found]
-    duplicated = sorted({n for n in names if n and names.count(n) > 1})
-    if duplicated and not groups:
-        raise DataError(
-            f"the header names {duplicated[0]!r} twice", file=file, row=line, column=duplicated[0],
-            remedy="every column needs a name of its own",
-        )  # fmt: skip
+    if not groups:
+        _require_once(found, is_track, file, line)
     labels = [(group.run, group.label) if group.run else group.label for group in groups]
     if len(set(labels)) != len(labels):
         raise DataError(f"two masses have one name: {labels}", file=file)
     return groups
+
+
+def _require_once(found, is_track, file, line):
+    """DataError where a column that counts comes twice."""
+    names = [h.name for h in found]
+    twice = [h for h in found if h.name and names.count(h.name) > 1
+             and not (is_track and h.sure == UNKNOWN)]  # fmt: skip
+    if twice and twice[0].run:
+        listed = ", ".join(h.theirs for h in found[:MOST_LISTED])
+        raise DataError(
+            f"of {twice[0].run} no column is a place for sure; the first columns are {listed}",
+            file=file, row=line, column="x",
+            remedy='say of one run which it is, for all of them: --columns x="..."',
+        )  # fmt: skip
+    if twice:
+        raise DataError(
+            f"the header names {twice[0].name!r} twice", file=file, row=line, column=twice[0].name,
+            remedy="every column needs a name of its own",
+        )  # fmt: skip
 
 
 def _owned(found, owners):

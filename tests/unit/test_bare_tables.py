@@ -186,6 +186,17 @@ def test_columns_without_names_are_called_by_their_numbers(tmp_path):
     np.testing.assert_allclose(data.scenes[0].times, np.arange(N) / 10)
 
 
+def test_columns_called_by_their_numbers_may_stand_beside_texts(tmp_path):
+    lines = [f"{k},ID{7 * k},{'ab'[k % 2]},0.5,{k},{k // 2},0.5" for k in range(1, 9)]
+    path = table(tmp_path, *lines)
+    columns = {"frame": "6", "entity": "3", "x": "5", "y": "4"}
+    data = bsp_gp.load_dataset(path, columns=columns, fps=10)
+    assert set(data.scenes[0].names) == {"a", "b"} and "not used: 1, 2, 7" in data.notes
+    path = table(tmp_path, "t,1,2", *rows(T, SURE, range(N)))
+    (scene,) = bsp_gp.load_dataset(path, columns={"x": "1", "y": "2"}).scenes
+    np.testing.assert_allclose(scene.positions[:, 0, 0], SURE)
+
+
 @pytest.mark.parametrize("first", ["1,2,3", "0,0,0", "2,1,3"])
 def test_the_first_row_is_not_lost_though_it_looks_like_numbers_of_columns(tmp_path, first):
     path = table(tmp_path, first, *rows(range(3, 3 + N), range(N), SURE))

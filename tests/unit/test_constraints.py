@@ -246,6 +246,21 @@ def test_bodies_must_be_named_and_have_masses():
         read_constraint(more, "norm(p_i - p_j) = 0.4")
 
 
+def test_a_name_with_a_blank_is_typed_with_a_line():
+    t = np.arange(10) * 0.02
+    places = double_pendulum(t)
+    frames = [
+        pd.DataFrame({"t": t, "entity": name, "x": places[:, k, 0], "y": places[:, k, 1]})
+        for k, name in enumerate(("mass A", "mass B"))
+    ]
+    data = bsp_gp.Dataset.from_frames(
+        pd.concat(frames), units={"length": "m", "time": "s", "mass": "kg"},
+        properties={"mass": 0.1},
+    )  # fmt: skip
+    pairs = read_constraint(data, "norm(p_mass_B - p_mass_A) = L").pairs
+    assert pairs == (("mass B", "mass A"),)
+
+
 def test_simulated_tracks_stay_on_the_rod():
     data = bob(n=60)
     made = bsp_gp.simulate_law(data, [WEIGHT, ROD])

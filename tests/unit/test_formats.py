@@ -61,7 +61,7 @@ def test_units_in_the_header(tmp_path, text):
     [
         (["t", "ratio / s", "x", "in s"], ("t", "ratio / s", "x", "in s")),
         (["t", "x / s", "y in kg", "x"], ("t", "x / s", "y in kg", "x")),
-        (["t", "x error", "fit x", "x"], ("t", "x error", "fit x", "x")),
+        (["t", "x error", "fit x", "x"], ("t", "sx", "fit x", "x")),
         (["t", "x", "v_x / (m/s)", "y velocity (m/s²)"], ("t", "x", "vx", "vy")),
         (["t", "x", "position x"], ("t", "x", "position x")),
     ],
@@ -107,12 +107,47 @@ def test_a_declared_kind_wins_over_the_header_and_is_told(tmp_path, header, leng
     assert len(told) == (0 if f"({length})" in header else 2)
 
 
+def test_a_unit_in_words_is_the_declared_one(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t_segundos,X_metros,Y_metros\n0,0,1\n0.5,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    data = load_dataset(path, units={"length": "m", "time": "s"})
+    assert data.notes == ()
+    data = load_dataset(path, units={"length": "cm"})
+    assert "x is in 'cm' as declared, not in 'metros'" in data.notes
+
+
 def test_tracker_single_mass(tmp_path):
     path = tmp_path / "run.txt"
     path.write_text("mass A\nt\tx\ty\n0,0\t0,0\t1\n0,5\t1,5\t2\n1\t4,25\t3\n", encoding="utf-8")
     scene = load_dataset(path).scenes[0]
     assert scene.names == ("mass A",)
     assert scene.positions[:, 0, 0].tolist() == X
+
+
+def test_a_header_may_end_with_a_delimiter_that_rows_have_not(tmp_path):
+    path = tmp_path / "run.txt"
+    path.write_text(",mass A,,\nt,x,y,\n0.0E0,0,1\n5.0E-1,1.5,2\n1,4.25,3\n", encoding="utf-8")
+    scene = load_dataset(path).scenes[0]
+    assert scene.names == ("mass A",)
+    assert scene.positions[:, 0, 0].tolist() == X
+
+
+@pytest.mark.parametrize("header", ["t\tx\ty error", "# t\tx\ty error", "t\tx\ty\terror"])
+def test_tabs_and_blanks_may_be_mixed(tmp_path, header):
+    path = tmp_path / "copied.txt"
+    rows = "0\t0\t 1\t9\n0.5\t1.5  2\t9\n1\t4.25\t3\t9\n"
+    path.write_text(f"# as copied\n{header}\n{rows}", encoding="utf-8")
+    scene = load_dataset(path, columns={"error": "ignore"}).scenes[0]
+    assert scene.positions[:, 0].tolist() == [[0, 1], [1.5, 2], [4.25, 3]]
+
+
+@pytest.mark.parametrize("cell", ["X", "-", "--", "...", "NA", "n/a", "?", "none", ""])
+def test_what_stands_for_no_value_is_none(tmp_path, cell):
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,x,y,sx,sy\n0,0,1,0.1,{cell}\n0.5,{cell},{cell},,\n1,4,3,0.1,0.1\n"
+                    "2,4,5,1,1\n", encoding="utf-8")  # fmt: skip
+    scene = load_dataset(path).scenes[0]
+    assert scene.times.tolist() == [0, 1, 2] and np.isnan(scene.sigma[0, 0, 1])
 
 
 @pytest.mark.parametrize(
@@ -275,3 +310,84 @@ def test_a_first_name_may_be_said_with_its_mark(tmp_path):
     columns = {"t": "%time", "x": "pos", "stamp": "ignore"}
     dataset = load_dataset(path, columns=columns, units={"length": "m", "time": "s"})
     assert dataset.scenes[0].times.tolist() == [0.0, 9.0, 18.0]
+
+
+def _runs(tmp_path, *names, count=2):
+    """A table of runs side by side, each with these columns."""
+    path = tmp_path / "runs.csv"
+    header = [f"{name} Run #{k}" for k in range(1, count + 1) for name in names]
+    own = [10 * k + i for k in range(count) for i in range(len(names))]
+    rows = [[str(value + j) for value in own] for j in range(5)]
+    path.write_text("\n".join(map(",".join, [header, *rows])) + "\n", encoding="utf-8")
+    return path
+
+
+PENDULUM = ("Time (s)", "Angle (rad)", "Acceleration (m/s²)", "Position (m)")
+
+
+@pytest.mark.parametrize("name", ["x", "theta"])
+@pytest.mark.parametrize("theirs", ["Angle (rad) Run #1", "Angle (rad) Run #2", "Angle (rad)"])
+def test_a_column_that_is_named_is_that_of_every_run(tmp_path, name, theirs):
+    data = load_dataset(_runs(tmp_path, *PENDULUM), columns={name: theirs})
+    assert [scene.name for scene in data.scenes] == ["Run #1", "Run #2"]
+    assert [scene.positions[0, 0, 0] for scene in data.scenes] == [1.0, 11.0]
+    assert data.units.declared["length"] == "rad"
+
+
+def test_columns_of_two_runs_that_are_named_are_two_bodies(tmp_path):
+    columns = {"red_x": "Position (m) Run #1", "blue_x": "Position (m) Run #2"}
+    path = _runs(tmp_path, "Time (s)", "U (V)", "I (A)", "Position (m)")
+    (scene,) = load_dataset(path, columns={"t": "Time (s) Run #1", **columns}).scenes
+    assert scene.names == ("red", "blue") and scene.positions[0, :, 0].tolist() == [3.0, 13.0]
+
+
+def test_of_runs_without_a_sure_place_it_is_asked_for(tmp_path):
+    with pytest.raises(DataError, match="of Run #1 no column is a place.* Angle .*for all"):
+        load_dataset(_runs(tmp_path, *PENDULUM))
+
+
+def test_columns_of_one_name_that_nobody_uses_do_no_harm(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,x,note,y,note\n0,0,a,1,b\n1,1,a,2,b\n2,4,a,3,b\n", encoding="utf-8")
+    data = load_dataset(path)
+    assert data.scenes[0].positions[:, 0, 1].tolist() == [1, 2, 3]
+    assert "not used: note" in data.notes
+
+
+ERRORS = {
+    "x_err": "t,x,x_err,y,y_err",
+    "err_x": "t,x,err_x,y,err_y",
+    "sigma": "t (s),x (m),σx,y (m),σ_y",
+    "right of it": "t,x,Error,y,Error",
+    "of what is called so": "t,Δ1,Δ1.Error,Δ2,Error Δ2",
+    "of a body": "t,red_x,red_x_err,red_y,red_y_err",
+}
+NO_ERRORS = {
+    "differences": "t,x,dx,y,dy",
+    "vectors": "t,x,e_x,y,u_y",
+    "of one axis": "t,x,x_err,y,q",
+    "parts": "t,x,x_err (%),y,y_err (%)",
+    "fits": "t,x,x_fit,y,y_residual",
+}
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+def test_errors_beside_places_count_row_by_row_and_are_told(tmp_path, kind):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{ERRORS[kind]}\n0,0,0.1,1,0.2\n1,1.5,0.3,2,\n2,4,0.1,3,0.4\n", "utf-8")
+    columns = {"x": "Δ1", "y": "Δ2"} if "Δ" in ERRORS[kind] else {}
+    data = load_dataset(path, columns=columns)
+    assert data.scenes[0].sigma[:, 0, 0].tolist() == [0.1, 0.3, 0.1]
+    assert np.isnan(data.scenes[0].sigma[1, 0, 1]) and any("as sx" in note for note in data.notes)
+    if kind == "x_err":
+        ignored = load_dataset(path, columns={"x_err": "ignore", "y_err": "ignore"})
+        assert ignored.scenes[0].sigma is None
+
+
+@pytest.mark.parametrize("header", [*NO_ERRORS.values(), "t,x,x_err,y,y_err"])
+def test_what_only_looks_like_errors_is_left_alone(tmp_path, header):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header}\n0,0,0.1,1,0.2\n1,1.5,0.3,2,-0.1\n2,4,0.1,3,0.4\n", "utf-8")
+    data = load_dataset(path)
+    assert data.scenes[0].sigma is None
+    assert any(note.startswith(f"not used: {header.split(',')[2]}") for note in data.notes)

@@ -80,9 +80,11 @@ def test_bodies_side_by_side_have_units_behind_any_mark(tmp_path, style):
 
 
 @pytest.mark.parametrize("has_header", [True, False])
-def test_an_export_of_qualisys_is_in_millimetres(tmp_path, has_header):
+@pytest.mark.parametrize("is_later", [True, False])
+def test_an_export_of_qualisys_is_in_millimetres(tmp_path, has_header, is_later):
     head = ["NO_OF_FRAMES\t3", "NO_OF_MARKERS\t2", "FREQUENCY\t100", "DATA_INCLUDED\t3D"]
-    lines = [*head, "MARKER_NAMES\tred\tblue"]
+    lines = ["FILE_VERSION\t2.0.0"] * is_later + [*head, "MARKER_NAMES\tred\tblue"]
+    lines += ["TRAJECTORY_TYPES\tMeasured\tMixed"] * is_later
     places = ["1.5\t-2\t1000\t4\t5\t6", "\t\t\t7\t8\t9", "1e1\t11\t12\t13\t14\t15"]
     if has_header:
         lines.append("Frame\tTime\tred X\tred Y\tred Z\tblue X\tblue Y\tblue Z")

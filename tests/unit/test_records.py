@@ -27,6 +27,14 @@ def test_records_in_all_their_ways_are_the_same_table(text, name, tmp_path):
     assert np.array_equal(scene.positions[:, 0], np.stack([seen**2, np.ones(4)], axis=1))
 
 
+def test_objects_by_name_that_hold_records_are_recordings(tmp_path):
+    pairs = {name: {"name": name, "data": RECORDS[:n], "by": {"me": 1}}
+             for name, n in (("one", 5), ("two", 4))}  # fmt: skip
+    (tmp_path / "a.json").write_text(json.dumps(pairs), encoding="utf-8")
+    scenes = load_dataset(tmp_path / "a.json").scenes
+    assert [(scene.name, len(scene.times)) for scene in scenes] == [("one", 4), ("two", 3)]
+
+
 def test_what_is_nested_has_names_of_its_own():
     text = as_table('{"t": 0, "ball": [1, 2.5], "said": {"by": "me", "at": {"k": null}}}', "a")
     assert text == "t\tball_x\tball_y\tsaid_by\tsaid_at_k\n0\t1\t2.5\tme\t\n"

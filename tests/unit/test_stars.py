@@ -253,3 +253,56 @@ def test_the_law_of_an_orbit_is_the_inverse_square_of_the_distance_to_the_primar
     assert "pull to primary, as distance⁻²" in out
     strength = float(out.split("Law: F = -")[1].split()[0])
     assert strength == pytest.approx(4 * np.pi**2 * 1.2**3 / 40**2, rel=0.02)
+
+
+def _mailed(*pairs):
+    """Measures as the Washington catalogue mails them: fixed columns, dots for no value, limits."""
+    lines = ["USNO Double Star data for WDS 00000+0000", "", "Note: made up.", "-" * 40, "",
+             "MEASURES:", ""]  # fmt: skip
+    for pair in pairs:
+        lines.append(f"{pair}     1950 1966   12 300 060   1.4   1.6 12.06   .   M3       NC")
+        for t, r, a in zip(T, RHO, PA, strict=True):
+            lines.append(f"       {t:<11}{a:6.2f}   0.5    {r:7.4f}   0.010    7.28  0.07   A")
+        lines.append("       2008.9754      .      .    <  0.020   >0.040      .     .    > 2.43")
+        lines.append("       2009.5         .      .       1.5       .         .     .       .  ")
+    return "\n".join([*lines, "", "-" * 40, "", "NOTES:", "ABC  1   1999. 2. 3. 4."]) + "\n"
+
+
+def test_measures_are_read_as_the_catalogue_mails_them(tmp_path):
+    data = _loaded(tmp_path, _mailed("ABC   1"))
+    (scene,) = data.scenes
+    assert scene.names == ("companion", "primary") and data.units.symbols["m"] == "arcsec"
+    np.testing.assert_allclose(scene.positions[:, 0], np.stack([EAST, NORTH], 1), atol=1e-4)
+    assert scene.sigma[0, 0] == pytest.approx(
+        np.hypot(0.01 * np.array([EAST, NORTH])[:, 0] / RHO[0],
+                 np.radians(0.5) * np.array([NORTH, EAST])[:, 0]), rel=1e-3)  # fmt: skip
+    told = " ".join(data.notes)
+    assert "limits" in told and "line 21" in told and "alone are left out (line 22)" in told
+    assert "Besselian years were put into Julian ones" in told
+    scenes = _loaded(tmp_path, _mailed("ABC   1AB", "ABC   1AC")).scenes
+    assert [scene.name for scene in scenes] == ["ABC 1AB", "ABC 1AC"]
+
+
+def _at_once(second, header="t,x,y,sx,sy", rows=(0, 1, 2, 3)):
+    lines = [f"{2000 + k},{k},{k},0.1,0.1" for k in rows]
+    return "\n".join([header, *lines[:2], second, *lines[2:]]) + "\n"
+
+
+def test_measures_at_one_time_that_agree_are_their_mean(tmp_path):
+    data = _loaded(tmp_path, _at_once("2001,1.2,1.1,0.1,0.2"))
+    (scene,) = data.scenes
+    assert scene.times.tolist() == [2000, 2001, 2002, 2003]
+    assert scene.positions[1, 0] == pytest.approx([1.1, 1.02])
+    assert scene.sigma[1, 0] == pytest.approx([0.1 / np.sqrt(2), 0.1 / np.sqrt(1.25)])
+    assert any("row(s) are at the time of the row before (line 4)" in n for n in data.notes)
+
+
+@pytest.mark.parametrize("second", ["2001,2,1.1,0.1,0.2", "2001,1,1,,", "2001,1,1,0.1,0"])
+def test_measures_at_one_time_that_disagree_are_refused_with_the_time_of_the_file(tmp_path, second):
+    with pytest.raises(DataError, match=r"line 4.*two rows at t = 2001 \(duplicate\)"):
+        _loaded(tmp_path, _at_once(second), units={"time": "yr", "length": "arcsec"})
+
+
+def test_mailed_measures_in_other_columns_are_refused(tmp_path):
+    with pytest.raises(DataError, match="line 9 has other columns"):
+        _loaded(tmp_path, _mailed("ABC   1").replace("       1950.25    ", " " * 15 + "1950.25"))

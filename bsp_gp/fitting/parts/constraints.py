@@ -70,7 +70,7 @@ def read_constraint(dataset, text, pairs=None):
     text : str
         An equation between places. Points are written as their coordinates, in the unit of the
         data; names in them, and elsewhere, are fitted. ``x_i, y_i, z_i`` are coordinates;
-        ``p_NAME`` is the place of a body by name.
+        ``p_NAME`` is the place of a body by name, with ``_`` for what is no letter or digit in it.
     pairs : sequence of (str, str), optional
         The bodies i and j ("" = none) that it is on, where the text does not say it.
 
@@ -182,10 +182,12 @@ def _names(dataset):
 
 def _with_roles(text, sides, moving, fixed):
     """The sides with i and j in the place of names of bodies, and who these are."""
-    known = (*moving, *fixed)
+    known = {_typed(name): name for name in (*fixed, *moving)}
+    known |= {name: name for name in (*fixed, *moving)}
     found = dict.fromkeys(
-        m[2] for side in sides for m in _STATE.finditer(side) if m[2] in known and m[2] not in "ij"
-    )
+        known[m[2]] for side in sides for m in _STATE.finditer(side)
+        if m[2] in known and m[2] not in "ij"
+    )  # fmt: skip
     found = sorted(found, key=lambda name: name in fixed)
     if len(found) > 2 or (found and found[0] in fixed):
         raise LawError(
@@ -195,13 +197,18 @@ def _with_roles(text, sides, moving, fixed):
     role = dict(zip(found, "ij", strict=False))
 
     def shown(match):
-        letter, name = match[1], role.get(match[2], match[2])
+        letter, name = match[1], role.get(known.get(match[2]), match[2])
         if name not in ("i", "j"):
             return match[0]
         return f"p_{name}" if letter == "p" else f"dot(p_{name} - origin, e_{letter})"
 
     sides = [_STATE.sub(shown, side) for side in sides]
     return sides, (found[0], found[1] if len(found) > 1 else "") if found else None
+
+
+def _typed(name):
+    """A name of a body as it is typed: ``mass A`` of Tracker is ``mass_A``."""
+    return re.sub(r"\W", "_", name)
 
 
 def _difference(dataset, text, sides):
@@ -289,7 +296,8 @@ def _pairs(dataset, text, formula, roles):
         elif moving:
             raise LawError(
                 f"constraint {text!r} does not say which bodies of scene {scene.name!r} it is "
-                f"between: name them, as in p_{moving[0]} - p_{(fixed or moving[1:])[0]}"
+                f"between: name them, as in p_{_typed(moving[0])} - "
+                f"p_{_typed((fixed or moving[1:])[0])}"
             )
     return tuple(found)
 

@@ -1,0 +1,53 @@
+"""Measures of one body at one time, as of two instruments in one night: one row each time."""
+
+from dataclasses import replace
+
+import numpy as np
+
+AGREE = 5.0
+"""Standard errors of their difference by which measures at one time may differ."""
+LISTED = 8
+
+
+def measures_at_once(rows):
+    """Rows in which neighbours of one body, scene and time are their mean, weighted by errors.
+
+    They must quote errors and agree within these: what does not may be of two bodies, and stays as
+    it is.
+
+    Returns
+    -------
+    rows : Rows
+    notes : tuple of str
+    """
+    if rows.sigma is None or rows.velocities is not None or len(rows.times) < 2:
+        return rows, ()
+    again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
+    is_new = np.append(True, ~again)
+    starts, axes = np.flatnonzero(is_new), np.isfinite(rows.sigma).any(axis=0)
+    x, sigma = rows.positions[:, axes], rows.sigma[:, axes]
+    first = starts[np.cumsum(is_new) - 1]
+    with np.errstate(all="ignore"):
+        far = np.abs(x - x[first]) / np.hypot(sigma, sigma[first])
+        agree = ((sigma > 0) & (sigma[first] > 0) & (far <= AGREE)).all(axis=1)
+        total = np.add.reduceat(sigma**-2.0, starts)
+        means = np.add.reduceat(sigma**-2.0 * x, starts) / total
+    if again.all() or not again.any() or not agree[~is_new].all():
+        return rows, ()
+    places, errors = rows.positions[starts].copy(), rows.sigma[starts].copy()
+    several = np.isin(starts, first[~is_new])[:, None]
+    places[:, axes] = np.where(several, means, places[:, axes])
+    errors[:, axes] = np.where(several, total**-0.5, errors[:, axes])
+    lines = rows.lines[~is_new]
+    listed = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
+    note = (
+        f"{len(lines)} row(s) are at the time of the row before (line {listed}) and agree with it: "
+        "they are one measure, the mean weighted by their errors"
+    )
+    taken = {name: getattr(rows, name)[starts] for name in ("scene", "entity", "times", "lines")}
+    return replace(
+        rows, **taken, positions=places, sigma=errors,
+        inputs={name: (values[starts], unit) for name, (values, unit) in rows.inputs.items()},
+        first=rows.first and tuple(values[starts] for values in rows.first),
+        logged={n: (text, values[starts], unit) for n, (text, values, unit) in rows.logged.items()},
+    ), (note,)  # fmt: skip
