@@ -68,12 +68,23 @@ def require_columns(table, needed):
         options = " ".join(f'{column}="..."' for column in missing)
         if "x" in missing:
             options += ' (of bodies side by side, BODY_x="..." OTHER_x="...")'
+        is_data = sum(_is_number(cell) for cell in present) >= len(present) / 2
         raise DataError(
-            f"the header has no column {missing[0]!r}; present are {', '.join(present)}",
+            f"the header has no column {missing[0]!r}; present are {', '.join(present)}"
+            + ("; it looks like a row of data, so line 1 is no header" if is_data else ""),
             file=table.file,
             column=missing[0],
             remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
         )
+
+
+def _is_number(text):
+    """Whether a heading is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def tracks_of(frame, column):

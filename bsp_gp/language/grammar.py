@@ -273,7 +273,9 @@ def _with_other_name(source, name, other):
                 for key, value in source.items()}  # fmt: skip
     if isinstance(source, list):
         return [_with_other_name(part, name, other) for part in source]
-    return re.sub(rf"(?<![\w{{]){name}(?![\w}}])", other, source) if isinstance(source, str) else source
+    if isinstance(source, str):
+        return re.sub(rf"(?<![\w{{]){name}(?![\w}}])", other, source)
+    return source
 
 
 def _rebuild(source, enabled):

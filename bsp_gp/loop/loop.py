@@ -59,6 +59,8 @@ what is no law, that lead nowhere, after which no more of it are made: what its 
 is noise of another kind."""
 PROPOSING = 0.3
 """Part of the time that is left which one proposer may take."""
+MOST_BETTER = 2
+"""Laws that are fitted after one that leaves nothing, since they do better as far as that tells."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
 MOST_FIRSTS, MOST_SECONDS = 3, 2
@@ -408,7 +410,7 @@ class _Turn:
             is_lesser = proposal.rank < asked.get(source, math.inf)
             is_first = k < n_first and (is_lesser or proposal is heads[source])
             asked[source] = min(proposal.rank, asked.get(source, math.inf))
-            measure, is_again = self.measure.get(source, False), k >= n_first
+            measure, is_again = self.measure.get(source, False), k in left
             measures = {measure} if is_first else {False, True}
             if self._is_behind(proposal, measures):
                 continue
@@ -429,6 +431,7 @@ class _Turn:
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             most = min(n_first, n_most) + len(queue) - n_first
             self.run.says(f"fit {n_fits} of {most}: {proposal.text}")
+            was_open = self.explained is None
             row, proposal = self._followed(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
             if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
@@ -445,6 +448,8 @@ class _Turn:
                 unkept[source] = -math.inf if is_likelier else unkept.get(source, 0) + 1
             if row.is_fit:
                 self._note_gain(row, proposal, self.measure.get(source, False))
+            if was_open and self.explained:
+                queue += self._better(every, queue)
             if row.is_fit and (source, proposal) not in controls:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
@@ -568,6 +573,22 @@ class _Turn:
         """How many laws leave nothing beyond the noise, and are about as likely as any so far."""
         least = max(row.log_posterior for row in self.rows) - 2 * self.run.criteria.class_nats
         return min((n for _, n, nats in self.leaving_nothing if nats > least), default=math.inf)
+
+    def _better(self, every, queue):
+        """Laws that were not chosen, and do better than one that leaves nothing as that tells.
+
+        Beside a law that is far off promises are not exact; at its tracks they nearly are.
+        """
+        tops = tops_of(every)
+        able = [
+            (source, proposal) for source, proposal in every
+            if proposal.formulas and len(proposal.formulas) <= self.enough
+            and proposal.promise > tops[True] - max(FAR_BEHIND, tops[True] / 50)
+            and (source, proposal) not in queue
+        ]  # fmt: skip
+        behind = {id(pair): self._nats_behind(pair[1]) for pair in able}
+        able = [pair for pair in able if behind[id(pair)] < 0]
+        return sorted(able, key=lambda pair: behind[id(pair)])[:MOST_BETTER]
 
     def _explained(self, row, proposal, found):
         """What a law that leaves nothing says of others, where that is more than they promise."""
@@ -838,9 +859,10 @@ def _without_weakest(proposal, found, criteria):
 def _chosen(every, clear, criteria):
     """The first proposal of every family that shows something, then those near the best.
 
-    Promises of different families are not of one measure.
+    Promises of different families are not of one measure: laws are held against laws, and what
+    corrects or leaves out rows against its like.
     """
-    top = every[0][1].promise if every else 0.0
+    top, tops = every[0][1].promise if every else 0.0, tops_of(every)
     best, simplest, others = {}, {}, {}
     for name, proposal in every:
         if name in clear:
@@ -853,10 +875,12 @@ def _chosen(every, clear, criteria):
             # Beside a law that is far off promises are not exact: of what promises about as much,
             # the best of every size, and of every form that leads a sum.
             # Those that may be all there is are fitted up to the first that is.
-            if proposal.is_sole or proposal.promise > top - max(FAR_BEHIND, top / 50):
+            own = tops[bool(proposal.formulas)]
+            if proposal.is_sole or proposal.promise > own - max(FAR_BEHIND, own / 50):
                 others.setdefault((name, proposal.rank), (name, proposal))
                 others.setdefault((name, proposal.lead), (name, proposal))
-    near = [pair for pair in every if pair[1].promise > top - criteria.class_nats]
+    near = [pair for pair in every
+            if pair[1].promise > tops[bool(pair[1].formulas)] - criteria.class_nats]  # fmt: skip
     chosen, keys, groups = [], set(), ([*best.values(), *simplest.values()], others.values(), near)
     for group in groups:
         # Far from the tracks the simpler may explain all, where a sum does not converge.
@@ -865,6 +889,14 @@ def _chosen(every, clear, criteria):
                 chosen.append((name, proposal))
                 keys.add(proposal.key)
     return sorted(chosen, key=lambda pair: _order(pair[1]))
+
+
+def tops_of(every):
+    """What laws, and what is none, promise at the most, by whether it is a law."""
+    tops: dict = {}
+    for _, proposal in every:
+        tops.setdefault(bool(proposal.formulas), proposal.promise)
+    return tops
 
 
 def _order(proposal):
