@@ -26,9 +26,9 @@ CAUSES = (
     "law", "law_by_body", "law_by_scene", "law_by_source", "exponent", "number",
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind",
     "belt", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
-    "shutter", "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "bad_row",
-    "clock_jump", "hidden_body", "contact", "bounce", "rod", "wire", "frame", "reference", "kicks",
-    "noise", "varying_strength", "free_force",
+    "shutter", "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "untrimmed",
+    "bad_row", "clock_jump", "hidden_body", "contact", "bounce", "rod", "wire", "frame",
+    "reference", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")

@@ -515,7 +515,9 @@ class _Turn:
         out: dict = {}
         for row in fitted:
             proposal = self.proposals[row.id]
-            if proposal.formulas and row.log_posterior > self.rows[0].log_posterior:
+            # Ends that are no part of the motion hide what forces do between them.
+            may_be = proposal.formulas or proposal.code == "untrimmed"
+            if may_be and row.log_posterior > self.rows[0].log_posterior:
                 out.setdefault((proposal.code, proposal.lead), row)
         return list(out.values())[:MOST_FIRSTS]
 

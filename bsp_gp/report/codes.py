@@ -19,6 +19,7 @@ CAUSES = {
     "inclined": "an orbit whose plane is inclined to the sky", "late_log": "a log that is late",
     "lens": "a lens that distorts", "perspective": "perspective",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
+    "untrimmed": "rows before a body is let go, or after its motion has ended",
     "bad_row": "a bad row", "clock_jump": "times that are off from a row on",
     "hidden_body": "an unseen body", "contact": "a contact",
     "bounce": "a floor or wall that it bounces off",

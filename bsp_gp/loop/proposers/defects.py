@@ -15,6 +15,7 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.clocks import put_forward
 from bsp_gp.loop.proposers.stuck import LEAST_KEPT, is_broken, stuck
 from bsp_gp.loop.proposers.swaps import swaps
+from bsp_gp.loop.proposers.untrimmed import untrimmed
 
 MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
@@ -26,7 +27,7 @@ MOST_OFF, FEW_OFF = 0.05, 5
 """Part of the rows that may be off one by one, and how many may be of few."""
 MOST_BREAKS = 64
 """Ends of tracks of which it is asked whether they break."""
-FAR = ("swapped_tracks", "lost_track", "clock_jump")
+FAR = ("swapped_tracks", "lost_track", "clock_jump", "untrimmed")
 """Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
 """Least eigenvalue of what rows say of initial states, in that of all rows."""
@@ -44,8 +45,8 @@ class Defects:
         """The family of all rows and change-points."""
         if view.fit.is_failed:
             return self._family(view, [], [], np.zeros(2))
-        windows, shifts, even = [], {}, 0.0
-        for chain in _chains(view):
+        windows, shifts, even, chains = [], {}, 0.0, list(_chains(view))
+        for chain in chains:
             for window in chain.windows():
                 gains, best = window.gains()
                 windows.append((window, gains))
@@ -54,9 +55,9 @@ class Defects:
         moved = [_shift(chains) for chains in shifts.values()]
         for *_, gains in moved:
             even = np.maximum(even, gains)
-        return self._family(view, windows, moved, even)
+        return self._family(view, windows, moved, even, chains)
 
-    def _family(self, view, windows, moved, even):
+    def _family(self, view, windows, moved, even, chains=()):
         """The family, with what places tell without a fit."""
         n_tried = sum(len(w.first) for w, _ in windows) + sum(len(m[0].times) for m in moved)
         parts, excess, swapped, n_swaps = swaps(view)
@@ -68,6 +69,9 @@ class Defects:
             ("lost_track", still, theirs, n_still),
             ("clock_jump", closed, gained, n_still),
         ]
+        parts, excess, n_ends = untrimmed(chains, np.array(view.fit.noise.levels))
+        if parts:
+            kinds.append(("untrimmed", parts, excess, max(n_ends, 1)))
         if windows:
             kinds += [
                 ("bad_row", *_rows(windows, n_tried), n_tried),

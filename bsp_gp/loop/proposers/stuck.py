@@ -50,7 +50,7 @@ def _ends(scene, k, levels, axes):
     low, high = np.nanmin(scene.positions, axis=(0, 1)), np.nanmax(scene.positions, axis=(0, 1))
     for is_tail in (True, False):
         rows = seen[::-1] if is_tail else seen
-        n = _still(places[rows])
+        n = still_rows(places[rows])
         if n < LEAST_ROWS or n > (1 - LEAST_KEPT) * len(rows):
             continue
         steps = np.square(np.diff(places[rows[n - 1 :]], axis=0)).sum(axis=1)
@@ -69,7 +69,7 @@ def _ends(scene, k, levels, axes):
             yield part, gain, price
 
 
-def _still(places):
+def still_rows(places):
     """How many rows of (T, d) from the first on scatter about one place as noise does."""
     count = np.arange(1, len(places) + 1)
     mean = np.cumsum(places, axis=0) / count[:, None]
