@@ -6,6 +6,7 @@ or a note in `Dataset.notes`; nothing is dropped silently.
 """
 
 import dataclasses
+import glob
 import hashlib
 import math
 import os
@@ -74,7 +75,7 @@ def load_dataset(
     ----------
     path : path-like, or sequence of them
         A folder with ``trajectories.csv`` (or ``.parquet``), or a text file (CSV, a Tracker
-        export, a trackpy table). Of several, or of a folder with nothing but tables, every file is
+        export, a trackpy table). Of several (``run*.csv``), or of a folder of tables, every file is
         a scene that is called like it, or keeps its scenes; see `bsp_gp.data.several.joined`.
     units : mapping of str to str, optional
         Kind or column -> unit, on top of ``[units]``: ``{"length": "cm", "time": "s"}``.
@@ -110,10 +111,12 @@ def load_dataset(
     """
     reading = {"units": units, "columns": columns, "fps": fps, "dt": dt, "properties": properties,
                "sky": sky, "uses": uses}  # fmt: skip
+    if isinstance(path, str | os.PathLike) and _is_pattern(path):
+        path = [path]
     if isinstance(path, str | os.PathLike):
         folder, paths = Path(path), list(tables_of(path))
     else:
-        folder, paths = None, [Path(each) for each in path]
+        folder, paths = None, [Path(name) for each in path for name in _matching(each)]
         if not paths:
             raise DataError("no file is given; at least one is needed")
     if folder is not None and not paths:
@@ -128,6 +131,17 @@ def load_dataset(
             notes = (*dataset.notes, *sides[2])
             dataset = dataclasses.replace(dataset, train=sides[0], test=sides[1], notes=notes)
     return with_properties(named_of(dataset, uses), properties)
+
+
+def _is_pattern(path):
+    """Whether a path stands for several, as where a shell does not expand it."""
+    return any(mark in str(path) for mark in "*?[") and not os.path.lexists(path)
+
+
+def _matching(path):
+    """The files that a pattern stands for, in order; a plain path as it is."""
+    found = sorted(glob.glob(str(path))) if _is_pattern(path) else []
+    return found or [path]
 
 
 def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):

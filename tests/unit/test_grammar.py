@@ -299,3 +299,12 @@ def test_expressions_of_another_grammar_are_refused():
     for lists in ([99], [-1], ["0"], [0], [0, [0]], [1, [1]], [4, [1]]):
         with pytest.raises(GrammarError):
             from_lists(lists, grammar)
+
+
+def test_a_measured_column_may_be_called_like_a_constant_of_the_grammar():
+    physics = load_grammar("physics")
+    more = physics.for_properties({}, {"u": Type("scalar")})
+    assert "u" in more.inputs
+    assert "u" not in more.inside["ranges"]
+    assert "u_own" in more.inside["ranges"]
+    assert "u_own" in more.beyond.source["rules"]["Powered"]  # was: adds m/s and 1

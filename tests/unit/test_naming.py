@@ -1,5 +1,6 @@
 """Terms in plain words, and laws that are not told apart from themselves."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,15 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
-from bsp_gp.report.naming import along_one_line, bad_rows, clock_jumps, describe, kick
+from bsp_gp.report.naming import (
+    SWINGS,
+    along_one_line,
+    bad_rows,
+    clock_jumps,
+    describe,
+    kick,
+    period,
+)
 from bsp_gp.report.page import _parts
 from bsp_gp.report.sentences import group_range, powers_sentence
 from bsp_gp.units import Unit
@@ -320,3 +329,14 @@ def test_times_that_are_off_are_told_with_their_rows():
     assert clock_jumps(effect) == (
         "times that are off by 0.37 s from row 230 of run 2 on, by -0.05 s from row 5 of run 3 on"
     )
+
+
+def test_a_period_is_told_with_its_length_and_a_year_as_one():
+    def effect(rate, unit):
+        return SimpleNamespace(constants=(SimpleNamespace(name="w1", value=rate, unit=unit),))
+
+    assert period(effect(2 * math.pi / 2.5, "1/s")) == ", every 2.500 s"
+    assert period(effect(6.279, "1/yr")).startswith(", every 1.001 yr (a year")
+    assert "parallax" in period(effect(1.991e-7, "1/s"))
+    both = along_one_line([SWINGS + "x", SWINGS + "y"], [1.0, 2.0])
+    assert both == ("push with a period along x and y",)

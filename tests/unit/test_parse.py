@@ -424,3 +424,12 @@ def test_an_impulse_is_one_function_of_unit_integral():
     assert "above zero" in rejected("impulse(t, 0 [s]) * m_i * v_i")
     assert "duration in s" in rejected("impulse(t, c1) * m_i * v_i")
     assert "when and how long" in rejected("impulse(t) * m_i * v_i")
+
+
+def test_a_place_of_two_coordinates_lies_in_the_plane_of_three():
+    types = input_types(PROPERTY_UNITS, n_dims=3)
+    flat, whole = (parse_formula(f"p_i - {place}", types) for place in ("(X, Y)", "(X, Y, 0 [m])"))
+    state = {"p_i": np.array([1.0, 2.0, 3.0]), "origin": np.zeros(3)}
+    state |= dict(zip(("e_x", "e_y", "e_z"), np.eye(3), strict=True))
+    values = [evaluate(f, state, {"X": 0.5, "Y": 0.25}) for f in (flat, whole)]
+    np.testing.assert_array_equal(*values)

@@ -107,3 +107,21 @@ def test_a_wind_is_adopted_with_its_velocity():
     assert found["c"].value == pytest.approx(DRAG, rel=0.05)
     name = page_of(report).rounds[0].effect.name
     assert name.startswith("a medium that moves (a wind, a current), (0.") and name.endswith("m/s")
+
+
+def test_a_wind_along_the_one_axis_of_motion():
+    t, tracks = np.linspace(0.0, 6.0, 60), {}
+    for k, sign in enumerate((1, -1, 1, -1)):
+
+        def rate(_, state):
+            past = state[1] - 0.4
+            return [state[1], -DRAG * abs(past) * past]
+
+        x = solve_ivp(rate, (0, 6), [0.0, sign * (4.0 + k)], t_eval=t, rtol=1e-9).y[0]
+        noise = 0.02 * np.random.default_rng(k).standard_normal(60)
+        tracks[f"r{k}"] = pd.DataFrame({"t": t, "x": x + noise})
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})
+    data = bsp_gp.Dataset.from_frames(tracks, bodies, units=UNITS)
+    (found,) = _winds(view_of(data, LAWS[0]))
+    assert set(found.starts) == {"wind_x1"}  # nothing is told of another axis
+    assert found.promise > 20.0

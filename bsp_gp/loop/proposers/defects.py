@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
@@ -69,9 +70,11 @@ class Defects:
             ("lost_track", still, theirs, n_still),
             ("clock_jump", closed, gained, n_still),
         ]
-        parts, excess, n_ends = untrimmed(chains, np.array(view.fit.noise.levels))
-        if parts:
-            kinds.append(("untrimmed", parts, excess, max(n_ends, 1)))
+        # Under a law that cannot follow them, levels are of no use: tracks tell what noise is.
+        levels = np.array(estimate_noise(view.dataset).sigma) if chains else None
+        ends, bare, n_ends = untrimmed(chains, levels)
+        if len(ends) > 1:  # one alone is a track that is lost
+            kinds.append(("untrimmed", ends, bare, n_ends))
         if windows:
             kinds += [
                 ("bad_row", *_rows(windows, n_tried), n_tried),
