@@ -7,18 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bsp_gp.language.expression import derive
 from bsp_gp.language.grammar import load_grammar
-from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-ANSWERS = [  # 5 m_i m_j / r^1.37; softened; screened
-    "c1 * ((m_i * m_j) * pow(norm(p_i - p_j), c3) * normalize(p_j - p_i))",
-    "c1 * ((m_i * m_j) * (norm(p_i - p_j) * pow(square(norm(p_i - p_j)) + square(c2), c3)) "
-    "* normalize(p_j - p_i))",
-    "c1 * ((m_i * m_j) * inverse(square(norm(p_i - p_j))) * exp(neg(norm(p_i - p_j) / c2)) "
-    "* normalize(p_j - p_i))",
-]
+REST_LENGTH = "(norm(p_i - p_j) - L) * normalize(p_i - p_j)"
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +115,25 @@ def test_laws_are_judged_beyond_what_was_learned_from_too(tools):
             assert depth[2].min() < 1.3 * min(depth[0].min(), depth[1].min())
 
 
-@pytest.mark.parametrize("text", ANSWERS)
-def test_our_grammar_of_inner_constants_has_the_answers(text):
-    grammar = load_grammar(str(EXPERIMENTS / "peers_inner.toml"))
-    formula = parse_formula(text, grammar.inputs)
-    assert derive(formula, grammar, grammar.start["pair"]) is not None
-    assert grammar.count(grammar.start["pair"], len(grammar.types)) == 90
+def test_forms_with_constants_inside_are_found_on_single_steps(tools):
+    """As the peers' study searches them: a regression of one step, of any layout of moments."""
+    from bsp_gp.physics.bodies import dataset_types
+    from bsp_gp.physics.likelihood import build_regression
+    from bsp_gp.search.inner import ZOOMS, InnerSearch, read_forms
+
+    tasks = sys.modules["peers_tasks"]
+    scenes = tasks.motion(tasks.TASKS["rest length"], 0)[0]
+    data, known = tasks.dataset_of(scenes), build_regression(scenes, sigma=1e-3)
+    grammar, types = load_grammar("physics"), dataset_types(tasks.dataset_of(scenes))
+    forms = read_forms(grammar, data, (), set(types))
+    (form,) = [f for f in forms if to_text(f.term.formula) == REST_LENGTH]
+    target = known.target()
+    search = InnerSearch(
+        known, target, np.zeros((len(target), 0)), lambda columns: columns,
+        np.ones(2, dtype=bool), grammar.inside["ranges"], types,
+    )  # fmt: skip
+    scan = search.scan(form)
+    for zoom in range(ZOOMS):
+        scan = search.closer(scan, zoom)
+    assert scan.axes[0].values(scan.at[0]) == pytest.approx(6.5, rel=1e-2)
+    assert scan.best == pytest.approx(target @ target, rel=1e-3)
