@@ -680,9 +680,7 @@ class _Turn:
                 self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
-        # Kicks follow any track: that they leave nothing tells nothing of other causes.
         is_kept = self._left(new) < EXPLAINED and gained > 0.8 * proposal.promise
-        is_kept = is_kept and not proposal.is_last
         if is_kept and proposal.promise > self.kept[measure]:
             left = 0.0 if measure else 0.5 * (self.missing - proposal.gain)
             self.kept[measure] = proposal.promise
