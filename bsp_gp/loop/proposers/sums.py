@@ -99,7 +99,7 @@ def sets_of(view, laws, found, declared):
     most = max(c.gain for c in found)
     near = [c for c in found if c.gain > (1 - SIMILAR) * most]
     wanted = properties_of(min(near, key=lambda c: c.complexity).formula)
-    pool, columns, known = [], [], {split_linear(c.formula)[1]: c.complexity for c in found}
+    pool, columns = [], []
     for kind in laws.kinds:
         if kind == "pair" and view.n_pairs > MOST_PAIRS:  # those only that were scored anyway
             best = [c for c in found if c.kind == kind and len(c.formula.constants) == 1]
@@ -112,8 +112,7 @@ def sets_of(view, laws, found, declared):
             is_left=lambda formula: properties_of(formula) == wanted,
         )  # fmt: skip
         odd = view.odd_nats if kind == "field" else 0.0
-        # What was weighed by itself costs as much here.
-        pool += [(f, known.get(f, complexity + odd), kind) for f, complexity in rest]
+        pool += [(formula, complexity + odd, kind) for formula, complexity in rest]
         columns.append(matrix)
     if not pool:
         return []
