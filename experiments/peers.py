@@ -195,6 +195,8 @@ class Tried:
                     continue
                 rest = split_linear(candidate.formula)[1]
                 scan = self.search.scan(Form(Term(rest, "pair"), 0.0))
+                if scan is None:
+                    continue
                 for zoom in range(ZOOMS):
                     scan = self.search.closer(scan, zoom)
                 self.take(law_of([(self.search, scan)]))

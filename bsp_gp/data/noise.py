@@ -191,7 +191,7 @@ def _tracks(scenes, axis, step=0.0):
                 times, x = scene.times[known], x[known]
                 added = np.diff(x) * np.sqrt(step / np.diff(times))
                 found.append(((times[1:] + times[:-1]) / 2, added))
-            elif np.count_nonzero(known) > 1:
+            elif not step and np.count_nonzero(known) > 1:
                 found.append((scene.times[known], x[known]))
     return found
 

@@ -91,7 +91,9 @@ def _qualisys(text, path):
     about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
     names = [name for name in _cells(lines[start], "\t")[1:] if name]
     rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip(" ")]
-    first = next(k for k, row in enumerate(rows) if all(_is_number(c or "0") for c in row))
+    first = next(
+        k for k, row in enumerate(rows) if any(row) and all(_is_number(c or "0") for c in row)
+    )
     # Above them are the headings, or what else is said of every marker.
     header = rows[first - 1] if first and len(rows[first - 1]) >= 3 * len(names) else []
     rows = rows[first:]

@@ -5,6 +5,8 @@ for the time up to the middles between it and its neighbours; what is gone in th
 the place. Where a track lies is not known, and its middle counts as 0.
 """
 
+import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +22,10 @@ from bsp_gp.units import Unit, parse_unit
 
 ONLY = "only"
 """``[columns] velocity``: places are sums of measured velocities."""
-_SPEED, _RATE, _TIME = Unit.of(m=1, s=-1), Unit.of(s=-1), Unit.of(s=1)
+_LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm".split())
+PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
+_ON_MAPS = frozenset("lat latitude lon long longitude".split())
 GAP = 3.5
 """Typical steps of a gap behind which a track begins anew: what is gone in it is not known."""
 LONE = 0.1
@@ -47,8 +51,10 @@ def from_rates(table, declaration):
     """
     columns = set(map(str, table.frame.columns))
     has_clock = "t" in columns or "frame" in columns
-    if columns & {"x", "y", "z"} or not has_clock or {"ra", "dec"} <= columns:
+    if columns & PLACES or not has_clock:
         return table, declaration
+    if "t" not in columns and not (declaration.fps or declaration.dt):
+        return table, declaration  # the clock is asked for
     found = _velocities(table, declaration)
     return _summed(table, declaration, found) if found else (table, declaration)
 
@@ -61,6 +67,9 @@ def _velocities(table, declaration):
         return known
     units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
     theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
+    others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
+    if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
+        return {}  # they may be the places
     named = [n for n in columns if n in table.unused and is_own_speed(theirs[n])]
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
     speeds = named or [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
@@ -114,13 +123,21 @@ def _summed(table, declaration, found):
     groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
         "": np.arange(len(times))
     }  # fmt: skip
-    pieces, far = [], []
+    pieces, far, good = [], [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
-        rows = rows[np.isfinite(values[rows]).all(axis=1)]
+        rows = rows[good[rows]]
+        back = np.flatnonzero(np.diff(times[rows]) <= 0)
+        if len(back):
+            problem = "times must increase from velocity to velocity of a body"
+            fail_at(table, problem, int(rows[back[0] + 1]), "t", "sort the rows; keep one per time")
         is_far = _are_far(times[rows], values[rows])
         far += table.frame.index[rows[is_far]].tolist()
-        rows = rows[~is_far]
-        pieces.append([part for part in _parts(times, rows) if len(part) >= LEAST_ROWS])
+        good[rows[is_far]] = False
+    good &= _are_common(table, times, good)
+    for rows in groups.values():
+        parts = _parts(times, rows[good[rows]])
+        pieces.append([part for part in parts if len(part) >= LEAST_ROWS])
+    gone = [str(name) for name, parts in zip(groups, pieces, strict=True) if not parts]
     if not any(pieces):
         raise DataError(
             "there are no places, and no track has four velocities", file=table.file,
@@ -134,11 +151,18 @@ def _summed(table, declaration, found):
     frame = pd.concat(frames)
     used = len(np.concatenate([part for parts in pieces for part in parts])) + len(far)
     notes = [_told(told, used < len(times), max(map(len, pieces)) > 1)]
+    if gone:
+        notes.append(f"tracks with fewer than {LEAST_ROWS} velocities are left out: "
+                     + ", ".join(gone[:LISTED]))  # fmt: skip
     if far:
         listed = ", ".join(map(str, far[:LISTED])) + (" ..." if len(far) > LISTED else "")
-        notes.append(f"velocities far off their neighbours are left out: {len(far)}, in {listed}")
+        notes.append(
+            f"velocities far off their neighbours are left out: {len(far)}, in line {listed}"
+        )
     theirs = {**table.theirs, **{axis: told[k] for k, axis in enumerate(found)}}
     unused = {k: v for k, v in table.unused.items() if k not in found.values()}
+    if "t" not in table.frame and declaration.fps:
+        units = units | {"t": "s"}
     table = replace(
         table, frame=frame, units={**table.units, **units}, theirs=theirs, unused=unused,
         notes=(*table.notes, *notes),
@@ -172,12 +196,14 @@ def _scales(table, declaration, found):
             column=next(iter(found.values())), remedy="give all of them in one",
         )  # fmt: skip
     (text,) = texts
-    if not (_is(text, _SPEED) or _is(text, _RATE)) or "px" in text.lower():
+    if not (_is(text, _SPEED) or _is(text, _RATE)):
         return 1.0, {}, theirs
-    is_turn = unit_of(text) == _RATE
-    speed = parse_unit(text)[0]
+    is_turn, is_in_pixels = unit_of(text) == _RATE, "px" in text.lower()
+    speed = parse_unit(re.sub("(?i)px", "m", text))[0]
     time = said.get("t", said.get("time", table.units.get("t", "s")))
-    scale = speed * parse_unit(time)[0]
+    scale = speed * (parse_unit(time)[0] if "t" in table.frame else 1.0)
+    if is_in_pixels:
+        return scale, dict.fromkeys(found, "px"), theirs
     length = said.get("length")
     if length and not is_turn:
         return scale / parse_unit(length)[0], {}, theirs
@@ -188,6 +214,19 @@ def _of_frames(table, declaration):
     """Times of a file that counts frames, s."""
     frames = numbers_of(table, "frame")
     return frames / declaration.fps if declaration.fps else frames * (declaration.dt or np.nan)
+
+
+def _are_common(table, times, good):
+    """Rows at times at which all bodies of their scene have a velocity: they share the times."""
+    if "entity" not in table.frame:
+        return np.ones(len(times), dtype=bool)
+    scene = table.frame["scene"] if "scene" in table.frame else pd.Series("", table.frame.index)
+    known = pd.DataFrame({
+        "scene": scene.to_numpy(), "t": times, "entity": table.frame["entity"].to_numpy(),
+    })  # fmt: skip
+    wanted = known.groupby("scene", dropna=False)["entity"].transform("nunique").to_numpy()
+    there = known.assign(good=good).groupby(["scene", "t"], dropna=False)["good"].transform("sum")
+    return there.to_numpy() == wanted
 
 
 def _are_far(times, values):
@@ -222,8 +261,10 @@ def _track(table, times, values, rows, found, scale):
     out = {"t": ends} | {a: scale * places[:, k] for k, a in enumerate(found)}
     for axis in found:
         if f"sv{axis}" in frame:
-            error = numbers_of(table, f"sv{axis}")[after]
-            out[f"s{axis}"] = scale * error * np.append(np.diff(ends), ends[-1] - ends[-2])
+            error, width = numbers_of(table, f"sv{axis}")[rows], np.diff(ends)
+            # As of a typical step: whatever adds them up reckons with the time of each.
+            error = scale * error * np.sqrt(width * np.median(width))
+            out[f"s{axis}"] = np.append(error[:1], error)
             frame = frame.drop(columns=f"sv{axis}")
     for name in frame.columns.difference([*out, "scene", "entity"]):
         if pd.api.types.is_numeric_dtype(frame[name]):
@@ -254,8 +295,8 @@ def _named(table, rows, number, count):
 
 def _noise(declaration, times, scale):
     """Declared errors of velocities as those of what is added in a step."""
-    if declaration.noise is None or isinstance(declaration.noise, dict):
-        return declaration.noise
-    steps = np.diff(times)
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    return tuple(scale * step * level for level in np.atleast_1d(declaration.noise))
+    noise, steps = declaration.noise, np.diff(times)
+    step = scale * (float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0)
+    if isinstance(noise, Mapping):
+        return {body: tuple(step * x for x in np.atleast_1d(own)) for body, own in noise.items()}
+    return noise and tuple(step * level for level in np.atleast_1d(noise))

@@ -32,7 +32,8 @@ def measures_at_once(rows):
         agree = ((sigma > 0) & (sigma[first] > 0) & (far <= AGREE)).all(axis=1)
         total = np.add.reduceat(sigma**-2.0, starts)
         means = np.add.reduceat(sigma**-2.0 * x, starts) / total
-    if again.all() or not again.any() or not agree[~is_new].all():
+    is_copy = (x == x[first]).all(axis=1) & (sigma == sigma[first]).all(axis=1)
+    if again.all() or not again.any() or not agree[~is_new].all() or is_copy[~is_new].any():
         return rows, ()
     places, errors = rows.positions[starts].copy(), rows.sigma[starts].copy()
     several = np.isin(starts, first[~is_new])[:, None]

@@ -112,8 +112,10 @@ class NoiseModel:
         steps, floors = finest_noise(dataset)
         adding, memory = None, dataset.noise_memory
         if dataset.velocity == "only":
-            extent = max(float(np.nanmax(np.ptp(s.positions, axis=0))) for s in dataset.scenes)
-            adding, memory = Adding(dataset.typical_step, ANYWHERE * extent), 0.0
+            places = np.concatenate([s.positions.reshape(-1, s.n_dims) for s in dataset.scenes])
+            low, high = np.fmin.reduce(places), np.fmax.reduce(places)
+            begin = ANYWHERE * (float(np.nanmax(high - low)) or 1.0)
+            adding, memory = Adding(dataset.typical_step, begin), 0.0
         sources = tuple(_source(dataset, axis) for axis in range(len(found.sigma)))
         return cls(
             levels=found.sigma,

@@ -64,19 +64,20 @@ def draw_noise(model, channels, count, rng):
         errors = np.where(model.is_free[channels.axis], errors, rng.standard_normal(shape))
     else:
         errors = rng.standard_normal(shape)
-    errors *= np.sqrt(white)
     if model.adding:
-        return _added(errors, channels, model.adding.step)
+        return _added(errors, channels, model)
+    errors *= np.sqrt(white)
     if model.correlated:
         errors += amplitude * _remembered(channels.times, model.correlation_time, rng, shape)
     return errors
 
 
-def _added(errors, channels, step):
-    """Errors (B, T, C) that add up from row to row, none in the first."""
-    gaps = np.nan_to_num(np.diff(channels.times, axis=0, prepend=channels.times[:1]))
-    added = np.nan_to_num(errors) * np.sqrt(np.maximum(gaps, 0.0) / step)
-    return np.where(np.isfinite(errors), np.cumsum(added, axis=-2), np.nan)
+def _added(draws, channels, model):
+    """Errors (B, T, C) that add up from row to row, none in the first that is seen."""
+    whitener = model.whitener(channels)
+    is_first = np.cumsum(whitener.seen, axis=0) == 1
+    errors = whitener.colour(np.where(is_first, 0.0, draws))
+    return np.where(whitener.seen, errors, np.nan)
 
 
 def _remembered(times, memory, rng, shape):

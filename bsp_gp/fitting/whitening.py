@@ -157,6 +157,8 @@ class SummedWhitener(Whitener):
         gaps = np.where(self.seen & (self._before >= 0), times - earlier, adding.step)
         self.spread = self.spread * np.sqrt(gaps / adding.step)
         self.spread[self.seen & (self._before < 0)] = adding.begin
+        if not np.all(self.spread > 0):
+            raise FitError("the noise of velocities must not be zero where a row is seen")
         self._per_spread = np.where(self.seen, 1.0 / self.spread, 0.0)
 
     def innovations(self, errors):

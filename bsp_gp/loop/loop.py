@@ -434,7 +434,7 @@ class _Turn:
             was_open = self.explained is None
             row, proposal = self._followed(source, proposal, fits.result(k))
             is_open = row.status == "unconverged" and self._is_ahead(row)
-            if is_open and not is_again and len(queue) < n_first + MOST_AGAIN:
+            if is_open and not is_again and len(left) < MOST_AGAIN:
                 left[len(queue)] = row
                 queue.append((source, replace(proposal, patience=PATIENT)))
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
@@ -879,8 +879,11 @@ def _chosen(every, clear, criteria):
             if proposal.is_sole or proposal.promise > own - max(FAR_BEHIND, own / 50):
                 others.setdefault((name, proposal.rank), (name, proposal))
                 others.setdefault((name, proposal.lead), (name, proposal))
-    near = [pair for pair in every
-            if pair[1].promise > tops[bool(pair[1].formulas)] - criteria.class_nats]  # fmt: skip
+    near = [
+        pair for pair in every
+        if pair[1].promise > tops[bool(pair[1].formulas)] - criteria.class_nats
+        and (pair[1].formulas or pair[0] in clear)
+    ]  # fmt: skip
     chosen, keys, groups = [], set(), ([*best.values(), *simplest.values()], others.values(), near)
     for group in groups:
         # Far from the tracks the simpler may explain all, where a sum does not converge.

@@ -89,7 +89,7 @@ def _where(fit, part):
     """The scene and body whose factor is furthest from one; of tails, the row furthest off."""
     noise, channels = fit.noise, fit.channels
     if part == "tails":
-        off = np.abs(fit.residual / np.array(noise.levels)[channels.axis])
+        off = np.abs(fit.whitened if noise.adding else fit.residual / noise.sizes(channels))
         row, k = np.unravel_index(int(np.nan_to_num(off).argmax()), off.shape)
         return _place(channels, row, k)
     scenes = noise.scenes if part == "scenes" else ()

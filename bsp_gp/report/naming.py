@@ -3,6 +3,7 @@
 import math
 import re
 
+from bsp_gp.data.conversion import is_unit
 from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.render import to_text
@@ -262,7 +263,7 @@ def period(effect):
     """How long a period is, ", every 1.002 yr"; and of what it may be the period, if that shows."""
     rate = next((c for c in effect.constants if re.fullmatch(r"w\d+", c.name)), None)
     unit = rate.unit.removeprefix("1/") if rate and rate.unit.startswith("1/") else ""
-    if not unit or not rate.value > 0:
+    if not is_unit(unit) or not rate.value > 0:
         return ""
     size, year = 2 * math.pi / rate.value, parse_unit("yr")[0] / parse_unit(unit)[0]
     is_year = abs(size / year - 1) < YEAR

@@ -100,7 +100,7 @@ def test_gaps_part_a_track_and_wild_rows_are_told(table):
     data = Dataset.from_frames(table)
     assert [scene.name for scene in data.scenes] == ["part 1", "part 2"]
     notes = " ".join(data.notes)
-    assert "far off their neighbours are left out: 1, in 101" in notes
+    assert "far off their neighbours are left out: 1, in line 101" in notes
     assert "behind a gap" in notes
 
 
@@ -142,3 +142,70 @@ def test_drawn_errors_are_white_once_whitened(table, rng):
     assert white.std() == pytest.approx(1.0, abs=0.1)
     lag = (white[:, 1:] * white[:, :-1]).mean()
     assert abs(lag) < 4 / np.sqrt(white.size)
+
+
+def two_bodies(rng):
+    t = np.arange(40) * 0.1
+    frame = pd.DataFrame({"t": np.tile(t, 2), "entity": np.repeat(["a", "b"], 40), "v (m/s)": 1.0})
+    frame["v (m/s)"] += SIGMA * rng.standard_normal(80)
+    return frame
+
+
+def test_a_velocity_that_one_body_lacks_is_left_out_for_all(rng):
+    whole = two_bodies(rng)
+    data = Dataset.from_frames(whole.drop(index=60), units={"t": "s"})  # b at 2 s
+    assert np.isfinite(data.scenes[0].positions).all()
+    assert np.isfinite(NoiseModel.of(data).adding.begin)
+
+
+def test_places_are_not_overridden_by_velocities():
+    polar = pd.DataFrame({"t": np.arange(5.0), "distance": 1.0, "angle": 0.1, "v (m/s)": 2.0})
+    units = {"angle": "rad", "length": "m", "time": "s"}
+    assert Dataset.from_frames(polar, units=units).velocity == "ignore"
+    other = pd.DataFrame({"t": np.arange(5.0), "P1 (m)": 1.0, "v (m/s)": 2.0})
+    with pytest.raises(DataError, match="column 'x'"):
+        Dataset.from_frames(other)
+    ways = pd.DataFrame({"t": np.arange(5.0), "latitude": 1.0, "longitude": 2.0, "speed": 3.0})
+    with pytest.raises(DataError, match="column 'x'"):
+        Dataset.from_frames(ways)
+
+
+@pytest.mark.parametrize("change", [{5: 0.16}, {5: 0.28}])
+def test_times_of_velocities_must_increase(table, change):
+    for row, time in change.items():
+        table.loc[row, "t (s)"] = time
+    with pytest.raises(DataError, match="times must increase from velocity to velocity"):
+        Dataset.from_frames(table)
+
+
+def test_errors_of_velocities_are_of_the_rows_that_add_them(table):
+    frame = table.iloc[:30].assign(sv=0.01).rename(columns={"v (m/s)": "vx (m/s)", "sv": "svx"})
+    frame.loc[10, "svx"] = 1.0
+    data = Dataset.from_frames(frame)
+    sigma = data.scenes[0].sigma[:, 0, 0]
+    np.testing.assert_allclose(sigma[11], STEP, rtol=1e-9)  # behind the row: what it added
+    np.testing.assert_allclose(np.delete(sigma, 11), 0.01 * STEP, rtol=1e-9)
+
+
+def test_declared_noise_is_that_of_velocities(table):
+    data = Dataset.from_frames(table, noise=0.02)
+    assert data.noise[0] == pytest.approx(0.02 * STEP)
+
+
+def test_velocities_in_pixels_have_the_time_of_their_own_unit(table):
+    frame = pd.DataFrame({"t (ms)": 1000 * table["t (s)"], "v (px/s)": table["v (m/s)"]})
+    data = Dataset.from_frames(frame, units={"length": "px"})
+    plain = Dataset.from_frames(table)
+    np.testing.assert_allclose(data.scenes[0].positions, plain.scenes[0].positions, atol=1e-9)
+
+
+def test_frames_without_a_rate_are_asked_for(table):
+    frame = table.rename(columns={"t (s)": "frame"})
+    with pytest.raises(DataError, match="column 'x'|how long a frame"):
+        Dataset.from_frames(frame)
+
+
+def test_tracks_that_are_too_short_are_named(rng):
+    frame = two_bodies(rng).rename(columns={"entity": "scene"}).iloc[:43]
+    data = Dataset.from_frames(frame, units={"t": "s"})
+    assert any("fewer than 4 velocities are left out: b" in note for note in data.notes)

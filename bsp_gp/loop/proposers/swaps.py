@@ -43,7 +43,7 @@ def smooth_levels(view):
     What is estimated beside tracks that their names mislead is no level of the noise.
     """
     levels = np.array(view.fit.noise.levels)
-    if not view.fit.noise.is_free.any():
+    if not view.fit.noise.is_free.any() or view.fit.noise.adding:
         return 1.0, levels
     rough = []
     for scene in view.dataset.scenes:
@@ -66,7 +66,7 @@ def unexplained(fit, name):
     chains = len(np.unique(channels.chain[mine]))
     dof = channels.seen[:, mine].sum() - chains * len(fit.local_columns)
     left = fit.whitened
-    if np.isfinite(fit.noise.degrees):
+    if np.isfinite(fit.noise.degrees) and not fit.noise.adding:
         left = np.nan_to_num(fit.residual / np.array(fit.noise.levels)[channels.axis])
     return float(np.square(left[:, mine]).sum()), max(int(dof), 1)
 

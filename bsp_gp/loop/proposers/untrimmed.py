@@ -79,7 +79,7 @@ def _best_ends(chain, name, levels):
 def _heads(scene, name, levels):
     """Rows with which the motion may begin, the first among them."""
     places = scene.positions[:, scene.names.index(name)][:, np.isfinite(levels)]
-    places = places / levels[np.isfinite(levels)]
+    places = places / np.maximum(levels[np.isfinite(levels)], np.finfo(float).tiny)
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     n = still_rows(places[seen])
     if not LEAST_STILL <= n <= MOST_STILL * len(seen):
