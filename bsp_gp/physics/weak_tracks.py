@@ -138,7 +138,9 @@ def combs(times, spacing, sigma, is_measured=False):
         comb = np.asarray(mix) @ some
         # Splines that share too few rows leave rounding.
         if np.linalg.norm(comb) > COMB_CUT * np.abs(mix) @ np.linalg.norm(some, axis=1):
-            out.append(_blinded(comb, places, n_blind))
+            blind = _blinded(comb, places, n_blind)
+            if np.linalg.norm(blind) > COMB_CUT * np.linalg.norm(comb):
+                out.append(blind)
     return np.array(out).reshape(len(out), n)
 
 

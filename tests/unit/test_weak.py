@@ -107,6 +107,7 @@ def test_parabolas_are_exact_on_uneven_times_with_gaps(seed, n, push, width):
     is_measured=st.booleans(),
 )
 @example(seed=36, n=17, spacing=0.296875, is_measured=False)  # a condition of 1.5e10
+@example(seed=3618, n=3, spacing=0.0546875, is_measured=False)  # nothing but straight motion
 @settings(max_examples=100, deadline=None)
 def test_combs_are_blind_to_straight_motion_whatever_the_times(seed, n, spacing, is_measured):
     """Of measured velocities, to constant ones; few or many rows between knots."""
