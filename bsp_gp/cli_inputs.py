@@ -32,7 +32,7 @@ def read_dataset(args):
                 f"got {len(args.noise)}"
             )
         length = unit_of_length(dataset)
-        if dataset.velocity == "only":  # of velocities: what they add to places in a step
+        if dataset.is_summed:  # of velocities: what they add to places in a step
             length *= dataset.typical_step
         dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset

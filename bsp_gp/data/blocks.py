@@ -44,7 +44,7 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
         The same one where no scene was averaged.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
-    is_plain &= dataset.velocity != "only"
+    is_plain &= not dataset.is_summed
     if not is_plain or all(len(scene.times) <= most_rows for scene in dataset.scenes):
         return dataset
     sigma = np.array(estimate_noise(dataset).sigma)

@@ -173,8 +173,7 @@ def finest_noise(data):
 
 def _step(data):
     """Interval between rows of places that are sums of velocities; 0 where they are not."""
-    is_summed = isinstance(data, Dataset) and data.velocity == "only"
-    return data.typical_step if is_summed else 0.0
+    return data.typical_step if isinstance(data, Dataset) and data.is_summed else 0.0
 
 
 def _tracks(scenes, axis, step=0.0):

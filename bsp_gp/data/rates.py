@@ -231,11 +231,15 @@ def _are_common(table, times, good):
 
 def _are_far(times, values):
     """Rows (n,) whose velocities (n, d) are far off their neighbours: places would jump there."""
+    return gross_errors(times, values, _roughness(values)) > 1
+
+
+def _roughness(values):
+    """Standard deviation of the noise of values (n, ...) by their fourth differences."""
     rough = np.diff(values, 4, axis=0)
     if not len(rough):
-        return np.zeros(len(times), dtype=bool)
-    sigma = 1.4826 * np.median(np.abs(rough), axis=0) / np.sqrt(70)  # of a fourth difference
-    return gross_errors(times, values, sigma) > 1
+        return np.zeros(values.shape[1:])
+    return 1.4826 * np.median(np.abs(rough), axis=0) / np.sqrt(70)
 
 
 def _parts(times, rows):
@@ -276,10 +280,9 @@ def _gone(times, velocity, ends):
     """What is gone in the time of every row."""
     steps, plain = np.diff(times), velocity * np.diff(ends)
     is_even = np.ptp(steps) <= 0.02 * np.median(steps)
-    bend, error = np.diff(velocity, 2), np.diff(velocity, 4)
-    noise = np.square(error).mean() / 70 if len(error) else 0.0  # of a fourth difference
-    beyond = np.square(bend).mean() - 6 * noise
-    if is_even and np.sqrt(max(beyond, 0.0)) / 24 <= CURVED * np.sqrt(noise):
+    bend, noise = np.diff(velocity, 2), float(_roughness(velocity))
+    beyond = np.square(bend).mean() - 6 * noise**2
+    if is_even and np.sqrt(max(beyond, 0.0)) / 24 <= CURVED * noise:
         return plain
     whole = CubicSpline(times, velocity).antiderivative()
     return np.diff(whole(ends))

@@ -401,6 +401,11 @@ class Dataset:
             moving |= (high > low).any(axis=0)
         return int(moving.sum())
 
+    @property
+    def is_summed(self):
+        """Whether places are sums of measured velocities, so that errors add up."""
+        return self.velocity == "only"
+
     @cached_property
     def typical_step(self):
         """Median time from row to row, s."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise, finest_noise
-from bsp_gp.fitting.whitening import Adding, SummedWhitener, Whitener
+from bsp_gp.fitting.whitening import Adding, whitener_of
 
 KNOWN = ("quoted", "declared")
 ANYWHERE = 100.0
@@ -111,7 +111,7 @@ class NoiseModel:
         found = estimate_noise(dataset)
         steps, floors = finest_noise(dataset)
         adding, memory = None, dataset.noise_memory
-        if dataset.velocity == "only":
+        if dataset.is_summed:
             places = np.concatenate([s.positions.reshape(-1, s.n_dims) for s in dataset.scenes])
             low, high = np.fmin.reduce(places), np.fmax.reduce(places)
             begin = ANYWHERE * (float(np.nanmax(high - low)) or 1.0)
@@ -194,9 +194,7 @@ class NoiseModel:
         white, amplitude = self.parts(channels)
         if weights is not None:
             white = white / weights
-        if self.adding:
-            return SummedWhitener(channels.times, white, self.adding)
-        return Whitener(channels.times, white, amplitude, self.correlation_time)
+        return whitener_of(channels.times, white, amplitude, self.correlation_time, self.adding)
 
     def tail_weights(self, scaled, channels):
         """Weights of rows under Student's t, 1 where it does not apply, shape (T, C).

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.fitting.problem import Linearised
-from bsp_gp.fitting.whitening import SummedWhitener, Whitener
+from bsp_gp.fitting.whitening import whitener_of
 from bsp_gp.physics.engine.flow import Flow
 
 
@@ -55,11 +55,10 @@ class ChainNoise:
             shape = variance.shape
             times = np.broadcast_to(self.times[:n, chain, None, None], shape).reshape(n, -1)
             variance = variance.reshape(n, -1)
-            if self.adding:
-                self._whiteners[key] = SummedWhitener(times, variance, self.adding)
-            else:
-                amplitude = self.amplitude[:n, chain].reshape(n, -1)
-                self._whiteners[key] = Whitener(times, variance, amplitude, self.correlation_time)
+            amplitude = self.amplitude[:n, chain].reshape(n, -1)
+            self._whiteners[key] = whitener_of(
+                times, variance, amplitude, self.correlation_time, self.adding
+            )
         flat = np.where(np.isfinite(errors), errors, 0.0).reshape(*errors.shape[:2], -1)
         return self._whiteners[key].whiten(flat).reshape(errors.shape)
 

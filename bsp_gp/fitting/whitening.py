@@ -175,6 +175,13 @@ class SummedWhitener(Whitener):
         return np.where(self.seen, np.cumsum(added, axis=-2), 0.0)
 
 
+def whitener_of(times, variance, amplitude, correlation_time, adding=None):
+    """Whitens errors with a memory, or such as add up from row to row."""
+    if adding:
+        return SummedWhitener(times, variance, adding)
+    return Whitener(times, variance, amplitude, correlation_time)
+
+
 def _decay(times, correlation_time):
     """Correlation of u with its value one row before, its square, and one less that square."""
     clock = np.maximum.accumulate(np.where(np.isfinite(times), times, -math.inf), axis=0)

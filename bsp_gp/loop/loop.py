@@ -588,9 +588,8 @@ class _Turn:
             and proposal.promise > tops[True] - max(FAR_BEHIND, tops[True] / 50)
             and (source, proposal) not in queue
         ]  # fmt: skip
-        behind = {id(pair): self._nats_behind(pair[1]) for pair in able}
-        able = [pair for pair in able if behind[id(pair)] < 0]
-        return sorted(able, key=lambda pair: behind[id(pair)])[:MOST_BETTER]
+        behind = [(self._nats_behind(proposal), k) for k, (_, proposal) in enumerate(able)]
+        return [able[k] for nats, k in sorted(b for b in behind if b[0] < 0)[:MOST_BETTER]]
 
     def _explained(self, row, proposal, found):
         """What a law that leaves nothing says of others, where that is more than they promise."""

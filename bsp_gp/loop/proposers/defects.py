@@ -16,7 +16,7 @@ from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.clocks import put_forward
 from bsp_gp.loop.proposers.stuck import LEAST_KEPT, is_broken, stuck
 from bsp_gp.loop.proposers.swaps import swaps
-from bsp_gp.loop.proposers.untrimmed import untrimmed
+from bsp_gp.loop.proposers.untrimmed import ends_of, is_open
 
 MOST_POINTS = 256
 """Rows of a track at which it may be lost or found again."""
@@ -70,9 +70,7 @@ class Defects:
             ("lost_track", still, theirs, n_still),
             ("clock_jump", closed, gained, n_still),
         ]
-        # Under a law that cannot follow them, levels are of no use: tracks tell what noise is.
-        levels = np.array(estimate_noise(view.dataset).sigma) if chains else None
-        ends, bare, n_ends = untrimmed(chains, levels)
+        ends, bare, n_ends = _untrimmed(view, list(filter(is_open, chains)))
         if len(ends) > 1:  # one alone is a track that is lost
             kinds.append(("untrimmed", ends, bare, n_ends))
         if windows:
@@ -194,6 +192,19 @@ class _Chain:
             yield _Window("row", "", rows, rows + 1, lambda v: v, self, self.names != "")
 
 
+    def ends(self, name, heads, tails):
+        """Heads and tails of a body left out together."""
+        count = len(self.seen)
+
+        def sums(values):
+            total = np.concatenate(
+                [np.zeros_like(values[..., :1, :]), np.cumsum(values, axis=-2)], axis=-2
+            )
+            return total[..., heads, :] + total[..., [count], :] - total[..., tails, :]
+
+        return _Window("ends", name, heads, tails, sums, self, self.names == name)
+
+
 def _chains(view):
     fit, tangent, channels = view.fit, view.tangent, view.fit.channels
     scenes = {scene.name: scene for scene in view.dataset.scenes}
@@ -294,6 +305,31 @@ def _lost(windows):
         if paid > 0 and is_broken(window.chain.scene, window.entity, at):
             return [window.part(k)], paid
     return [], -np.inf
+
+
+def _untrimmed(view, chains):
+    """Both ends of all tracks that pay for being left out, their gain, and how many were tried."""
+    parts, total, n_tried = [], 0.0, 0
+    # Under a law that cannot follow them, levels are of no use: tracks tell what noise is.
+    levels = np.array(estimate_noise(view.dataset).sigma) if chains else None
+    for chain in chains:
+        for name in np.unique(chain.names):
+            heads, tails = ends_of(chain.scene, name, levels)
+            n_tried += len(heads)
+            if not len(heads):
+                continue
+            window = chain.ends(name, heads, tails)
+            paid = _paid(window, window.gains()[0])
+            k = int(np.argmax(paid))
+            if paid[k] > 0:
+                n, seen = len(chain.scene.times), chain.seen[:, window.used].sum(axis=1)
+                parts += [
+                    LeftOut(chain.scene.name, a, b, str(name), n_left_out=int(seen[a:b].sum()),
+                            extent=chain.extent)
+                    for a, b in ((0, int(heads[k])), (int(tails[k]), n)) if b > a
+                ]  # fmt: skip
+                total += float(paid[k])
+    return parts, total, n_tried
 
 
 def _frames(moved):
