@@ -12,6 +12,7 @@ def read_dataset(args):
 
     from bsp_gp.data.noise import declare_noise
     from bsp_gp.data.tables import load_dataset
+    from bsp_gp.data.vertical import with_vertical
 
     dataset = load_dataset(
         args.data if len(args.data) > 1 else args.data[0],
@@ -25,6 +26,7 @@ def read_dataset(args):
         if args.up[-1] not in axes:
             raise SettingsError(f"--up is {args.up}, but the data have the axes {', '.join(axes)}")
         dataset = replace(dataset, up=args.up)
+    dataset = with_vertical(dataset, _names_in_laws(args))
     if args.command != "simulate" and args.noise is not None:
         if len(args.noise) not in (1, dataset.n_dims):
             raise SettingsError(

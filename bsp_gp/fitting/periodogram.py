@@ -2,9 +2,18 @@
 
 import numpy as np
 
+from bsp_gp.fitting.channels import join
+
 OVERSAMPLING = 4
 MOST_RATES = 8
 MOST_FREQUENCIES = 20_000
+SWINGING = 0.5
+"""Part of what tracks are beside parabolas that one rate must make of them to be a swing."""
+FEWEST_TURNS = 1.5
+"""In the longest track, below which nothing is called a swing."""
+OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
+"""Multiples of a swing's rate, and how many turns a track nearer a push looks like what the swing
+lacks: a change of its size or rate, or of the form of what drives it back."""
 
 
 def leading_rates(groups, noises):
@@ -17,10 +26,10 @@ def leading_rates(groups, noises):
     -------
     list of float, rad/s
     """
-    span = max(float(np.nanmax(c.times) - np.nanmin(c.times)) for c in groups)
-    step = min(float(np.nanmedian(np.diff(c.times, axis=0))) for c in groups)
-    count = int(min(OVERSAMPLING * span / step / 2, MOST_FREQUENCIES))
-    rates = np.linspace(np.pi / span, np.pi / step, max(count, 8))
+    rates = _rates(
+        max(float(np.nanmax(c.times) - np.nanmin(c.times)) for c in groups),
+        min(float(np.nanmedian(np.diff(c.times, axis=0))) for c in groups),
+    )
     power = np.zeros(len(rates))
     for chains, noise in zip(groups, noises, strict=True):
         for s in range(chains.n_chains):
@@ -35,6 +44,59 @@ def leading_rates(groups, noises):
     peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     peaks = peaks[np.argsort(-power[peaks])][:MOST_RATES]
     return [float(rates[p]) for p in peaks]
+
+
+def is_of_swing(rate, found):
+    """Whether a push of some rate has the period of the swing that a fit without it foresees.
+
+    What an oscillator lacks, or has otherwise, looks like a push with its own period.
+
+    Parameters
+    ----------
+    rate : float, rad/s
+    found : Fit
+        Without that push.
+    """
+    swing, span = _swing_of(found)
+    return any(
+        abs(rate - n * swing) * span < 2 * np.pi * turns for n, turns in OVERTONES.items() if swing
+    )
+
+
+def longest(found):
+    """Seconds from the first to the last row of the longest track of a fit."""
+    times = found.channels.times
+    return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
+
+
+def _swing_of(found):
+    """The rate, rad/s, at which tracks of a fit swing, 0 where they do not; the longest time."""
+    observed = join(chains.observed for chains in found.groups)
+    tracks, times, sizes = observed - found.residual, found.channels.times, found.noise.levels
+    seen = [np.isfinite(tracks[:, k]) & np.isfinite(times[:, k]) for k in range(tracks.shape[1])]
+    kept = [k for k, own in enumerate(seen) if own.sum() > 6]
+    if found.is_failed or not kept:
+        return 0.0, 0.0
+    span = longest(found)
+    step = float(np.median(np.concatenate([np.diff(times[seen[k], k]) for k in kept])))
+    rates = _rates(span, step)
+    power, whole = np.zeros(len(rates)), 0.0
+    for k in kept:
+        t, x = times[seen[k], k], tracks[seen[k], k]
+        variance = np.full(len(t), float(sizes[found.channels.axis[k]]) ** 2)
+        power += _power(t, x, variance, rates)
+        u = (t - t.mean()) / np.ptp(t)
+        left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
+        whole += float(left @ left) / variance[0]
+    best = int(np.argmax(power))
+    is_swing = power[best] > SWINGING * whole and rates[best] * span > 2 * np.pi * FEWEST_TURNS
+    return (float(rates[best]) if is_swing else 0.0), span
+
+
+def _rates(span, step):
+    """From half a turn a track to the Nyquist frequency, rad/s."""
+    count = int(min(OVERSAMPLING * span / step / 2, MOST_FREQUENCIES))
+    return np.linspace(np.pi / span, np.pi / step, max(count, 8))
 
 
 def _power(times, x, variance, rates):

@@ -178,9 +178,12 @@ def _refused(done, reason):
 def _is_surely_worse(accounts):
     """Whether a ratio of errors is above 1 at that level; its interval goes from 5 to 95 %.
 
-    Not where the last error is no more than what noise makes of the predictions of any law.
+    Not where the last error is no more than what noise makes of the predictions of any law. Where
+    few scenes are held out, and the law cannot follow them from any state, it is.
     """
     ratio, floor = accounts.ratio(0, 1), accounts.floor.rollout_rmse
+    if accounts.is_parametric and not accounts.copies:
+        return True
     if accounts.errors(1).rollout_rmse <= floor:
         return False
     if not (math.isfinite(ratio.low) and ratio.low > 0):

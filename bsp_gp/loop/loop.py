@@ -425,8 +425,8 @@ class _Turn:
                 n_left -= len(controls) <= k < n_first  # nothing else takes its place
                 continue
             if len(controls) <= k < n_first:
-                if n_left <= 0:
-                    continue
+                if n_left <= 0 and proposal is not heads[source]:
+                    continue  # many forms of one family leave none to those of others
                 n_left -= 1
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             most = min(n_first, n_most) + len(queue) - n_first

@@ -11,6 +11,7 @@ import numpy as np
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.fitting.periodogram import is_of_swing, longest
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
@@ -29,8 +30,11 @@ HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
-DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes"}
+DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods"}
 """Why a law only describes the tracks."""
+PERIODIC, FEWEST_PERIODS = ("period", "pulsing"), 2
+"""Codes of what comes back in time, and how often it must have done so in a recording: one wave is
+as good as any curve."""
 MOST_CAUSES = 3
 """Forces that may be missing from what people declare: more of them add up to one of another form
 as terms of a series do."""
@@ -116,6 +120,28 @@ def is_many(rounds, removed):
         if r.decision.best.kind in FORESEEING and r.decision.best.code != "contact"
     ]  # someone may have kicked a ball often
     return sum(causes) > MOST_CAUSES
+
+
+def doubt_of_periods(rounds, removed):
+    """Why a push with a period that rounds have added is none for sure; "" where nothing says so.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    """
+    for r in rounds:
+        best = r.decision.best
+        if not r.decision.is_adopted or r.number in removed or best.code not in PERIODIC:
+            continue
+        found = r.fits[best.id]
+        (name,) = r.proposals[best.id].starts
+        rate = found.law.constants[name]
+        if rate * longest(found) < 2 * math.pi * FEWEST_PERIODS:
+            return "few_periods"
+        if best.code == "period" and is_of_swing(rate, r.entering):
+            return "own_period"
+    return ""
 
 
 def judged_together(records):

@@ -113,9 +113,10 @@ def test_a_law_that_held_out_scenes_do_not_follow_is_refuted(world):
     assert not asked_of(other, laws, n_copies=0)  # without a floor nothing is said
 
 
-def accounts_of(ratio, error, floor):
+def accounts_of(ratio, error, floor, copies=("copy",), is_parametric=True):
     """What `_is_surely_worse` asks of accounts."""
     return SimpleNamespace(
+        copies=copies, is_parametric=is_parametric,
         ratio=lambda before, after: ratio, floor=SimpleNamespace(rollout_rmse=floor),
         errors=lambda k: SimpleNamespace(rollout_rmse=error),
     )  # fmt: skip
@@ -126,6 +127,13 @@ def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
     assert _is_surely_worse(accounts_of(sure, 1.0, 0.5))
     assert not _is_surely_worse(accounts_of(close, 1.0, 0.5))
     assert not _is_surely_worse(accounts_of(Ratio(1.5), 1.0, 0.5))
+
+
+def test_a_law_that_cannot_follow_what_was_held_out_makes_predictions_worse():
+    """An unseen body was a fact of a ball that had landed, though no copy could be made."""
+    unknown = Ratio(3.8)
+    assert _is_surely_worse(accounts_of(unknown, 1.0, np.nan, copies=()))
+    assert not _is_surely_worse(accounts_of(unknown, 1.0, np.nan, (), is_parametric=False))
 
 
 def test_predictions_that_noise_spoils_as_much_are_not_worse():

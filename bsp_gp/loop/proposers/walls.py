@@ -220,12 +220,13 @@ def _told(dataset, jumps_of, groups, is_bare):
     """Strengths of every sum of forces that may act between walls, and chi-squared that it leaves.
 
     Where forces are declared, nothing is said of either: a push across a wall is none of these.
+    Nor where no rows are between jumps.
     """
     pushes = [f"e_{'xyz'[axis]}" for axis in dict.fromkeys(axis for axis, _ in groups) if is_bare]
     sums = [tuple(form for form in both if form) for both in product(("", *pushes), ("", *SLOWING))]
-    if not is_bare:
-        return {forms: ([math.nan] * len(forms), 0.0) for forms in sums}
     flights = _flights(dataset, jumps_of, groups)
+    if not is_bare or not len(flights[0]):
+        return {forms: ([math.nan] * len(forms), 0.0) for forms in sums}
     return {forms: _regressed(flights, forms) for forms in sums}
 
 
