@@ -574,11 +574,17 @@ def _model(parser, *names, help_, required):
     )  # fmt: skip
 
 
+USUAL_LIMIT = "10m"
+"""Of a closing of the loop: long recordings of what no law explains may take hours."""
+
+
 def _time(text):
+    if text.strip().lower() == "none":
+        return None
     match = _TIME.fullmatch(text.strip())
     seconds = float(match[1]) * _SECONDS[match[2] or ""] if match else 0.0
     if not 0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a time such as 20s, 2m or 1h, got {text[:60]!r}")
+        raise argparse.ArgumentTypeError(f"must be a time such as 20s, 2m or 1h, or none, got {text[:60]!r}")
     return seconds
 
 
@@ -665,17 +671,20 @@ def _gone(reason):
 def _rounds(parser):
     """What concerns rounds that take long."""
     group = parser.add_argument_group("time")
-    _time_limit(group, "after which the report is written of what was found out till then")
+    _time_limit(
+        group, "after which the report is written of what was found out till then", USUAL_LIMIT
+    )
     group.add_argument(
         "--resume", action="store_true",
         help="go on from the rounds that an interrupted run with the same data and options kept",
     )  # fmt: skip
 
 
-def _time_limit(group, what):
+def _time_limit(group, what, usual="none"):
     group.add_argument(
-        "--time-limit", type=_time, metavar="TIME", help=f"{what}: 20s, 2m (default: none)"
-    )
+        "--time-limit", type=_time, default=usual, metavar="TIME",
+        help=f"{what}: 20s, 2m, none (default: {usual})",
+    )  # fmt: skip
 
 
 def _unknowns(parser):

@@ -69,8 +69,8 @@ def run_again(folder, quiet=False):
         f"{name} was {was}, and is {new['versions'].get(name)} now"
         for name, was in old["versions"].items() if was != new["versions"].get(name)
     ]  # fmt: skip
-    if "--time-limit" in argv:
-        notes.append("it had a time limit, which no two runs meet alike")
+    if old.get("left_out"):
+        notes.append("its time limit was met, which no two runs meet alike")
     return first_difference(old, new), notes
 
 

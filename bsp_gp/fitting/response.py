@@ -156,12 +156,12 @@ class ResponseRegression(Regression):
             batches.append(replace(batch, whitener=whitener, moments=batch.moments * own))
         return replace(self, batches=tuple(batches))
 
-    def part(self, most):
-        """Chains, spread evenly over all, with no more pairs than so many at all instants.
+    def part(self, share):
+        """Chains, spread evenly over all, no more than such a share of them.
 
         Parameters
         ----------
-        most : int
+        share : float
 
         Returns
         -------
@@ -171,11 +171,7 @@ class ResponseRegression(Regression):
             Where its moments stand among all.
         """
         counts = [batch.target.shape[1] for batch in self.batches]
-        n_pairs = [
-            np.prod(batch.target.shape[:3]) * (batch.positions.shape[2] - 1)
-            for batch in self.batches
-        ]
-        wanted = int(np.clip(most * sum(counts) // sum(n_pairs), 1, sum(counts)))
+        wanted = int(np.clip(share * sum(counts), 1, sum(counts)))
         every = np.unique(np.linspace(0, sum(counts) - 1, wanted).astype(int))
         batches, rows, first, begin = [], [], 0, 0
         for batch, count in zip(self.batches, counts, strict=True):

@@ -309,6 +309,11 @@ class View:
         return sum(map(math.prod, shapes))
 
     @cached_property
+    def n_weights(self):
+        """Products that the moments of one force are made of."""
+        return sum(batch.whitener.size for batch in self.response.regression.batches)
+
+    @cached_property
     def masses(self):
         """Masses of receivers, (S, R) per batch of the response; None where one is not known."""
         batches = self.response.regression.batches
@@ -352,8 +357,8 @@ class View:
         q = self._moments[1]
         return columns - q @ (q.T @ columns)
 
-    def part(self, most):
-        """A part of the moments, of no more pairs at all instants than so many.
+    def part(self, share):
+        """The moments of no more than such a share of all chains.
 
         Returns
         -------
@@ -363,7 +368,7 @@ class View:
         beside : callable
             ``beside(columns)``: moments (n, c) of it beside what constants of the law take up.
         """
-        regression, rows = self.response.regression.part(most)
+        regression, rows = self.response.regression.part(share)
         q = orthonormal(self.taken[rows], len(rows))
         return regression, rows, lambda columns: columns - q @ (q.T @ columns)
 

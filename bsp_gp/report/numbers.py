@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 
 NOT_KNOWN = "–"
 """What stands in place of a number that there is not."""
@@ -57,6 +58,10 @@ def power_of_ten(exponent):
     return f" × 10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""
 
 
+LEAST = sys.float_info.min
+"""What is smaller has no whole number of digits any more."""
+
+
 def _exponent(size):
     """Power of ten to take out of a number of this size; 0 where it is written plainly."""
     if size == 0 or _PLAIN[0] <= size < _PLAIN[1]:
@@ -80,7 +85,7 @@ def format_number(value, digits=3):
     if not is_number(value):
         return NOT_KNOWN
     value = float(value)
-    if value == 0:
+    if abs(value) < LEAST:
         return "0"
     value = float(f"{value:.{digits - 1}e}")
     exponent = _exponent(abs(value))
@@ -106,14 +111,14 @@ def rounded(value, low, high):
         text = format_number(value, 4)
         mantissa, times, power = text.partition(" × ")
         return mantissa, NOT_KNOWN, NOT_KNOWN, times + power
-    low, high = float(low), float(high)
+    value, low, high = (x if abs(x) > LEAST else 0.0 for x in (value, float(low), float(high)))
     size = max(abs(value), abs(low), abs(high))
     exponent = _exponent(size)
     scale = 10.0**exponent
     half = (high - low) / 2 / scale
     leading = math.floor(math.log10(size / scale)) if size else 0
     decimals = 3 - leading
-    if half > 0:  # two digits of a half-width that begins with 1 or 2, else one
+    if half > LEAST:  # two digits of a half-width that begins with 1 or 2, else one
         place = math.floor(math.log10(half))
         decimals = (1 if half / 10.0**place < 2.95 else 0) - place
     decimals = min(max(decimals, -leading), _MAX_DIGITS - 1 - leading)

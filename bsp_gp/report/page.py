@@ -94,7 +94,7 @@ def _notes(report):
     """What a reader must know."""
     if report.left_out:
         listed = "; ".join(LEFT_OUT[code] for code in report.left_out)
-        yield f"the run was ended by its time limit: {listed}"
+        yield f"the run was ended by its time limit: {listed}; --time-limit 1h, or none, gives more"
     last = report.rounds[-1]
     if any(r.adopted for r in report.rounds) and last.verdict == "seen, not adopted":
         yield (

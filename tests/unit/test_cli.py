@@ -129,7 +129,7 @@ def test_default_folder_is_named_after_the_data(data, tmp_path, monkeypatch):
 def test_close_tells_its_schema_its_settings_and_its_law(closed):
     told = json.loads((closed / "report.json").read_text())
     assert told["schema"] == "bsp_gp/report/2"
-    assert json.loads((closed / "run.json").read_text())["settings"]["time_limit"] is None
+    assert json.loads((closed / "run.json").read_text())["settings"]["time_limit"] == 600
     assert (closed / "law.txt").read_text().startswith(told["law"]["text"])
 
 

@@ -43,7 +43,7 @@ def test_patterns_of_sources_weigh_them_as_the_factors_do():
 def test_a_part_of_the_pieces_has_the_moments_of_the_whole(crowd):
     view = view_of(crowd)
     regression = view.response.regression
-    part, rows = regression.part(view.n_pairs // 3)
+    part, rows = regression.part(1 / 3)
     assert 0 < len(rows) < len(view.left)
     types = dataset_types(crowd)
     for text in ("v_i", "m_i * inverse(norm(p_i - p_j)) * normalize(p_i - p_j)"):

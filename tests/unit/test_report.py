@@ -175,6 +175,7 @@ def test_small_helpers():
     assert [format_p(p) for p in (0.0, 3e-5, 0.0123, 1.0, math.nan)] == [
         "p < 0.0001", "p < 0.0001", "p = 0.012", "p = 1", "p not known",
     ]  # fmt: skip
+    assert format_number(3e-320) == "0" and rounded(3e-320, -1e-310, 2e-312)[0] == "0.000"
     assert format_number(True) == "–" and format_number("7") == "–" and format_number(None) == "–"
     assert plain("a$b$\nc") == r"a\$b\$ c" and len(plain("x" * 99)) == 28
     assert scaled("m", np.array([3e9, -5e10])) == (pytest.approx(1e-9), "10⁶ km")

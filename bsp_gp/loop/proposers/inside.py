@@ -33,6 +33,9 @@ MOST_CLOSER, LEAST_CLOSER = 80, 20
 """Forms that are looked at between the places of their grids, and closer ever fewer of them."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
+MOST_WEIGHTS = 3_000_000
+"""Products that the moments of one force are made of, above which forms that act on bodies by
+themselves are scanned on a part of the chains: of a long recording one minute tells them as well."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -75,7 +78,9 @@ class Inside:
         drawn = [Form(Term(split_linear(c.formula)[1], c.kind), c.complexity) for c in view.drawn]
         parts, scans = {"field": search, "pair": search}, []
         if view.n_pairs > MOST_PAIRS:
-            parts["pair"] = search.of_part(*view.part(SCANNED))
+            parts["pair"] = search.of_part(*view.part(SCANNED / view.n_pairs))
+        if view.n_weights > MOST_WEIGHTS:
+            parts["field"] = search.of_part(*view.part(MOST_WEIGHTS / view.n_weights))
         is_partial = False
         for form in (*self.forms, *drawn):
             try:
@@ -102,10 +107,11 @@ class Inside:
             closer = closer[: max(MOST_CLOSER >> zoom, LEAST_CLOSER)]
             closer = [parts[scan.form.term.kind].closer(scan, zoom) for scan in closer]
             closer = sorted(closer, key=lambda s: -s.promise)
-        if parts["pair"] is not search:  # what the best of a part explain of all
-            of_pairs = [s for s in closer if s.form.term.kind == "pair"][:MOST]
-            closer = [s for s in closer if s.form.term.kind != "pair"][:MOST]
-            closer = sorted([*closer, *map(search.anew, of_pairs)], key=lambda s: -s.promise)
+        of_parts = {kind for kind, own in parts.items() if own is not search}
+        if of_parts:  # what the best of a part explain of all
+            some = [s for s in closer if s.form.term.kind in of_parts][:MOST]
+            closer = [s for s in closer if s.form.term.kind not in of_parts][:MOST]
+            closer = sorted([*closer, *map(search.anew, some)], key=lambda s: -s.promise)
         closer = closer[:MOST]
         least = (1 + ROUNDING) * view.explained + 1.0  # what its constants gain by chance alone
         every = [_proposal(view, search, s) for s in closer if s.best > least]

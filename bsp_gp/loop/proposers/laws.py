@@ -158,7 +158,7 @@ class Laws:
         for kind in self.kinds:
             is_part = kind == "pair" and view.n_pairs > MOST_PAIRS
             whole = view.response.regression, slice(None), view.beside
-            regression, rows, beside = view.part(MOST_PAIRS) if is_part else whole
+            regression, rows, beside = view.part(MOST_PAIRS / view.n_pairs) if is_part else whole
             own = inner.of_part(regression, rows, beside) if inner and is_part else inner
             sizes = np.square(beside(draws[rows])).sum(axis=0)
             for name in names:

@@ -1,5 +1,6 @@
 """A push with a period: one for all bodies, or in proportion to their masses or coordinates."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -25,6 +26,8 @@ MOST_PEAKS = 4
 FAR = 1.0
 """Spans of the times from their zero from which on waves count from the first row: else the least
 change of a rate, as of decimal years, turns them round."""
+MOST_BYTES = 1 << 28
+"""Of waves that are kept."""
 BLOCK = 128
 """Frequencies that are scored at a time."""
 
@@ -100,15 +103,15 @@ class Wave:
 
 
 def waves_alone(view):
-    """For `wave_beside`: rates, and by axis moments of pushes and the rates that do best alone."""
+    """For `wave_beside`: a scan, and by axis moments of pushes and the rates that do best alone."""
     rates = rates_of(view)
     if not len(rates):
-        return rates, {}
+        return None, {}
     alone = Scan(view, rates, view.left[:, None])
     (_, weights, _), *_ = variants(view)
     axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
     kernels = {axis: alone.kernels(weights, axis) for axis in axes}
-    return rates, {axis: (k, [r for r, _ in alone.peaks(k)]) for axis, k in kernels.items()}
+    return alone, {axis: (k, [r for r, _ in alone.peaks(k)]) for axis, k in kernels.items()}
 
 
 def wave_beside(view, columns, alone):
@@ -120,10 +123,12 @@ def wave_beside(view, columns, alone):
     alone : tuple
         Of `waves_alone`.
     """
-    rates, pushes = alone
-    basis = orthonormal(columns, len(columns))
+    plain, pushes = alone
+    if not pushes:
+        return None
+    basis, rates = orthonormal(columns, len(columns)), plain.rates
     target = view.left - basis @ (basis.T @ view.left)
-    scan = Scan(view, rates, target[:, None], basis)
+    scan = plain.beside_of(basis, target)
     (has_mass, *_), *_ = variants(view)
     best = None
     for axis, (kernel, known) in pushes.items():
@@ -133,8 +138,6 @@ def wave_beside(view, columns, alone):
             rate, most = scan.closer([kernel], rate, gain)
             if best is None or most > best[0]:
                 best = most, rate, axis, kernel
-    if best is None:
-        return None
     _, rate, axis, kernel = best
     step = (rates[1] - rates[0] if len(rates) > 1 else rate) / CLOSER**ZOOMS
     here, before, after = scan.waves(kernel, np.array([rate, rate - step, rate + step])).swapaxes(
@@ -159,6 +162,13 @@ class Scan:
     def __init__(self, view, rates, targets, basis=None):
         self.view, self.rates, self.targets, self.basis = view, rates, targets, basis
         self.batches = view.response.regression.batches
+        self._known = {}  # waves of all rates by their kernels, for whoever scans them again
+
+    def beside_of(self, basis, target):
+        """A scan of the same waves on another target (n,), beside an orthonormal basis (n, k)."""
+        other = copy(self)
+        other.targets, other.basis = target[:, None], basis
+        return other
 
     def kernels(self, weights, axis, is_placed=False):
         """Moments by the push along an axis at every instant, (S, m, n) per batch.
@@ -187,10 +197,20 @@ class Scan:
         alone = [(k,) for k in range(n)]
         out = {along: [] for along in (alone if n == 1 else [*alone, tuple(range(n))])}
         for first in range(0, len(self.rates), BLOCK):
-            waves = [self.waves(kernel, self.rates[first : first + BLOCK]) for kernel in kernels]
+            waves = [self._block(kernel, first) for kernel in kernels]
             for along, found in out.items():
                 found.append(self._gain(np.concatenate([waves[k] for k in along], axis=2)))
         return {along: np.concatenate(found) for along, found in out.items()}
+
+    def _block(self, kernel, first):
+        """Waves of some rates on the grid, worked out once where few kernels have them."""
+        key = id(kernel[0]), first
+        if key not in self._known:
+            found = self.waves(kernel, self.rates[first : first + BLOCK])
+            if sum(block.nbytes for _, block in self._known.values()) + found.nbytes > MOST_BYTES:
+                return found
+            self._known[key] = kernel[0], found  # kept with its kernel: another may get its id
+        return self._known[key][1]
 
     def peaks(self, kernel):
         """The highest peaks of the gain, looked at closely, as pairs of rate and gain."""
