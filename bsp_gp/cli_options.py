@@ -584,7 +584,9 @@ def _time(text):
     match = _TIME.fullmatch(text.strip())
     seconds = float(match[1]) * _SECONDS[match[2] or ""] if match else 0.0
     if not 0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a time such as 20s, 2m or 1h, or none, got {text[:60]!r}")
+        raise argparse.ArgumentTypeError(
+            f"must be a time such as 20s, 2m or 1h, or none, got {text[:60]!r}"
+        )
     return seconds
 
 

@@ -3,12 +3,15 @@
 import numpy as np
 
 from bsp_gp.fitting.channels import join
+from bsp_gp.language.formula import Call, walk
 
 OVERSAMPLING = 4
 MOST_RATES = 8
 MOST_FREQUENCIES = 20_000
 SWINGING = 0.5
 """Part of what tracks are beside parabolas that one rate must make of them to be a swing."""
+SHOWN = 100.0
+"""Chi-squared that a swing must make at the least."""
 FEWEST_TURNS = 1.5
 """In the longest track, below which nothing is called a swing."""
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
@@ -47,9 +50,11 @@ def leading_rates(groups, noises):
 
 
 def is_of_swing(rate, found):
-    """Whether a push of some rate has the period of the swing that a fit without it foresees.
+    """Whether a push of some rate has the period of the swing that is there without it.
 
-    What an oscillator lacks, or has otherwise, looks like a push with its own period.
+    What an oscillator lacks, or has otherwise, looks like a push with its own period; and where a
+    law foresees no swing, what drives back from both sides makes the same track as such a push. A
+    second track, from elsewhere, tells these apart.
 
     Parameters
     ----------
@@ -57,9 +62,20 @@ def is_of_swing(rate, found):
     found : Fit
         Without that push.
     """
-    swing, span = _swing_of(found)
+    swing, span = swing_of(found, foreseen=True), longest(found)
+    if not swing and len(found.channels.scene_names) == 1:
+        swing = swing_of(found)
     return any(
         abs(rate - n * swing) * span < 2 * np.pi * turns for n, turns in OVERTONES.items() if swing
+    )
+
+
+def rates_in(formula):
+    """Names of constants that are rates of waves in time."""
+    waves = (node.args[0] for node in walk(formula)
+             if isinstance(node, Call) and node.operator in ("cos", "sin"))  # fmt: skip
+    return dict.fromkeys(
+        name for wave in waves if {*wave.inputs} == {"t"} for name in wave.constants
     )
 
 
@@ -69,28 +85,39 @@ def longest(found):
     return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
 
 
-def _swing_of(found):
-    """The rate, rad/s, at which tracks of a fit swing, 0 where they do not; the longest time."""
-    observed = join(chains.observed for chains in found.groups)
-    tracks, times, sizes = observed - found.residual, found.channels.times, found.noise.levels
+def swing_of(found, foreseen=False):
+    """The rate at which tracks swing as they were seen, rad/s; 0 where they do not.
+
+    Parameters
+    ----------
+    found : Fit
+    foreseen : bool
+        As its law has them, then.
+    """
+    tracks = join(chains.observed for chains in found.groups)
+    if foreseen:
+        tracks = tracks - found.residual
+    times = found.channels.times
+    sizes = np.array(found.noise.levels)[found.channels.axis]  # nan where nothing moves
     seen = [np.isfinite(tracks[:, k]) & np.isfinite(times[:, k]) for k in range(tracks.shape[1])]
-    kept = [k for k, own in enumerate(seen) if own.sum() > 6]
-    if found.is_failed or not kept:
-        return 0.0, 0.0
+    kept = [k for k, own in enumerate(seen) if own.sum() > 6 and np.isfinite(sizes[k])]
+    if (foreseen and found.is_failed) or not kept:
+        return 0.0
     span = longest(found)
     step = float(np.median(np.concatenate([np.diff(times[seen[k], k]) for k in kept])))
     rates = _rates(span, step)
     power, whole = np.zeros(len(rates)), 0.0
     for k in kept:
         t, x = times[seen[k], k], tracks[seen[k], k]
-        variance = np.full(len(t), float(sizes[found.channels.axis[k]]) ** 2)
+        variance = np.full(len(t), sizes[k] ** 2)
         power += _power(t, x, variance, rates)
         u = (t - t.mean()) / np.ptp(t)
         left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
         whole += float(left @ left) / variance[0]
     best = int(np.argmax(power))
-    is_swing = power[best] > SWINGING * whole and rates[best] * span > 2 * np.pi * FEWEST_TURNS
-    return (float(rates[best]) if is_swing else 0.0), span
+    is_shown = power[best] > max(SWINGING * whole, SHOWN)
+    is_seen = rates[best] * span > 2 * np.pi * FEWEST_TURNS
+    return float(rates[best]) if is_shown and is_seen else 0.0
 
 
 def _rates(span, step):

@@ -11,7 +11,7 @@ import numpy as np
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
-from bsp_gp.fitting.periodogram import is_of_swing, longest
+from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
@@ -32,9 +32,8 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods"}
 """Why a law only describes the tracks."""
-PERIODIC, FEWEST_PERIODS = ("period", "pulsing"), 2
-"""Codes of what comes back in time, and how often it must have done so in a recording: one wave is
-as good as any curve."""
+FEWEST_PERIODS = 2
+"""That a recording must have of what comes back in time: one wave is as good as any curve."""
 MOST_CAUSES = 3
 """Forces that may be missing from what people declare: more of them add up to one of another form
 as terms of a series do."""
@@ -131,17 +130,23 @@ def doubt_of_periods(rounds, removed):
         Numbers of rounds whose causes were taken back.
     """
     for r in rounds:
-        best = r.decision.best
-        if not r.decision.is_adopted or r.number in removed or best.code not in PERIODIC:
+        if not r.decision.is_adopted or r.number in removed:
             continue
-        found = r.fits[best.id]
-        (name,) = r.proposals[best.id].starts
-        rate = found.law.constants[name]
-        if rate * longest(found) < 2 * math.pi * FEWEST_PERIODS:
-            return "few_periods"
-        if best.code == "period" and is_of_swing(rate, r.entering):
-            return "own_period"
+        found = r.fits[r.decision.best.id]
+        for formula in _new(found, r.entering):
+            for name in rates_in(formula):
+                rate = found.law.constants[name]
+                if rate * longest(found) < 2 * math.pi * FEWEST_PERIODS:
+                    return "few_periods"
+                if r.decision.best.code == "period" and is_of_swing(rate, r.entering):
+                    return "own_period"
     return ""
+
+
+def _new(found, before):
+    """Formulas of terms that one fit has and another has not."""
+    known = {term.formula for term in before.law.terms}
+    return [term.formula for term in found.law.terms if term.formula not in known]
 
 
 def judged_together(records):
@@ -301,10 +306,9 @@ def _exponent(one, criteria):
 
 def _added(done, fit):
     """Terms that a cause has brought in or changed, without those that were shed later."""
-    known = {term.formula for term in done.entering.law.terms}
     proposal = done.proposals.get(done.decision.best.id)
     own = proposal.formulas if proposal else ()
-    added = tuple(term.formula for term in fit.law.terms if term.formula not in known)
+    added = tuple(_new(fit, done.entering))
     return tuple(f for f in added if f in own) or added
 
 

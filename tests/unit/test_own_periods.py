@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.fitting.periodogram import is_of_swing, longest
 from bsp_gp.loop.writing_up import doubt_of_periods
 from tests.swings import ROD, WEIGHT, bob
@@ -34,12 +34,16 @@ def test_what_does_not_swing_has_no_period_of_its_own():
     assert not any(is_of_swing(rate, found) for rate in np.linspace(1.0, 20.0, 9))
 
 
-def round_of(found, rate, code="period", number=1):
-    after = SimpleNamespace(law=SimpleNamespace(constants={"w1": rate}), channels=found.channels)
+WAVE = "(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x"
+STRONG = "(1 + a1 * cos(w1 * t) + b1 * sin(w1 * t)) * (9.81 [m/s^2] * m_i * down)"
+
+
+def round_of(found, rate, code="period", text=WAVE):
+    law = read_law(bob(n=300), [text]).with_constants({"w1": rate, "a1": 1.0, "b1": 1.0})
+    after = SimpleNamespace(law=law, channels=found.channels)
     best = SimpleNamespace(id=1, code=code)
     return SimpleNamespace(
-        number=number, entering=found, fits={1: after},
-        proposals={1: SimpleNamespace(starts={"w1": rate})},
+        number=1, entering=found, fits={1: after},
         decision=SimpleNamespace(is_adopted=True, best=best),
     )  # fmt: skip
 
@@ -48,7 +52,16 @@ def test_why_a_push_with_a_period_is_doubted(swung):
     turn, once = 2 * np.pi / 1.94, 2 * np.pi / longest(swung)
     assert doubt_of_periods([round_of(swung, turn)], ()) == "own_period"
     assert doubt_of_periods([round_of(swung, 1.5 * once)], ()) == "few_periods"
-    assert doubt_of_periods([round_of(swung, 1.5 * once, "pulsing")], ()) == "few_periods"
-    assert doubt_of_periods([round_of(swung, turn, "pulsing")], ()) == ""
+    assert doubt_of_periods([round_of(swung, 1.5 * once, "pulsing", STRONG)], ()) == "few_periods"
+    assert doubt_of_periods([round_of(swung, 1.5 * once, "law")], ()) == "few_periods"  # of a sum
+    assert doubt_of_periods([round_of(swung, turn, "pulsing", STRONG)], ()) == ""
     assert doubt_of_periods([round_of(swung, 5 * turn)], ()) == ""
     assert doubt_of_periods([round_of(swung, turn)], {1}) == ""
+
+
+def test_one_track_that_swings_at_the_rate_of_a_push_may_be_driven_back():
+    data = bob(n=300)
+    found = fit(Hypothesis.from_laws(data, []), data)
+    turn = 2 * np.pi / 1.94
+    assert is_of_swing(turn, found)
+    assert not is_of_swing(4.5 * turn, found)

@@ -23,6 +23,7 @@ from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.sources import Sources
+from bsp_gp.loop.proposers.swings import Swings
 from bsp_gp.loop.proposers.unfollowed import Unfollowed
 from bsp_gp.loop.proposers.varying import Varying
 from bsp_gp.loop.proposers.walls import Walls
@@ -40,8 +41,9 @@ def standard(grammar, dataset, **settings):
         Of `Laws`.
     """
     laws = Laws(grammar, dataset, **settings)
+    inside = Inside(laws, dataset)
     return [
-        laws, Inside(laws, dataset), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
+        laws, inside, Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
         Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
         Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
         Measurement(), LateLogs(), Defects(), Noise(), Unfollowed(laws),

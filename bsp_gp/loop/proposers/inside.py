@@ -22,10 +22,10 @@ from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, read_forms
+from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, Scan, read_forms
 from bsp_gp.search.subsets import best_subsets
 
-__all__ = ["Inside", "inner_search"]
+__all__ = ["Inside", "form_at", "inner_search"]
 
 MOST = 8
 """Forms that are proposed."""
@@ -35,7 +35,7 @@ SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
 MOST_WEIGHTS = 3_000_000
 """Products that the moments of one force are made of, above which forms that act on bodies by
-themselves are scanned on a part of the chains: of a long recording one minute tells them as well."""
+themselves are scanned on a part of the chains: of a long recording a minute tells them as well."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -237,6 +237,15 @@ def inner_search(view, grammar, draws):
         np.isfinite(view.fit.noise.levels), grammar.inside.get("ranges", {}),
         dataset_types(view.dataset),
     )  # fmt: skip
+
+
+def form_at(view, search, form, at):
+    """The proposal of a form whose inner constants are these, in the order of its axes (k,)."""
+    none = np.zeros(0)
+    axes = search.axes_of(form)
+    scan = Scan(form, axes, 1, 0.0, none, 0.0, 0.0, np.asarray(at, dtype=float), none, ())
+    scan = search.anew(scan)
+    return _proposal(view, search, replace(scan, gain=scan.best))
 
 
 def _proposal(view, search, scan):

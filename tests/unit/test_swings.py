@@ -1,0 +1,89 @@
+"""A lone body that swings without a cause is asked for what drives it back."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import bsp_gp
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.proposal import continued
+from bsp_gp.loop.proposers.inside import Inside
+from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.proposers.swings import Swings
+from bsp_gp.loop.view import View
+from tests.loop_views import GRAVITY
+from tests.unit.test_response import thrown
+
+STRENGTH, DRAG = 8.2e-4, 1.3e-3
+
+
+def balance(creep, seed=0, n=110, step=10.0, sigma=3e-4):
+    """The spot of a torsion balance on its scale, whose rest point creeps at some m/s."""
+
+    def rate(t, z):
+        return [z[1], STRENGTH * (0.275 + creep * t - z[0]) - DRAG * z[1]]
+
+    times = np.arange(n) * step
+    places = solve_ivp(
+        rate, (0, times[-1]), [0.284, 0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=5.0
+    ).y[0]
+    noise = sigma * np.random.default_rng(seed).standard_normal(n)
+    table = pd.DataFrame({"t": times, "x": places + noise})
+    return bsp_gp.Dataset.from_frames(
+        table, units={"length": "m", "time": "s"}, properties={"mass": "1[kg]"}
+    )
+
+
+def view_of(data, laws=()):
+    hypothesis = Hypothesis.from_laws(data, laws)
+    found = fit(hypothesis, data)
+    return View(found, continued(hypothesis, found), data, np.random.default_rng(0))
+
+
+def proposed(data, laws=()):
+    proposer = Swings(Inside(Laws(load_grammar("physics"), data), data))
+    return proposer.propose(view_of(data, laws))
+
+
+def test_a_swing_is_asked_for_a_spring_and_a_drag_and_begins_near_them():
+    data = balance(creep=-3e-7)
+    view = view_of(data)
+    family = proposed(data)
+    (both,) = family.proposals
+    assert family.is_control and not family.n_tried
+    starts = list(both.starts.values())
+    assert starts[0] == pytest.approx(0.275, abs=2e-3)
+    assert starts[1] == pytest.approx(STRENGTH, rel=0.15)
+    assert starts[2] == pytest.approx(-DRAG, rel=0.5)
+    found = both.fitted(view.near, data, criteria=view.criteria)
+    constants = dict(found.law.constants)
+    assert constants["c1"] == pytest.approx(STRENGTH, rel=0.02)
+    assert found.chi2_red < 4.0
+
+
+def test_a_swing_that_a_law_foresees_is_not_asked():
+    laws = ["8.2e-4 [kg/s^2] * (origin + 0.275 [m] * e_x - p_i)", "-1.3e-3 [kg/s] * v_i"]
+    assert not proposed(balance(creep=0.0), laws).proposals
+
+
+def test_what_does_not_swing_is_not_asked():
+    data = thrown(n_scenes=2, n_rows=40)
+    assert not proposed(data, [GRAVITY]).proposals
+
+
+@pytest.mark.slow
+def test_a_torsion_balance_whose_rest_point_creeps_is_no_periodic_push():
+    """The push explains nearly all of the moments, and a spring less than half."""
+    done = bsp_gp.close_loop(balance(-1.5e-6, seed=1), [], rng=np.random.default_rng(1))
+    assert [r.effect.code for r in done.rounds if r.adopted] == ["law", "drift"]
+    assert done.law.constants["c1"] == pytest.approx(STRENGTH, rel=0.02)
+
+
+def test_nothing_is_asked_where_the_grammar_has_no_spring():
+    data = balance(creep=0.0)
+    inside = Inside(Laws(load_grammar("physics"), data), data)
+    inside.forms = [form for form in inside.forms if "centre" not in form.term.formula.inputs]
+    assert not Swings(inside).propose(view_of(data)).proposals
