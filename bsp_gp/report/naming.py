@@ -345,21 +345,6 @@ def clock_jumps(effect):
     return f"times that are off {', '.join(told)}" if told else CAUSES["clock_jump"]
 
 
-def kick(effect):
-    """In plain words: "a kick: the velocity of ball jumps by 0.83 m/s at 0.72 s in scene 6"."""
-    found = re.findall(r"(?:^kick |, )(.+?)\[(.+?), [^,\]]*\]", effect.name)
-    instants = [c for c in effect.constants if c.name.startswith("t")]
-    gains = [c for c in effect.constants if c not in instants]
-    n_dims, told = len(gains) // len(instants), []
-    for k, ((body, scene), instant) in enumerate(zip(found, instants, strict=True)):
-        own = gains[k * n_dims : (k + 1) * n_dims]
-        size = with_unit(format_number(math.hypot(*(c.value for c in own)), 2), own[0].unit)
-        when = with_unit(format_number(instant.value, 3), instant.unit)
-        told.append(f"of {body} jumps by {size} at {when} in scene {scene}")
-    what = "a kick" if len(told) == 1 else f"{len(told)} kicks"
-    return f"{what}: the velocity {', '.join(told)}"
-
-
 def _parts(formula):
     """Direction, conditions and powers of the scalar factors of a term."""
     _, rest = split_linear(formula)

@@ -18,6 +18,7 @@ from bsp_gp.report.codes import (
     REASONS,
     STOPS,
 )
+from bsp_gp.report.kicks import kick
 from bsp_gp.report.naming import (
     along_one_line,
     bad_rows,
@@ -27,7 +28,6 @@ from bsp_gp.report.naming import (
     constant_distance,
     describe,
     inclination,
-    kick,
     period,
     ripple,
 )

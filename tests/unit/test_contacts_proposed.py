@@ -16,7 +16,7 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import selected
-from bsp_gp.report.naming import kick
+from bsp_gp.report.kicks import kick
 from tests.loop_views import GRAVITY, edited, throws, view_of
 
 INSTANT, GAIN = 0.433, np.array([0.6, -0.8])

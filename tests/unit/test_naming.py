@@ -23,7 +23,6 @@ from bsp_gp.report.naming import (
     bad_rows,
     clock_jumps,
     describe,
-    kick,
     period,
 )
 from bsp_gp.report.page import _parts
@@ -186,14 +185,6 @@ def test_a_power_that_the_data_leave_open_is_not_told_as_a_number():
     assert said == (
         "Powers that the data allow (90 %): speed to any power from 0.15 to 15, written as 2."
     )
-
-
-def test_a_kick_is_told_with_its_body_size_instant_and_scene():
-    values = {"w_x1": (0.6, "m/s"), "t1": (0.433, "s"), "w_y1": (-0.8, "m/s")}
-    constants = [SimpleNamespace(name=n, value=v, unit=u) for n, (v, u) in values.items()]
-    effect = SimpleNamespace(name="kick red, 2[throw 1, 0.43 s]", constants=constants)
-    told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
-    assert kick(effect) == told
 
 
 @pytest.mark.parametrize(

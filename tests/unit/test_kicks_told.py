@@ -1,0 +1,42 @@
+"""Kicks in plain words."""
+
+from types import SimpleNamespace
+
+from bsp_gp.report.kicks import kick
+
+
+def effect_of(*kicks):
+    """Of kicks (body, scene, instant, velocity along x), whose instants are known to 1 ms."""
+    name, constants = [], []
+    for k, (body, scene, time, gain) in enumerate(kicks, 1):
+        name.append(f"{body}[{scene}, {time} s]")
+        constants += [
+            SimpleNamespace(name=f"w_x{k}", value=gain, unit="m/s", low=gain, high=gain),
+            SimpleNamespace(name=f"t{k}", value=time, unit="s", low=time - 1e-3, high=time + 1e-3),
+        ]  # fmt: skip
+    return SimpleNamespace(name="kick " + ", ".join(name), constants=constants)
+
+
+def test_a_kick_is_told_with_its_body_size_instant_and_scene():
+    values = {"w_x1": (0.6, "m/s"), "t1": (0.433, "s"), "w_y1": (-0.8, "m/s")}
+    constants = [SimpleNamespace(name=n, value=v, unit=u) for n, (v, u) in values.items()]
+    effect = SimpleNamespace(name="kick red, 2[throw 1, 0.43 s]", constants=constants)
+    told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
+    assert kick(effect) == told
+
+
+def test_two_bodies_that_are_kicked_at_once_against_each_other_collide():
+    told = kick(effect_of(("red", "1", 1.8682, -0.193), ("blue", "1", 1.8674, 0.0963)))
+    assert told == (
+        "a collision of red and blue at 1.87 s in scene 1: velocities jump by 0.19 m/s and "
+        "0.096 m/s, against each other, as where blue has 2.00 times the mass of red"
+    )
+    for other in (("blue", "1", 1.9, 0.0963), ("blue", "1", 1.8674, -0.0963),
+                  ("blue", "2", 1.8674, 0.0963), ("red", "1", 1.8674, 0.0963)):  # fmt: skip
+        told = kick(effect_of(("red", "1", 1.8682, -0.193), other))
+        assert told.startswith("2 kicks: the velocity of red jumps by 0.19 m/s at 1.87 s")
+
+
+def test_many_kicks_are_told_together():
+    told = kick(effect_of(*(("puck", "1", 0.1 * k, 0.5 + k) for k in range(1, 6))))
+    assert told == "5 kicks of puck in scene 1: by 1.5 m/s to 5.5 m/s, from 0.100 s to 0.500 s"
