@@ -47,7 +47,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
-from bsp_gp.data.twice import measures_at_once
+from bsp_gp.data.twice import by_date, measures_at_once
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -348,6 +348,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, put = by_date(rows)
     rows, twice = measures_at_once(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
@@ -368,6 +369,7 @@ def _assemble(table, roster, declaration, default_name):
         *units_notes,
         *input_notes,
         *rows.notes,
+        *put,
         *twice,
         *apart,
         *still,

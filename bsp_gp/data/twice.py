@@ -1,4 +1,4 @@
-"""Measures of one body at one time, as of two instruments in one night: one row each time."""
+"""Measures by several instruments: in the order of their dates, one row each time of a body."""
 
 from dataclasses import replace
 
@@ -7,6 +7,49 @@ import numpy as np
 AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
+
+
+def by_date(rows):
+    """Rows in the order of their times, where these are dates of several instruments.
+
+    Those are far from zero, and errors are quoted; what begins anew at zero is another recording.
+
+    Parameters
+    ----------
+    rows : Rows
+
+    Returns
+    -------
+    rows : Rows
+    notes : tuple of str
+    """
+    span = np.ptp(rows.times) if len(rows.times) else 0.0
+    if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
+        return rows, ()
+    order = np.lexsort((rows.times, rows.entity, rows.scene))
+    key = rows.scene * len(rows.entity_names) + rows.entity
+    own = np.argsort(key, kind="stable")
+    is_back = (np.diff(key[own]) == 0) & (np.diff(rows.times[own]) < 0)
+    if not is_back.any():
+        return rows, ()
+    line = int(rows.lines[own[1:][is_back].min()])
+    note = f"dates go back, first in line {line}: rows were put into the order of their dates"
+    return _taken(rows, order), (note,)
+
+
+def _taken(rows, chosen):
+    """Some rows, by their numbers."""
+    taken = {
+        name: getattr(rows, name)[chosen]
+        for name in ("scene", "entity", "times", "lines", "positions", "sigma")
+    }
+    return replace(
+        rows, **taken,
+        velocities=None if rows.velocities is None else rows.velocities[chosen],
+        inputs={name: (values[chosen], unit) for name, (values, unit) in rows.inputs.items()},
+        first=rows.first and tuple(values[chosen] for values in rows.first),
+        logged={n: (text, values[chosen], unit) for n, (text, values, unit) in rows.logged.items()},
+    )  # fmt: skip
 
 
 def measures_at_once(rows):
@@ -45,10 +88,4 @@ def measures_at_once(rows):
         f"{len(lines)} row(s) are at the time of the row before (line {listed}) and agree with it: "
         "they are one measure, the mean weighted by their errors"
     )
-    taken = {name: getattr(rows, name)[starts] for name in ("scene", "entity", "times", "lines")}
-    return replace(
-        rows, **taken, positions=places, sigma=errors,
-        inputs={name: (values[starts], unit) for name, (values, unit) in rows.inputs.items()},
-        first=rows.first and tuple(values[starts] for values in rows.first),
-        logged={n: (text, values[starts], unit) for n, (text, values, unit) in rows.logged.items()},
-    ), (note,)  # fmt: skip
+    return replace(_taken(rows, starts), positions=places, sigma=errors), (note,)
