@@ -12,6 +12,9 @@ T, E, D, M = "trajectories.csv", "entities.csv", "dataset.toml", "model.toml"
 ROWS = [f"{s},{k / 10:g},ball,{k * v:g},{5 - k * k * 0.0490500:.6f}"
         for s, v in (("a", 0.1), ("b", 0.2), ("c", 0.3), ("d", 0.4)) for k in range(6)]
 GOOD = "\n".join(["scene,t,entity,x,y", *ROWS, ""])
+FALLING_DOWN = "\n".join(
+    ["scene,t,entity,x,y", *(f"a,0.{k},ball,{k},{0.049 * k * k:.4f}" for k in range(9)), ""]
+)
 BODIES = "entity,mass,radius\nball,0.5,0.05\n"
 TOML = '[units]\nlength = "m"\ntime = "s"\nmass = "kg"\n[axes]\nup = "y"\n'
 FILES = {T: GOOD, E: BODIES, D: TOML}
@@ -51,7 +54,9 @@ DATA = {
     "unit of time missing": ({D: edit('time = "s"\n', "", TOML)}, [D, "unit of time"]),
     "no units at all": ({D: '[axes]\nup = "y"\n'}, ["[m/s^2]", "--units length=m time=s"]),
     "pixels": ({D: edit('"m"', '"px"', TOML)}, ["[m/s^2]", "[units]"]),
-    "no vertical": ({D: edit('up = "y"', "", TOML)}, ["'down'", "--up y"]),
+    "no vertical": (
+        {D: edit('up = "y"', "", TOML), T: FALLING_DOWN}, ["'down'", "--up y", "--up=-x"],
+    ),
     "unknown shape": ({E: "entity,shape,mass\nball,egg,1\n"}, [E, "line 2", "'egg'"]),
     "two entities at one point": (
         {T: GOOD + "a,0,b,0,5\na,0.1,b,1,1\n", E: BODIES + "b,1,1\n"}, ["'b'", "one point"],

@@ -70,7 +70,9 @@ class Defects:
             ("lost_track", still, theirs, n_still),
             ("clock_jump", closed, gained, n_still),
         ]
-        ends, bare, n_ends = _untrimmed(view, list(filter(is_open, chains)))
+        # What goes round in the sky is neither let go nor lands.
+        asked = [] if view.is_astronomical else list(filter(is_open, chains))
+        ends, bare, n_ends = _untrimmed(view, asked)
         if len(ends) > 1:  # one alone is a track that is lost
             kinds.append(("untrimmed", ends, bare, n_ends))
         if windows:
