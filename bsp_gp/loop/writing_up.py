@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections import Counter
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from itertools import takewhile
@@ -11,6 +12,7 @@ import numpy as np
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
@@ -35,8 +37,8 @@ DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes", "own_perio
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
 MOST_CAUSES = 3
-"""Forces that may be missing from what people declare: more of them add up to one of another form
-as terms of a series do."""
+"""Forces that may be missing from what people declare, and kicks of one body in a recording: more
+of them add up to a force of another form as terms of a series do."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -117,8 +119,12 @@ def is_many(rounds, removed):
         max(len(r.proposals[r.decision.best.id].formulas), 1)
         for r in adopted
         if r.decision.best.kind in FORESEEING and r.decision.best.code != "contact"
-    ]  # someone may have kicked a ball often
-    return sum(causes) > MOST_CAUSES
+    ]
+    # Someone may have kicked a ball now and then; what is kicked all the time is pushed.
+    of_kicks = (r for r in adopted if r.decision.best.code == "contact")
+    parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
+    kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
+    return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES
 
 
 def doubt_of_periods(rounds, removed):

@@ -8,11 +8,13 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.loop.criteria import CAUSES, REASONS, VERDICTS, Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.table import HeldOut, HypothesisTable, Row
 from bsp_gp.loop.writing_up import is_many
+from bsp_gp.physics.force import ForceLaw
 from tests.unit.test_response import thrown
 
 BASE = Row(0, "base", "", "", "converged", 0.0, 0.0, -250.0, 4)
@@ -77,6 +79,21 @@ def test_many_forces_only_describe(n_laws, is_said):
     ]  # fmt: skip
     assert is_many(rounds, ()) is is_said
     assert not is_many(rounds, {2})
+
+
+@pytest.mark.parametrize(("bodies", "is_said"), [("aaa", False), ("aaab", False), ("aaaab", True)])
+def test_a_body_that_is_kicked_all_the_time_is_pushed(bodies, is_said):
+    """Six kicks to and fro were the cause of a swing."""
+    kicks = tuple(
+        Kick(ForceLaw(()), scene="1", entity=body, mark=f"kicked{k}")
+        for k, body in enumerate(bodies)
+    )
+    done = SimpleNamespace(
+        number=1, proposals={1: SimpleNamespace(formulas=())},
+        hypotheses={1: SimpleNamespace(parts=kicks)},
+        decision=SimpleNamespace(is_adopted=True, best=row(1, "contact")),
+    )  # fmt: skip
+    assert is_many([done], ()) is is_said
 
 
 @pytest.mark.parametrize(("nats", "is_told"), [(1.0, False), (4.0, True)])
