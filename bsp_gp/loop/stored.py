@@ -85,7 +85,7 @@ def _made(cls, record, **changes):
     fields = {f.name: f for f in dataclasses.fields(cls)}
     values = {name: value for name, value in record.items() if name in fields} | changes
     for name, value in values.items():
-        if value is None and fields[name].type == "float":
+        if value is None and fields[name].type is float:
             values[name] = math.nan
         elif isinstance(value, list) and name in _TUPLES:
             values[name] = tuple(value)

@@ -55,6 +55,21 @@ def test_where_a_trace_tells_nothing_its_error_is_infinite(folder, tmp_path):
     assert page_of(report).rounds
 
 
+def test_numbers_that_are_not_known_come_back_as_such(folder, tmp_path):
+    """They came back as nothing, and `show` ended with a traceback where units are not SI."""
+    told = json.loads((folder / "report.json").read_text("utf-8"))
+    told["dataset"]["units"]["length"] = "cm"
+    told["total"]["after"]["residual_acceleration"] = None
+    told["rounds"][0]["before"]["residual_acceleration"] = None
+    for constant in told["law"]["constants"]:
+        constant["low"] = None
+    (tmp_path / "report.json").write_text(json.dumps(told), "utf-8")
+    report = bsp_gp.load_report(tmp_path)
+    assert np.isnan(report.total["after"].residual_acceleration)
+    assert np.isnan(report.rounds[0].before.residual_acceleration)
+    assert summary_text(report)
+
+
 @pytest.mark.parametrize("content", ["{}", "[]", "{", '{"schema": "other"}', None])
 def test_what_is_no_report_is_refused(tmp_path, content):
     if content is not None:
