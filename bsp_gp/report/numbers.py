@@ -8,6 +8,8 @@ NOT_KNOWN = "–"
 """What stands in place of a number that there is not."""
 FINEST_RATIO = 1e-4
 """Of errors: what is closer is the same to any reader."""
+LEAST = sys.float_info.min
+"""What is smaller has no whole number of digits any more."""
 
 _MAX_DIGITS = 13
 _MANY, _TOO_MANY = 1e4, 1e9
@@ -56,10 +58,6 @@ def listed(names, most):
 def power_of_ten(exponent):
     """``" × 10⁶"``; nothing for a power of zero."""
     return f" × 10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""
-
-
-LEAST = sys.float_info.min
-"""What is smaller has no whole number of digits any more."""
 
 
 def _exponent(size):

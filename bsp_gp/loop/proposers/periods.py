@@ -27,7 +27,7 @@ FAR = 1.0
 """Spans of the times from their zero from which on waves count from the first row: else the least
 change of a rate, as of decimal years, turns them round."""
 MOST_BYTES = 1 << 28
-"""Of waves that are kept."""
+"""Of waves that are kept where they are scanned beside one form after the other."""
 BLOCK = 128
 """Frequencies that are scored at a time."""
 
@@ -107,7 +107,7 @@ def waves_alone(view):
     rates = rates_of(view)
     if not len(rates):
         return None, {}
-    alone = Scan(view, rates, view.left[:, None])
+    alone = Scan(view, rates, view.left[:, None], MOST_BYTES)
     (_, weights, _), *_ = variants(view)
     axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
     kernels = {axis: alone.kernels(weights, axis) for axis in axes}
@@ -159,10 +159,10 @@ class Scan:
     An orthonormal basis (n, k) of what else may explain them is projected out of the waves.
     """
 
-    def __init__(self, view, rates, targets, basis=None):
-        self.view, self.rates, self.targets, self.basis = view, rates, targets, basis
+    def __init__(self, view, rates, targets, most_bytes=0):
+        self.view, self.rates, self.targets, self.basis = view, rates, targets, None
         self.batches = view.response.regression.batches
-        self._known = {}  # waves of all rates by their kernels, for whoever scans them again
+        self._known, self._most = {}, most_bytes  # waves of rates that are scanned again, by kernel
 
     def beside_of(self, basis, target):
         """A scan of the same waves on another target (n,), beside an orthonormal basis (n, k)."""
@@ -207,7 +207,7 @@ class Scan:
         key = id(kernel[0]), first
         if key not in self._known:
             found = self.waves(kernel, self.rates[first : first + BLOCK])
-            if sum(block.nbytes for _, block in self._known.values()) + found.nbytes > MOST_BYTES:
+            if sum(block.nbytes for _, block in self._known.values()) + found.nbytes > self._most:
                 return found
             self._known[key] = kernel[0], found  # kept with its kernel: another may get its id
         return self._known[key][1]

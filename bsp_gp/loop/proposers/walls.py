@@ -224,8 +224,8 @@ def _told(dataset, jumps_of, groups, is_bare):
     """
     pushes = [f"e_{'xyz'[axis]}" for axis in dict.fromkeys(axis for axis, _ in groups) if is_bare]
     sums = [tuple(form for form in both if form) for both in product(("", *pushes), ("", *SLOWING))]
-    flights = _flights(dataset, jumps_of, groups)
-    if not is_bare or not len(flights[0]):
+    flights = _flights(dataset, jumps_of, groups) if is_bare else None
+    if flights is None or not len(flights[0]):
         return {forms: ([math.nan] * len(forms), 0.0) for forms in sums}
     return {forms: _regressed(flights, forms) for forms in sums}
 
