@@ -196,18 +196,27 @@ class Climb:
         return self._finish(replace(best, n_starts=len(ends), n_agree=agree))
 
     def _from_near(self):
-        """The minimum that the tracks of a smaller hypothesis lead to, if they lead to one."""
+        """The minimum that tracks which are known lead to, if they lead to one.
+
+        Those of a path that was given, or of a smaller hypothesis.
+        """
         near, run = self.run.near, self.run
+        if run.path is not None:
+            return self._from(tuple(run.path.nodes(chains.times) for chains in run.groups), {})
         if near is None or not near.shows_tracks or near.paper_steps != self.paper_steps:
             return None
-        if not self._can_begin_at(near.nodes):
+        return self._from(near.nodes, dict(zip(near.parameters, near.values, strict=True)))
+
+    def _from(self, nodes, there):
+        """The minimum that nodes lead to, with constants as they are there."""
+        run = self.run
+        if not self._can_begin_at(nodes):
             return None
         # Of chains that are cut shorter now, rows are left over.
         nodes = tuple(
             np.where(np.isfinite(chains.times), own, np.nan)
-            for chains, own in zip(run.groups, near.nodes, strict=True)
+            for chains, own in zip(run.groups, nodes, strict=True)
         )
-        there = dict(zip(near.parameters, near.values, strict=True))
         known = np.array([run.starts.get(pair, there.get(pair, np.nan)) for pair in run.parameters])
         missing = np.flatnonzero(np.isnan(known))
         if any(run.roles[run.parameters[k][0]] != "linear" for k in missing):

@@ -191,7 +191,7 @@ class Fit:
 
 def fit(
     hypothesis, dataset, *, starts=None, bounds=None, deadline=None, effort=None, near=None,
-    most_starts=MOST_STARTS,
+    path=None, most_starts=MOST_STARTS,
 ):  # fmt: skip
     """Fit a hypothesis to all scenes of a data set.
 
@@ -209,6 +209,9 @@ def fit(
     near : Fit, optional
         Of a hypothesis that this one extends: the first descent begins at its tracks, and is the
         last one if it converges.
+    path : object, optional
+        Whose ``nodes(times)`` says where the bodies are and how they move, shape (2, R, d, T, S):
+        the same, instead of the tracks of a fit.
     most_starts : int
 
     Raises
@@ -220,7 +223,7 @@ def fit(
     """
     began = time.monotonic()
     run = _Run(hypothesis, hypothesis.seen(dataset), starts or {}, bounds or {}, most_starts)
-    run.near = near
+    run.near, run.path = near, path
     if near is not None:
         run.lead(near)
     run.is_over = _Patience(began, deadline, effort and effort * _longer(run.groups))
@@ -297,7 +300,7 @@ class _Run:
         # Of descents of which a few tracks stayed behind: what is left of the others, these, and
         # where it ended.
         self.lost = []
-        self.near = None
+        self.near = self.path = None
         model = hypothesis.noise
         if not np.isfinite(model.levels).any():
             raise DataError("nothing moves: no dynamic entity changes its position on any axis")

@@ -63,6 +63,8 @@ class Proposal:
     is_afresh : bool
         Whether it leads tracks so far from those of the fit that it extends that its fit begins
         at the data.
+    path : object or None
+        Where its bodies go by `starts`, as `fit` takes it.
     has_other_starts : bool
         Whether others of its family are the same from another start, and are all tried.
     is_first : bool
@@ -91,6 +93,7 @@ class Proposal:
     error: float = 0.0
     patience: int = 1
     is_afresh: bool = False
+    path: object = None
     has_other_starts: bool = False
     is_first: bool = False
     is_last: bool = False
@@ -139,7 +142,9 @@ class Proposal:
             "deadline": deadline,
         }  # fmt: skip
         near = None if self.is_afresh else base
-        found = fit(self.hypothesis, dataset, near=near, effort=criteria.effort, **known)
+        found = fit(
+            self.hypothesis, dataset, near=near, path=self.path, effort=criteria.effort, **known
+        )
         patience = max(self.patience, PATIENT if walls_of(self.hypothesis.law) else 1)
         if patience > 1 and found.status == "unconverged":  # on from where it was left
             effort = patience * criteria.effort

@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
+from bsp_gp.fitting.ellipses import ellipse_of
+from bsp_gp.fitting.parts.inclined import STEEPEST, Inclined
 from bsp_gp.loop.proposal import PATIENT, Family
 from bsp_gp.loop.proposers.hidden import N_NEAR, Sources, Stage, attraction, still
 from bsp_gp.loop.proposers.inclined import is_open, planes_of
@@ -35,16 +38,42 @@ class Aslant(Sources):
             k = int(np.argmax(along))
             tried.append((float(along[k]), plane, places[k], float(along[k] / size[k])))
         best = max(tried, key=lambda one: one[0])
-        proposals = [_proposal(stage, terms, *best)] if best[0] > 0 else []
+        proposals = _of_ellipse(view, stage, terms)
+        if not proposals and best[0] > 0:
+            proposals = [_proposal(stage, terms, best[0] ** 2, *best[1:])]
         return self.family(proposals, null, len(tried) * N_NEAR**2)
 
 
-def _proposal(stage, terms, along, plane, place, strength):
+def _of_ellipse(view, stage, terms):
+    """The source in the focus of the ellipse nearest to the places of a lone star, if there is one.
+
+    Moments along straight tracks tell little of an orbit that turns round more than once.
+    """
+    scene, *others = view.dataset.scenes
+    if others or len(scene.dynamic) != 1:
+        return []
+    places = scene.positions[:, scene.dynamic[0]]
+    errors = np.broadcast_to(np.array(view.fit.noise.levels), places.shape)
+    if scene.sigma is not None:
+        quoted = scene.sigma[:, scene.dynamic[0]]
+        errors = np.where(np.isfinite(quoted) & (quoted > 0), quoted, errors)
+    seen = np.isfinite(places).all(axis=1) & np.isfinite(errors).all(axis=1)
+    found = ellipse_of(scene.times[seen], places[seen], errors[seen])
+    if found is None or not 0 < found.inclination < STEEPEST:
+        return []
+    plane = Inclined((found.inclination, found.node))
+    strength = found.strength / (GRAVITATIONAL_CONSTANT if view.is_astronomical else 1.0)
+    place = plane.matrix(plane.own) @ found.focus
+    gain = max(float(view.left @ view.left) - found.chisqr, 0.0)
+    return [_proposal(stage, terms, gain, plane, place, strength, path=found)]
+
+
+def _proposal(stage, terms, gain, plane, place, strength, **more):
     """A source at a place in a plane, and the plane."""
     starts = {stage.strength: strength, **dict(zip(stage.names, map(float, place), strict=True))}
     middle = tuple((plane.matrix(plane.own) @ stage.middle).tolist())
     source = stage.source(terms, starts, middle=middle)
     return stage.proposal(
-        "at rest, seen aslant", terms, (source, plane), along**2, starts, stage.log_prior(terms),
-        is_afresh=True, patience=PATIENT,
+        "at rest, seen aslant", terms, (source, plane), gain, starts, stage.log_prior(terms),
+        is_afresh=True, patience=PATIENT, **more,
     )  # fmt: skip
