@@ -496,7 +496,7 @@ def summary(table):
     if len(failed):
         lines += ["\n## Neither named nor in the class\n",
                   "| kind | SNR | seed | verdict | told of |", "|---" * 5 + "|"]  # fmt: skip
-        for row in failed.fillna("").itertuples():
+        for row in failed.astype(object).fillna("").itertuples():
             cells = (row.kind, f"{row.snr:g}", row.seed, row.verdict, row.told)
             lines.append("| " + " | ".join(str(c).replace("|", "/") for c in cells) + " |")
     return "\n".join(lines) + "\n"

@@ -190,7 +190,7 @@ def summary(table):
     if len(failed):
         lines += ["\n## Neither named nor in the class\n",
                   "| kind | SNR | seed | verdict | told of | law |", "|---" * 6 + "|"]  # fmt: skip
-        for row in failed.fillna("").itertuples():
+        for row in failed.astype(object).fillna("").itertuples():
             cells = (row.effect, f"{row.snr:g}", row.seed, row.verdict, row.told, row.told_law)
             lines.append("| " + " | ".join(str(c).replace("|", "/") for c in cells) + " |")
     return "\n".join(lines) + "\n"

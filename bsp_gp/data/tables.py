@@ -46,6 +46,7 @@ from bsp_gp.data.several import joined, tables_of
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
+from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.twice import by_date, measures_at_once
 from bsp_gp.data.wide import groups_of
@@ -357,6 +358,7 @@ def _assemble(table, roster, declaration, default_name):
     scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes, free)
     if conversion.system.is_angle:
         scenes = tuple(map(unwrapped, scenes))
+    scenes, torn = (scenes, ()) if is_star else without_torn_ends(scenes, conversion.time())
     has_times = "t" in table.frame.columns
     clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
     clock += clock_jumps(rows, scenes, conversion.time())
@@ -373,6 +375,7 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *apart,
         *still,
+        *torn,
         *(roster.notes if roster else ()),
         *idle,
         *clock,

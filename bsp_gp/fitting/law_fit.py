@@ -27,6 +27,7 @@ from bsp_gp.fitting.law_text import (
 )
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.outliers import is_exact, without_outliers
+from bsp_gp.fitting.rests import without_rests
 from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
@@ -197,7 +198,7 @@ def fit_law(
     if noise is not None:
         dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     law = unset(laws) if isinstance(laws, ForceLaw) else read_law(dataset, laws)
-    dataset = with_usable_masses(dataset, needs_masses(law))
+    dataset = without_rests(with_usable_masses(dataset, needs_masses(law)), law)
     split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
     train, far_off = training_part(dataset, split.learned, said)

@@ -29,6 +29,7 @@ from bsp_gp.fitting.law_fit import (
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.parts.rails import rail_of
+from bsp_gp.fitting.rests import without_rests
 from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
@@ -270,6 +271,8 @@ class _Ready:
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
         self.law = unset(declared) if is_law else read_law(dataset, declared)
+        if latents is None:
+            dataset = without_rests(dataset, self.law)
         self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
         self.noise = estimate_noise(self.dataset)
         self.rail = None if self.law.frame or self.law.unseen else rail_of(

@@ -153,10 +153,14 @@ def _is_better_in_noise(accounts):
 
 
 def _that_help(rounds, helps):
-    """Rounds up to the last that adopts what predictions are better with."""
+    """Rounds up to the last that adopts what predictions are better with.
+
+    A kick was at its instant, and foretells nothing.
+    """
     kept = list(rounds)
     for k in reversed(range(len(helps))):
-        if rounds[k].decision.best.kind not in FORESEEING or helps[k]:
+        best = rounds[k].decision.best
+        if best.kind not in FORESEEING or best.code == "contact" or helps[k]:
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept

@@ -17,7 +17,7 @@ def drops(held, landed, seed=0):
     for k in range(4):
         t = np.arange(30) * STEP
         fall = 2.0 + 0.1 * k - 4.905 * t**2
-        y = np.concatenate([np.full(held, fall[0]), fall, np.full(landed, 1.5 + 0.2 * k)])
+        y = np.concatenate([np.full(held, fall[0]), fall, np.full(landed, 0.9 + 0.1 * k)])
         y = y + SIGMA * rng.standard_normal(len(y))
         frames[f"d{k}"] = pd.DataFrame({"t": np.arange(len(y)) * STEP, "x": 0.0, "y": y})
     bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})

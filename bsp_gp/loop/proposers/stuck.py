@@ -10,6 +10,7 @@ from scipy import stats
 
 from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import LeftOut
+from bsp_gp.fitting.rests import still_rows
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
 
@@ -17,8 +18,6 @@ LEAST_ROWS = 4
 """That stand still."""
 LEAST_KEPT = 0.25
 """Part of a track that is its body's if the rest is not."""
-STILL = 3.0
-"""Standard deviations by which the scatter of rows that stand still may pass what is expected."""
 BESIDE, UNLIKELY = 4, 1e-3
 """Rows on each side of an instant that tell whether a track breaks there, and the chance by which
 one that goes on smoothly may look broken."""
@@ -67,15 +66,6 @@ def _ends(scene, k, levels, axes):
         gain = n * float(np.median(steps) - 2 * axes.sum())
         if gain > price:
             yield part, gain, price
-
-
-def still_rows(places):
-    """How many rows of (T, d) from the first on scatter about one place as noise does."""
-    count = np.arange(1, len(places) + 1)
-    mean = np.cumsum(places, axis=0) / count[:, None]
-    scatter = (np.cumsum(np.square(places), axis=0) - count[:, None] * mean**2).sum(axis=1)
-    dof = (count - 1) * places.shape[1]
-    return int(count[scatter <= dof + STILL * np.sqrt(2 * np.maximum(dof, 1))].max(initial=0))
 
 
 def is_broken(scene, name, at):

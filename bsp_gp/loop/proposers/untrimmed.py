@@ -9,7 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from bsp_gp.loop.proposers.stuck import is_broken, still_rows
+from bsp_gp.fitting.rests import still_rows
+from bsp_gp.loop.proposers.stuck import is_broken
 
 LEAST_STILL = 3
 """Rows that stand still before a body is let go, at least."""

@@ -1,0 +1,103 @@
+"""Ends of a track that begin with a leap no body makes: what is seen there is another thing.
+
+A motion sensor whose object has left its beam, a tracker that lost its mark: the place leaps by
+many times the longest step before, and does not go on from there as a body that was hit would.
+"""
+
+import heapq
+
+import numpy as np
+
+from bsp_gp.data.scene import CHECK
+
+LEAP = 8.0
+"""Steps, in the longest of the track before but for a few, from which one is a leap."""
+FEW = 2
+"""Steps that a single bad row makes."""
+LEAST_KEPT, LEAST_ROWS = 0.6, 3
+"""Part of the rows that must be left, and rows behind a leap: fewer are rows that are off."""
+ONWARD = 0.5
+"""Part of a leap that a body which was hit would go on by from row to row."""
+LISTED = 3
+
+
+def without_torn_ends(scenes, second):
+    """Scenes of one moving body without the ends of its track behind a leap, and what was done.
+
+    Where several move, another of them may have been taken for it: that is asked by the loop.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    second : float
+        Of the unit of the file's times, how many seconds it is.
+
+    Returns
+    -------
+    scenes : tuple of Scene
+    notes : tuple of str
+    """
+    out, told = [], []
+    for scene in scenes:
+        first, stop = _whole(scene)
+        if (first, stop) != (0, len(scene.times)):
+            at = [scene.times[first]] if first else []
+            at += [scene.times[stop - 1]] if stop < len(scene.times) else []
+            when = " and ".join(f"{time / second:.6g}" for time in at)
+            sides = "before" if stop == len(scene.times) else "after"
+            sides = "outside" if len(at) > 1 else sides
+            told.append(f"{len(scene.times) - stop + first} of {scene.name!r} {sides} t = {when}")
+            scene = scene.rows(first, stop)
+        out.append(scene)
+    if not told:
+        return tuple(out), ()
+    more = f" and of {len(told) - LISTED} more" if len(told) > LISTED else ""
+    note = (
+        f"{CHECK}a track leaps by far more than any step of the motion, and does not go on from "
+        f"there: the rows beyond are left out ({', '.join(told[:LISTED])}{more}); cut the table "
+        "yourself if that is wrong"
+    )
+    return tuple(out), (note,)
+
+
+def _whole(scene):
+    """First row and row behind the last of the part of a scene that is not torn."""
+    whole = 0, len(scene.times)
+    if len(scene.dynamic) != 1:
+        return whole
+    places = scene.positions[:, scene.dynamic[0]]
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    places, times = places[seen], scene.times[seen]
+    tail = _leap(times, places)
+    head = _leap(-times[::-1], places[::-1])
+    if head is not None and tail is not None:  # what is left must still be most of it
+        is_most = tail + head + 2 - len(seen) >= LEAST_KEPT * len(seen)
+        head, tail = (head, tail) if is_most else (None, None)
+    return (
+        0 if head is None else int(seen[len(seen) - 1 - head]),
+        whole[1] if tail is None else int(seen[tail]) + 1,
+    )
+
+
+def _leap(times, places):
+    """The last row before the first leap towards the end of a track; None if there is none."""
+    if len(times) < 4 * LEAST_ROWS:
+        return None
+    step = np.diff(times)
+    usual = np.median(step)
+    way = np.diff(places, axis=0)
+    # Rows that are hurried together differ by their noise, in however short a time.
+    size = np.linalg.norm(way, axis=1) * usual / np.maximum(step, usual)
+    first = int(LEAST_KEPT * len(places))
+    longest = heapq.nlargest(FEW + 1, size[:first].tolist())[::-1]  # a heap, the least in front
+    for k in range(first, len(size) - LEAST_ROWS + 1):
+        is_leap = size[k] > LEAP * longest[0] > 0
+        heapq.heappushpop(longest, float(size[k]))
+        if not is_leap:
+            continue
+        onward = (places[[k + 2, k + 3]] - places[k + 1]) @ way[k] / (way[k] @ way[k])
+        before = np.median(places[k - FEW : k + 1], axis=0)  # the last row may be off itself
+        away = np.linalg.norm(np.median(places[k + 1 :], axis=0) - before)
+        if np.all(onward < ONWARD) and away > 0.5 * np.linalg.norm(way[k]):
+            return k
+    return None

@@ -1,0 +1,141 @@
+"""Bodies that are held before they are let go, or lie on something at the end of a recording.
+
+They stand still there although the declared law would move them: these rows are no part of the
+motion that it is to explain. Standing still shows in the places whatever the law; what sets off
+slowly from rest, or turns, goes on smoothly and is the motion.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import CHECK
+from bsp_gp.errors import EvaluationError, FitError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import with_states
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.noise_model import NoiseModel
+
+LEAST_ROWS, LEAST_MOVING, MOST_STILL = 4, 10, 0.75
+"""Rows that stand still at an end, rows that are left, and part of a track that may stand still."""
+STILL = 3.0
+"""Standard deviations by which the scatter of rows that stand still may pass what is expected."""
+BESIDE = 2
+"""Rows about the last that stands still, in which a body may already move."""
+HELD, CHANCE = 4.0, 1e-6
+"""Reduced chi-squared from which on a law does not follow rows, and the chance of what curves and
+laws leave."""
+LISTED = 3
+
+
+def without_rests(dataset, law):
+    """The data set without rows at which bodies stand still in spite of a law, with a note.
+
+    Scenes of one moving body alone.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        As it is declared; its constants are fitted to the rest.
+
+    Returns
+    -------
+    Dataset
+        The same one where there is no such row.
+    """
+    levels = np.array(estimate_noise(dataset).sigma)
+    ends = {scene.name: _still_ends(scene, levels) for scene in dataset.scenes}
+    if not any(map(sum, ends.values())) or dataset.velocity == "measured":
+        return dataset
+    held = _held(dataset, law, ends)
+    if not held:
+        return dataset
+    scenes, told = [], []
+    for scene in dataset.scenes:
+        head, tail = (n * ((scene.name, k) in held) for k, n in enumerate(ends[scene.name]))
+        if head or tail:
+            told.append(f"{head} before and {tail} after in {scene.name!r}")
+        scenes.append(scene.rows(head, len(scene.times) - tail) if head or tail else scene)
+    more = f" and {len(told) - LISTED} scenes more" if len(told) > LISTED else ""
+    note = (
+        f"{CHECK}the body stands still where the law would move it, before the motion or after: it "
+        f"is held or lies on something, and these rows are left out ({', '.join(told[:LISTED])}"
+        f"{more})"
+    )
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _held(dataset, law, ends):
+    """The ends, (scene, 0 or 1), whose rows a law does not follow as the others let it be."""
+    moving = [scene.rows(a, len(scene.times) - b) for scene in dataset.scenes
+              for a, b in [ends[scene.name]]]  # fmt: skip
+    cut = replace(dataset, scenes=tuple(moving))
+    still = {
+        f"{scene.name} {k}": (scene.name, k, scene.rows(*rows))
+        for scene in dataset.scenes
+        for k, rows in enumerate(((0, ends[scene.name][0]), (-ends[scene.name][1], None)))
+        if ends[scene.name][k]
+    }
+    scenes = [replace(rows, name=name) for name, (_, _, rows) in still.items()]
+    try:
+        found = fit(Hypothesis.from_laws(cut, law), cut)
+        found = replace(found, noise=NoiseModel.of(dataset))
+        found = with_states(found, dataset, scenes)
+    except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
+        return set()
+    channels, out = found.channels, set()
+    for name, (scene, k, _) in still.items():
+        mine = channels.scene == channels.scene_names.index(name)
+        dof = max(int(channels.seen[:, mine].sum()) - len(found.local_columns), 1)
+        left = float(np.square(found.whitened[:, mine]).sum())
+        if not left <= HELD * dof and stats.chi2.sf(left, dof) < CHANCE:
+            out.add((scene, k))
+    return out
+
+
+def _still_ends(scene, levels):
+    """How many rows stand still at the beginning and at the end of a scene of one moving body."""
+    if len(scene.dynamic) != 1 or scene.first is not None:
+        return 0, 0
+    axes = np.isfinite(levels)
+    places = scene.positions[:, scene.dynamic[0]][:, axes]
+    places = places / np.maximum(levels[axes], np.finfo(float).tiny)
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    head = _n_still(scene.times[seen], places[seen])
+    tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
+    if head + tail > MOST_STILL * len(seen) or len(seen) - head - tail < LEAST_MOVING:
+        return 0, 0
+    return (
+        int(seen[head]) if head else 0,
+        len(scene.times) - 1 - int(seen[-1 - tail]) if tail else 0,
+    )
+
+
+def _n_still(times, places):
+    """Rows from the first on that stand still and do not go over smoothly into the others."""
+    n = still_rows(places)
+    if not LEAST_ROWS <= n < len(places):
+        return 0
+    near = slice(0, min(2 * n, len(places)))
+    t = (times[near] - times[0]) / np.ptp(times[near])
+    left = places[near] - _smooth(t, places[near])
+    dof = max(left.size - 3 * left.shape[1], 1)
+    is_broken = stats.chi2.sf(np.square(left).sum(), dof) < CHANCE
+    return min(n + BESIDE, len(places)) if is_broken else 0
+
+
+def _smooth(t, places):
+    """Parabolas nearest to places."""
+    columns = np.stack([np.ones_like(t), t, t * t], axis=1)
+    return columns @ np.linalg.lstsq(columns, places, rcond=None)[0]
+
+
+def still_rows(places):
+    """How many rows of (T, d) from the first on scatter about one place as noise does."""
+    count = np.arange(1, len(places) + 1)
+    mean = np.cumsum(places, axis=0) / count[:, None]
+    scatter = (np.cumsum(np.square(places), axis=0) - count[:, None] * mean**2).sum(axis=1)
+    dof = (count - 1) * places.shape[1]
+    return int(count[scatter <= dof + STILL * np.sqrt(2 * np.maximum(dof, 1))].max(initial=0))

@@ -1,0 +1,95 @@
+"""Rows at which bodies are held, and ends of tracks that show something else."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bsp_gp
+from bsp_gp.fitting.hypothesis import NOTHING, read_law
+from bsp_gp.fitting.rests import without_rests
+
+FALL = "9.81 [m/s^2] * m_i * down"
+SIGMA, STEP = 0.002, 0.02
+UNITS = {"length": "m", "time": "s", "mass": "kg"}
+
+
+def dropped(held=0, landed=0, behind=(), acceleration=9.81, seed=0, n_scenes=2):
+    """Drops by 30 rows, held before, lying behind, and readings of something else at last."""
+    rng, frames = np.random.default_rng(seed), {}
+    for k in range(n_scenes):
+        t = np.arange(30) * STEP
+        fall = 5.0 + 0.1 * k - acceleration / 2 * t**2
+        y = np.concatenate([np.full(held, fall[0]), fall, np.full(landed, fall[-1])])
+        y = np.concatenate([y + SIGMA * rng.standard_normal(len(y)), np.asarray(behind, float)])
+        frames[f"d{k}"] = pd.DataFrame({"t": np.arange(len(y)) * STEP, "x": 0.0, "y": y})
+    bodies = pd.DataFrame({"entity": ["object"], "mass": [1.0]})
+    return bsp_gp.Dataset.from_frames(frames, bodies, units=UNITS, up="y")
+
+
+def bared(dataset, law=FALL):
+    return without_rests(dataset, read_law(dataset, [law]))
+
+
+def checks(dataset):
+    return [note for note in dataset.notes if note.startswith("check: ")]
+
+
+def test_rows_before_a_body_is_let_go_and_after_it_has_landed_are_left_out():
+    found = bared(dropped(held=15, landed=12))
+    for scene in found.scenes:
+        first, last = scene.times[0] / STEP, scene.times[-1] / STEP
+        assert 15 <= first <= 20 and 42 <= last <= 45
+    (note,) = checks(found)
+    assert "stands still" in note and "'d0'" in note
+
+
+def test_a_free_constant_of_the_law_is_fitted_to_the_motion_alone():
+    found = bared(dropped(held=15, landed=12), "g * m_i * down")
+    assert all(len(scene.times) < 35 for scene in found.scenes)
+
+
+@pytest.mark.parametrize("acceleration", [9.81, 1.0])
+def test_what_sets_off_from_rest_stays_whole(acceleration):
+    dataset = dropped(acceleration=acceleration)
+    assert bared(dataset) is dataset
+
+
+def test_rest_that_the_law_allows_is_motion():
+    dataset = dropped(held=15, landed=12)
+    assert bared(dataset, NOTHING) is dataset
+
+
+def test_readings_of_something_else_behind_a_leap_are_left_out():
+    found = dropped(behind=[9.0, 9.4, 9.1, 8.7, 9.2])
+    assert [len(scene.times) for scene in found.scenes] == [30, 30]
+    (note,) = checks(found)
+    assert "leaps" in note and "5 of 'd0' after t = 0.58" in note
+
+
+def test_a_tracker_that_finds_its_mark_late_is_told():
+    frame = pd.DataFrame({"t": np.arange(40.0), "x": np.r_[np.full(6, 900.0), np.arange(34.0)]})
+    found = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"})
+    assert found.scenes[0].times[0] == 6.0
+
+
+@pytest.mark.parametrize(
+    "x",
+    [
+        np.r_[np.zeros(30), np.arange(1.0, 11.0)],  # hit: goes on as fast
+        np.r_[0.01 * np.arange(30.0), 0.3 + np.arange(1.0, 11.0)],
+        np.r_[np.arange(38.0), 900.0, 901.0],  # rows that are off, and too few
+        np.r_[np.arange(30.0), 400.0, np.arange(31.0, 40.0)],  # one row that is off
+        np.r_[np.arange(30.0), np.arange(28.0, 18.0, -1)],  # turns back
+    ],
+)
+def test_what_a_body_may_do_is_no_leap(x):
+    frame = pd.DataFrame({"t": np.arange(40.0), "x": x})
+    found = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"})
+    assert len(found.scenes[0].times) == 40
+
+
+def test_of_two_bodies_none_is_cut():
+    x = np.r_[np.arange(30.0), np.full(10, 900.0)]
+    frame = pd.DataFrame({"t": np.arange(40.0), "red_x": x, "blue_x": np.arange(40.0) - 50})
+    found = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"})
+    assert len(found.scenes[0].times) == 40
