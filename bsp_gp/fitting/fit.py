@@ -7,6 +7,7 @@ noise is estimated beside the law, and the law fitted again under it.
 
 import math
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from operator import itemgetter
@@ -264,10 +265,21 @@ class _Patience:
     def __init__(self, began, deadline, effort):
         self.end = math.inf if deadline is None else began + deadline
         self.left = math.inf if effort is None else effort
+        self.spent, self.most = 0.0, math.inf
 
     def __call__(self, share=1.0):
         self.left -= share
-        return self.left < 0 or time.monotonic() > self.end
+        self.spent += share
+        return self.left < 0 or self.spent > self.most or time.monotonic() > self.end
+
+    @contextmanager
+    def within(self, effort):
+        """Be over after so much effort, until what is done with it has come back."""
+        self.most = self.spent + effort
+        try:
+            yield
+        finally:
+            self.most = math.inf
 
     def spare(self, least):
         """Leave so much at least, but of time."""

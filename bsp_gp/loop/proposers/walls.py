@@ -21,6 +21,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw, Term, numbered
 
@@ -28,6 +29,8 @@ STEMS = ("h", "e", "k", "tilt")
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
 LEAST_JUMPS = 2
+LEAST_SWEPT = 0.02
+"""Part of the longest way, along whichever axis, that bodies go along an axis with walls."""
 ALIKE = 0.02
 """Part of the extent of tracks within which jumps of one wall lie, beside their errors."""
 ERRORS = 5.0
@@ -51,7 +54,8 @@ class Walls:
 
     def propose(self, view):
         """The family of all walls that tracks turn back at."""
-        if view.is_astronomical or view.fit.paper_steps:
+        # A body on a rod or a wire turns back where that leads it.
+        if view.is_astronomical or view.fit.paper_steps or constraints_of(view.fit.law):
             return Family(self.name)
         found = _jumps_of(view)
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
@@ -118,9 +122,12 @@ def _is_foreseen(jump, scene, k, fit):
 def _walls(found, dataset):
     """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
     extent, places, groups = extent_of(dataset)[1], places_of(dataset), {}
+    swept = np.nanmax(places, axis=0) - np.nanmin(places, axis=0)
     for jump in found:
         turn = jump.after - jump.before
         axis = int(np.argmax(np.abs(turn)))
+        if swept[axis] < LEAST_SWEPT * swept.max():
+            continue  # what shakes a body across its way is no wall
         side = 1 if turn[axis] > 0 else -1
         kept = -jump.after[axis] / jump.before[axis] if jump.before[axis] else math.inf
         farthest = side * float(np.nanmin(side * places[:, axis]))
