@@ -18,7 +18,7 @@ from bsp_gp.fitting.held_out import with_states
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.noise_model import NoiseModel
 
-LEAST_ROWS, LEAST_MOVING, MOST_STILL = 4, 10, 0.75
+LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
 """Rows that stand still at an end, rows that are left, and part of a track that may stand still."""
 STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
@@ -72,12 +72,13 @@ def _held(dataset, law, ends):
     moving = [scene.rows(a, len(scene.times) - b) for scene in dataset.scenes
               for a, b in [ends[scene.name]]]  # fmt: skip
     cut = replace(dataset, scenes=tuple(moving))
-    still = {
-        f"{scene.name} {k}": (scene.name, k, scene.rows(*rows))
-        for scene in dataset.scenes
-        for k, rows in enumerate(((0, ends[scene.name][0]), (-ends[scene.name][1], None)))
-        if ends[scene.name][k]
-    }
+    still = {}
+    for scene in dataset.scenes:
+        head, tail = (n - 2 * BESIDE for n in ends[scene.name])  # what surely stands still
+        if head > 0:
+            still[f"{scene.name} 0"] = (scene.name, 0, scene.rows(0, head))
+        if tail > 0:
+            still[f"{scene.name} 1"] = (scene.name, 1, scene.rows(-tail, None))
     scenes = [replace(rows, name=name) for name, (_, _, rows) in still.items()]
     try:
         found = fit(Hypothesis.from_laws(cut, law), cut)

@@ -22,11 +22,12 @@ def world():
     return thrown(n_scenes=6, n_rows=40)
 
 
-def round_of(number, dataset, before, after, kind="force", status="converged"):
+def round_of(number, dataset, before, after, kind="force", status="converged", code="law"):
     hypotheses = {k: Hypothesis.from_laws(dataset, laws) for k, laws in enumerate((before, after))}
     fits = {k: fit(hypothesis, dataset) for k, hypothesis in hypotheses.items()}
     fits[0] = replace(fits[0], status=status)
-    decision = Decision("effect adopted", "adopted", SimpleNamespace(id=1, kind=kind), True)
+    best = SimpleNamespace(id=1, kind=kind, code=code)
+    decision = Decision("effect adopted", "adopted", best, True)
     return Round(number, fits[0], None, decision, fits, hypotheses, ())
 
 
@@ -64,6 +65,12 @@ def test_what_was_not_fitted_foresees_nothing(world):
 
 def test_a_cause_that_makes_them_better_stays(world):
     (done,) = looked_at(world, ([GRAVITY, PUSH], [GRAVITY]))
+    assert done.decision.is_adopted
+
+
+def test_a_kick_is_not_asked_to_foretell(world):
+    same = [GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]
+    (done,) = looked_at(world, (*same, "force", "converged", "contact"))
     assert done.decision.is_adopted
 
 

@@ -38,7 +38,7 @@ def test_rows_before_a_body_is_let_go_and_after_it_has_landed_are_left_out():
     found = bared(dropped(held=15, landed=12))
     for scene in found.scenes:
         first, last = scene.times[0] / STEP, scene.times[-1] / STEP
-        assert 15 <= first <= 20 and 42 <= last <= 45
+        assert 15 <= first <= 20 and 40 <= last <= 45
     (note,) = checks(found)
     assert "stands still" in note and "'d0'" in note
 
