@@ -191,7 +191,7 @@ class Climb:
         for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
             with self.run.is_over.within(most):
                 ends += way(points)
-            if not self.is_coarse:  # what dense rows hide from pieces no other way is likely to find
+            if not self.is_coarse:  # what dense rows hide from pieces other ways hardly find
                 most = OTHER_WAY * self.run.is_over.spent
             # Flown through contacts no start may come to an end.
             if ends and (self._is_enough(ends) or self.is_behind or self.run.is_over()):

@@ -386,11 +386,13 @@ def _instants_per_row(fit, chains, nodes):
     by_state, _ = flow.motion.slopes(points)
     half = flow.n_state // 2
     stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
-    v = points.state[1].reshape(half, -1)
-    a = flow.motion.acceleration(points).reshape(half, -1)
-    size = np.square(v).sum(axis=0)
-    across = np.where(size > 0, np.square(a).sum(axis=0) / np.where(size > 0, size, 1.0), 0.0)
-    rate = np.sqrt(np.maximum(stiffness, np.minimum(across, stiffness + across)))
+    # How fast a velocity turns; one that goes through zero and back only changes its size.
+    v, a = points.state[1], flow.motion.acceleration(points)  # (R, d, N)
+    size = np.square(v).sum(axis=1)
+    size = np.where(size > 0, size, np.inf)
+    across = a - (a * v).sum(axis=1)[:, None] / size[:, None] * v
+    turning = (np.square(across).sum(axis=1) / size).max(axis=0)
+    rate = np.sqrt(np.maximum(stiffness, turning))
     turned = np.nan_to_num(rate * flow.length[some])
     typical = float(np.quantile(turned, 0.9)) if len(turned) else 0.0
     return int(np.clip(np.ceil(typical / PHASE), 1, MOST_INSTANTS))

@@ -4,11 +4,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import held_out_rows
-from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.hypothesis import NOTHING, Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.language.grammar import load_grammar
@@ -178,3 +180,24 @@ def test_other_scenes_do_not_feel_it():
     other = throws(np.random.default_rng(5), n_scenes=1).scenes
     rows = [held_out_rows(f, dataset, other)[0] for f in (view.fit, found)]
     assert rows[1]["foreseen"] == pytest.approx(rows[0]["foreseen"], rel=1e-9)
+
+
+def carts(elastic=True, seed=0):
+    """Two carts on a track that meet at two seconds; else one of them is kicked alone."""
+    t, rng = np.arange(0.0, 4.0, 0.02), np.random.default_rng(seed)
+    since = np.maximum(t - 2.007, 0.0)
+    red, blue = 0.2 + 0.12 * t - 0.15 * since, 0.51 - 0.03 * t + 0.15 * since * elastic
+    frame = pd.DataFrame({"t": t, "red_x": red, "blue_x": blue})
+    frame[["red_x", "blue_x"]] += 2e-4 * rng.standard_normal((len(t), 2))
+    return bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"})
+
+
+@pytest.mark.parametrize("elastic", [True, False])
+def test_bodies_that_meet_kick_each_other_in_one_event(elastic):
+    family = Contacts().propose(view_of(carts(elastic), NOTHING))
+    best = family.proposals[0]
+    kicks = [p for p in best.hypothesis.parts if isinstance(p, Kick)]
+    assert {p.entity for p in kicks} == ({"red", "blue"} if elastic else {"red"})
+    single = next(p for p in family.proposals if p.rank == best.rank // len(kicks))
+    assert best.log_prior == single.log_prior  # that the other is kicked, too, costs nothing
+    assert (best.gain > 1.5 * single.gain) == elastic

@@ -15,6 +15,8 @@ LEAST_ROWS = 4
 """Of a body before a kick and behind it: of fewer, a kick says no more than that they are off."""
 APART = 3
 """Instants within which two kicks of a body are one."""
+NEAR = 0.05
+"""Part of the range of the distances of two bodies within which they are as near as ever."""
 DETERMINED = 1e-6
 """Part of a kick, squared, that must lie beyond all that is free."""
 BESIDE = 0.25
@@ -41,7 +43,7 @@ class Contacts:
         peaks = sorted(peaks, key=lambda peak: -peak.gain)[:N_STARTS]
         single = [_proposal(view, spans, (peak,), peak.gain) for peak in peaks]
         return Family(
-            self.name, (*single, *_several(view, scans, spans)),
+            self.name, (*_met(view, scans, peaks, spans), *single, *_several(view, scans, spans)),
             max((peak.gain for peak in peaks), default=0.0), view.dataset.n_dims, null,
             n_tried=sum(scan.gains.size for scan in scans), is_continuum=True,
         )  # fmt: skip
@@ -67,6 +69,56 @@ class _Peak:
     time: float
     velocity: np.ndarray
     columns: np.ndarray
+
+
+def _met(view, scans, peaks, spans):
+    """Kicks that two bodies give each other while they are as near as ever, one collision each."""
+    scenes, out = {scene.name: scene for scene in view.dataset.scenes}, []
+    for peak in peaks:
+        meetings = _meetings(scenes[peak.scene], peak)
+
+        def is_open(scene, body, times, peak=peak, meetings=meetings):
+            first, last = meetings.get(body, (np.inf, -np.inf))
+            return (scene == peak.scene) & (times >= first) & (times <= last)
+
+        rest = _weighed(view, (peak,))[1]
+        found = [
+            other for scan in scans if meetings
+            for other in scan.of_target(rest).peaks(spans, (), 1, is_open)
+        ]  # fmt: skip
+        if not found:
+            continue
+        both = peak, max(found, key=lambda each: each.gain)
+        amounts, rest = _weighed(view, both)
+        gain = float(view.left @ view.left - rest @ rest)
+        if 0.5 * (gain - peak.gain) > view.criteria.cause_nats:
+            both = [
+                replace(each, velocity=velocity)
+                for each, velocity in zip(both, amounts.reshape(2, -1), strict=True)
+            ]
+            # One event: that the other is kicked, too, is what a collision is.
+            log_prior = -(view.criteria.cause_nats + view.odd_nats)
+            out.append(replace(_proposal(view, spans, both, gain), log_prior=log_prior))
+    return out
+
+
+def _meetings(scene, peak):
+    """From when to when others are as near to a body as ever, while it is kicked, by body."""
+    out, own = {}, scene.names.index(peak.body)
+    for k in scene.dynamic:
+        apart = np.linalg.norm(scene.positions[:, k] - scene.positions[:, own], axis=1)
+        seen = np.flatnonzero(np.isfinite(apart))
+        if k == own or not len(seen):
+            continue
+        times, apart = scene.times[seen], apart[seen]
+        is_near = apart <= apart.min() + NEAR * np.ptp(apart)
+        at = int(np.argmin(np.abs(times - peak.time)))
+        if is_near[at]:
+            far = np.flatnonzero(~is_near)
+            first = times[max(far[far < at], default=-1) + 1]
+            last = times[min(far[far > at], default=len(times)) - 1]
+            out[scene.names[k]] = float(first), float(last)
+    return out
 
 
 def _several(view, scans, spans):
@@ -171,8 +223,11 @@ class _Scan:
         out[self.rows] = mine.reshape(-1, mine.shape[2])
         return out
 
-    def peaks(self, spans, taken=(), count=N_STARTS):
-        """The best kicks that are apart, within spans, and none of those that are taken."""
+    def peaks(self, spans, taken=(), count=N_STARTS, is_open=None):
+        """The best kicks that are apart, within spans, and none of those that are taken.
+
+        Of those that ``is_open(scene, body, times)`` lets through, where it is given.
+        """
         left, batch = self.gains.copy(), self.batch
         for s, (scene, bodies) in enumerate(
             zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
@@ -180,6 +235,8 @@ class _Scan:
             for r, body in enumerate(bodies):
                 first, last = spans[scene, body]
                 is_inside = (batch.times[:, s] >= first) & (batch.times[:, s] <= last)
+                if is_open is not None:
+                    is_inside &= is_open(scene, body, batch.times[:, s])
                 left[s, ~is_inside, r] = 0.0
                 for at in (time for where, own, time in taken if (where, own) == (scene, body)):
                     k = int(np.argmin(np.abs(np.nan_to_num(batch.times[:, s], nan=np.inf) - at)))
