@@ -57,8 +57,8 @@ KEPT_WIDTH = 0.02
 """Extents that constants of a constraint may move while pieces of tracks do not determine them."""
 FINISHING = 60
 """Linearisations that a minimum may take to its end whatever was spent on the way to it."""
-OTHER_WAY = 1.0
-"""Effort of another way to whole tracks where rows are dense, in that of those before."""
+GROWN_EFFORT = 1.0
+"""Effort for which dense tracks are grown, in that of the ways before."""
 JOININGS = 6
 RISING = 10.0
 """Times that chi-squared may rise as nodes are joined."""
@@ -187,12 +187,12 @@ class Climb:
         ways = [self._climbed, self._grown] if may_grow else [self._climbed]
         if walls_of(self.run.law):
             ways = [self._flown, *ways]
-        ends, most = [], math.inf
+        ends, is_over = [], self.run.is_over
         for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
-            with self.run.is_over.within(most):
+            # Rows from which pieces lead nowhere are hardly followed one by one, if they are dense.
+            is_last = way == self._grown and not self.is_coarse
+            with is_over.within(GROWN_EFFORT * is_over.spent if is_last else math.inf):
                 ends += way(points)
-            if not self.is_coarse:  # what dense rows hide from pieces other ways hardly find
-                most = OTHER_WAY * self.run.is_over.spent
             # Flown through contacts no start may come to an end.
             if ends and (self._is_enough(ends) or self.is_behind or self.run.is_over()):
                 break

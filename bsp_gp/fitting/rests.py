@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.scene import CHECK
+from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import with_states
@@ -33,7 +34,8 @@ LISTED = 3
 def without_rests(dataset, law):
     """The data set without rows at which bodies stand still in spite of a law, with a note.
 
-    Scenes of one moving body alone.
+    Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
+    velocities are data, or in the sky.
 
     Parameters
     ----------
@@ -45,9 +47,12 @@ def without_rests(dataset, law):
     Dataset
         The same one where there is no such row.
     """
+    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
+    if not is_plain or dataset.is_summed or is_of_the_sky(dataset):
+        return dataset
     levels = np.array(estimate_noise(dataset).sigma)
     ends = {scene.name: _still_ends(scene, levels) for scene in dataset.scenes}
-    if not any(map(sum, ends.values())) or dataset.velocity == "measured":
+    if not any(map(sum, ends.values())):
         return dataset
     held = _held(dataset, law, ends)
     if not held:

@@ -13,7 +13,7 @@ def test_a_way_that_ends_nowhere_is_not_the_last(monkeypatch):
     monkeypatch.setattr(climb, "replace", lambda end, **known: end)
     end = SimpleNamespace()
     fake = SimpleNamespace(
-        _from_near=lambda: None, first_points=list, paper_steps=False, is_coarse=False,
+        _from_near=lambda: None, first_points=list, paper_steps=False, is_coarse=False, _grown=None,
         run=SimpleNamespace(
             parameters=(), law=SimpleNamespace(unseen=()), is_over=_Patience(0.0, None, -1.0)
         ),
