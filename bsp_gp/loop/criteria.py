@@ -33,6 +33,8 @@ CAUSES = (
     "reference", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
+MET = " as they meet"
+"""What the text of a contact of two bodies ends with."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (

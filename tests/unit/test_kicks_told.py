@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+from bsp_gp.loop.criteria import MET
 from bsp_gp.report.kicks import kick
 
 
@@ -35,6 +36,13 @@ def test_two_bodies_that_are_kicked_at_once_against_each_other_collide():
                   ("blue", "2", 1.8674, 0.0963), ("red", "1", 1.8674, 0.0963)):  # fmt: skip
         told = kick(effect_of(("red", "1", 1.8682, -0.193), other))
         assert told.startswith("2 kicks: the velocity of red jumps by 0.19 m/s at 1.87 s")
+
+
+def test_a_soft_contact_lasts():
+    effect = effect_of(("red", "1", 1.8682, -0.193), ("blue", "1", 1.9, 0.0963))
+    assert kick(effect).startswith("2 kicks")
+    effect.name += MET
+    assert kick(effect).startswith("a collision of red and blue at 1.87 s")
 
 
 def test_many_kicks_are_told_together():

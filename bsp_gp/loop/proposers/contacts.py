@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.loop.criteria import MET
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import fresh_name, numbered
 
@@ -73,7 +74,7 @@ class _Peak:
 
 def _met(view, scans, peaks, spans):
     """Kicks that two bodies give each other while they are as near as ever, one collision each."""
-    scenes, out = {scene.name: scene for scene in view.dataset.scenes}, []
+    scenes, out = {scene.name: scene for scene in view.dataset.scenes}, {}
     for peak in peaks:
         meetings = _meetings(scenes[peak.scene], peak)
 
@@ -89,6 +90,9 @@ def _met(view, scans, peaks, spans):
         if not found:
             continue
         both = peak, max(found, key=lambda each: each.gain)
+        pair = peak.scene, frozenset(each.body for each in both)
+        if pair in out:  # the other's kick, of the same collision
+            continue
         amounts, rest = _weighed(view, both)
         gain = float(view.left @ view.left - rest @ rest)
         if 0.5 * (gain - peak.gain) > view.criteria.cause_nats:
@@ -98,8 +102,9 @@ def _met(view, scans, peaks, spans):
             ]
             # One event: that the other is kicked, too, is what a collision is.
             log_prior = -(view.criteria.cause_nats + view.odd_nats)
-            out.append(replace(_proposal(view, spans, both, gain), log_prior=log_prior))
-    return out
+            found = _proposal(view, spans, both, gain)
+            out[pair] = replace(found, text=found.text + MET, log_prior=log_prior)
+    return list(out.values())
 
 
 def _meetings(scene, peak):
