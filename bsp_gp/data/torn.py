@@ -16,6 +16,8 @@ FEW = 2
 """Steps that a single bad row makes."""
 LEAST_KEPT, LEAST_ROWS = 0.6, 3
 """Part of the rows that must be left, and rows behind a leap: fewer are rows that are off."""
+SMOOTH, LEAST_LEAP = 5.0, 0.25
+"""Longest steps that the way of a motion is at least, and part of that way that a leap is."""
 ONWARD = 0.5
 """Part of a leap that a body which was hit would go on by from row to row."""
 LISTED = 3
@@ -24,7 +26,8 @@ LISTED = 3
 def without_torn_ends(scenes, second):
     """Scenes of one moving body without the ends of its track behind a leap, and what was done.
 
-    Where several move, another of them may have been taken for it: that is asked by the loop.
+    Where several move, another of them may have been taken for it: that is asked by the loop. Nor
+    where something is logged beside the track, or first states are declared.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def without_torn_ends(scenes, second):
 def _whole(scene):
     """First row and row behind the last of the part of a scene that is not torn."""
     whole = 0, len(scene.times)
-    if len(scene.dynamic) != 1:
+    if len(scene.dynamic) != 1 or scene.first is not None or scene.inputs or scene.logs:
         return whole
     places = scene.positions[:, scene.dynamic[0]]
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
@@ -89,12 +92,20 @@ def _leap(times, places):
     # Rows that are hurried together differ by their noise, in however short a time.
     size = np.linalg.norm(way, axis=1) * usual / np.maximum(step, usual)
     first = int(LEAST_KEPT * len(places))
+    top, span = float(size[:first].max()), np.ptp(places[:first], axis=0)
+    # What rests, jitters, or answers a push within a few rows may leap: it does not move elsewise.
+    if not np.linalg.norm(span) > SMOOTH * top > 0:
+        return None
     longest = heapq.nlargest(FEW + 1, size[:first].tolist())[::-1]  # a heap, the least in front
     for k in range(first, len(size) - LEAST_ROWS + 1):
         is_leap = size[k] > LEAP * longest[0] > 0
         heapq.heappushpop(longest, float(size[k]))
         if not is_leap:
             continue
+        before, behind = way[k - 1], way[k + 1]
+        goes_on = np.linalg.norm(behind - before) < ONWARD * np.linalg.norm(before)
+        if goes_on or np.linalg.norm(way[k]) < LEAST_LEAP * np.linalg.norm(span):
+            continue  # out of one side of a box and in at the other; or a gap
         onward = (places[[k + 2, k + 3]] - places[k + 1]) @ way[k] / (way[k] @ way[k])
         before = np.median(places[k - FEW : k + 1], axis=0)  # the last row may be off itself
         away = np.linalg.norm(np.median(places[k + 1 :], axis=0) - before)

@@ -188,10 +188,12 @@ class Climb:
         if walls_of(self.run.law):
             ways = [self._flown, *ways]
         ends, is_over = [], self.run.is_over
+        began = is_over.spent
         for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
             # Rows from which pieces lead nowhere are hardly followed one by one, if they are dense.
             is_last = way == self._grown and not self.is_coarse
-            with is_over.within(GROWN_EFFORT * is_over.spent if is_last else math.inf):
+            most = GROWN_EFFORT * (is_over.spent - began) if is_last else math.inf
+            with is_over.within(most):
                 ends += way(points)
             # Flown through contacts no start may come to an end.
             if ends and (self._is_enough(ends) or self.is_behind or self.run.is_over()):

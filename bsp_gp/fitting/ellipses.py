@@ -21,7 +21,9 @@ ECCENTRICITIES = (0.02, 0.2, 0.35, 0.5, 0.65, 0.75, 0.82, 0.88, 0.93, 0.96)
 HIGHEST = 0.995
 FEWEST = 6
 """Places by which seven numbers are told, and one is left."""
-NEWTON_STEPS = 40
+NEWTON_STEPS, ROUNDING = 40, 1e-12
+MOST_LOOKED_AT = 200
+"""Places by which starts are chosen, spread evenly."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +95,15 @@ def ellipse_of(times, places, errors):
     periods = span * np.geomspace(SHORTEST, LONGEST, N_PERIODS)
     phases = (np.arange(N_PHASES) + 0.5) / N_PHASES
     starts = np.array(list(product(np.log(periods), ECCENTRICITIES, phases)))
+    some = np.linspace(0, len(times) - 1, min(len(times), MOST_LOOKED_AT)).astype(int)
+    sizes = np.concatenate([
+        _sizes(own, times[some] - first, places[some], errors[some])
+        for own in np.split(starts, N_PERIODS)
+    ])  # fmt: skip
 
     def left(numbers):
         return _linear(numbers, times - first, places, errors)[0]
 
-    sizes = np.array([np.square(left(one)).sum() for one in starts])
     low, high = [math.log(periods[0] / 2), 0.0, -2.0], [math.log(2 * periods[-1]), HIGHEST, 3.0]
     found = [
         least_squares(left, starts[k], bounds=(low, high), x_scale=(0.1, 0.05, 0.05))
@@ -114,21 +120,35 @@ def ellipse_of(times, places, errors):
     return Ellipse(period, closest, eccentricity, focus, picture, 2 * float(best.cost))
 
 
+def _sizes(starts, times, places, errors):
+    """Chi-squared of the best ellipses at many starts (n, 3), (n,)."""
+    columns = _columns(*starts.T[:, :, None], times)  # (n, T, 3)
+    weighted = columns[:, None] / errors.T[..., None]  # (n, 2, T, 3)
+    target = (places / errors).T  # (2, T)
+    along = np.einsum("nats,at->nas", weighted, target)
+    gram = np.einsum("nats,natu->nasu", weighted, weighted)
+    scale = np.trace(gram, axis1=2, axis2=3)[..., None, None]
+    amounts = np.linalg.solve(gram + ROUNDING * scale * np.eye(3), along[..., None])[..., 0]
+    return np.square(target).sum() - (along * amounts).sum(axis=(1, 2))
+
+
 def _linear(numbers, times, places, errors):
     """What is left in errors, where the focus is seen, and the picture of the orbit (2, 2)."""
-    period, eccentricity = math.exp(numbers[0]), numbers[1]
-    mean = 2 * math.pi * (times / period - numbers[2])
-    anomaly = _anomaly(mean, eccentricity)
-    flat = math.sqrt(1 - eccentricity**2)
-    columns = np.stack(
-        [np.ones_like(times), np.cos(anomaly) - eccentricity, flat * np.sin(anomaly)], axis=1
-    )
+    columns = _columns(*numbers, times)
     weighted = columns[None] / errors.T[..., None]  # (2, T, 3)
     amounts = np.stack([
         np.linalg.lstsq(own, x, rcond=1e-10)[0]
         for own, x in zip(weighted, (places / errors).T, strict=True)
     ])  # fmt: skip
     return ((columns @ amounts.T - places) / errors).ravel(), amounts[:, 0], amounts[:, 1:]
+
+
+def _columns(log_period, eccentricity, phase, times):
+    """What places are linear in: one, and the places in an orbit of half axis one, (..., T, 3)."""
+    anomaly = _anomaly(2 * math.pi * (times / np.exp(log_period) - phase), eccentricity)
+    flat = np.sqrt(1 - eccentricity**2)
+    place = np.cos(anomaly) - eccentricity, flat * np.sin(anomaly)
+    return np.stack([np.ones_like(anomaly), *place], axis=-1)
 
 
 def _anomaly(mean, eccentricity):
@@ -138,6 +158,6 @@ def _anomaly(mean, eccentricity):
     for _ in range(NEWTON_STEPS):
         step = (found - eccentricity * np.sin(found) - mean) / (1 - eccentricity * np.cos(found))
         found = found - step
-        if np.nanmax(np.abs(step)) < 1e-12:
+        if np.nanmax(np.abs(step)) < ROUNDING:
             break
     return found

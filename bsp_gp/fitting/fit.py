@@ -283,7 +283,7 @@ class _Patience:
 
     def spare(self, least):
         """Leave so much at least, but of time."""
-        self.left = max(self.left, least)
+        self.left, self.most = max(self.left, least), max(self.most, self.spent + least)
 
 
 class _Run:
@@ -374,7 +374,7 @@ class _Run:
         for _ in range(LED_PASSES):
             if found.is_failed or self.is_over() or not self.lead(found):
                 break
-            self.near = found
+            self.near, self.path = found, None
             self.starts = found.starts
             new = self.fit(found.paper_steps)
             if new.is_failed:
@@ -480,6 +480,7 @@ class _Run:
             return self
         led = _Run(self.hypothesis, dataset, self.starts, {}, self.most_starts)
         led.low, led.high, led.near = self.low, self.high, self.near
+        led.path = self.path
         led.is_over, led.lost = self.is_over, self.lost
         if self.near is not None:
             led.lead(self.near)

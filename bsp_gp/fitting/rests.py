@@ -28,6 +28,11 @@ BESIDE = 2
 HELD, CHANCE = 4.0, 1e-6
 """Reduced chi-squared from which on a law does not follow rows, and the chance of what curves and
 laws leave."""
+ABRUPT = 0.5
+"""Mean step before a body lies still, in that of its motion, from which something stops it: what
+settles where forces balance slows down, and is motion."""
+EFFORT = 2000
+"""Steps after which a law that is fitted to the motion is taken for none that could tell."""
 LISTED = 3
 
 
@@ -86,17 +91,21 @@ def _held(dataset, law, ends):
             still[f"{scene.name} 1"] = (scene.name, 1, scene.rows(-tail, None))
     scenes = [replace(rows, name=name) for name, (_, _, rows) in still.items()]
     try:
-        found = fit(Hypothesis.from_laws(cut, law), cut)
+        found = fit(Hypothesis.from_laws(cut, law), cut, effort=EFFORT)
+        if found.is_failed:
+            return set()
         found = replace(found, noise=NoiseModel.of(dataset))
         found = with_states(found, dataset, scenes)
     except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
+        return set()
+    if found.is_failed:
         return set()
     channels, out = found.channels, set()
     for name, (scene, k, _) in still.items():
         mine = channels.scene == channels.scene_names.index(name)
         dof = max(int(channels.seen[:, mine].sum()) - len(found.local_columns), 1)
         left = float(np.square(found.whitened[:, mine]).sum())
-        if not left <= HELD * dof and stats.chi2.sf(left, dof) < CHANCE:
+        if left > HELD * dof and stats.chi2.sf(left, dof) < CHANCE:
             out.add((scene, k))
     return out
 
@@ -111,6 +120,9 @@ def _still_ends(scene, levels):
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     head = _n_still(scene.times[seen], places[seen])
     tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
+    moving = np.linalg.norm(np.diff(places[seen][head : len(seen) - tail], axis=0), axis=1)
+    if len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
+        tail = 0
     if head + tail > MOST_STILL * len(seen) or len(seen) - head - tail < LEAST_MOVING:
         return 0, 0
     return (
@@ -140,6 +152,7 @@ def _smooth(t, places):
 
 def still_rows(places):
     """How many rows of (T, d) from the first on scatter about one place as noise does."""
+    places = places - places[:1]  # far from zero little would be left of their scatter
     count = np.arange(1, len(places) + 1)
     mean = np.cumsum(places, axis=0) / count[:, None]
     scatter = (np.cumsum(np.square(places), axis=0) - count[:, None] * mean**2).sum(axis=1)

@@ -1,5 +1,7 @@
 """Rows at which bodies are held, and ends of tracks that show something else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -43,6 +45,27 @@ def test_rows_before_a_body_is_let_go_and_after_it_has_landed_are_left_out():
     assert "stands still" in note and "'d0'" in note
 
 
+@pytest.mark.parametrize(("decay", "rate"), [(2.5, 12.0), (1.0, 6.0), (3.0, 0.0)])
+def test_what_settles_where_forces_balance_is_motion(decay, rate):
+    """A mass on a spring that nobody declared: at rest it tells most of it."""
+    t = np.arange(300) * STEP
+    y = 1 - 0.5 * np.exp(-decay * t) * np.cos(rate * t)
+    y += 1e-3 * np.random.default_rng(0).standard_normal(300)
+    frame = pd.DataFrame({"t": t, "x": 0.0, "y": y})
+    dataset = bsp_gp.Dataset.from_frames(frame, [bsp_gp.Entity("object", properties={"mass": 1.0})],
+                                         units=UNITS, up="y")  # fmt: skip
+    assert bared(dataset) is dataset
+
+
+def test_bodies_far_from_the_origin_stand_still_as_others_do():
+    dataset = dropped(held=26)
+    far = replace(dataset, scenes=tuple(
+        replace(s, positions=s.positions + [1e9, 1e9]) for s in dataset.scenes
+    ))  # fmt: skip
+    near, away = bared(dataset), bared(far)
+    assert [len(s.times) for s in near.scenes] == [len(s.times) for s in away.scenes]
+
+
 def test_a_free_constant_of_the_law_is_fitted_to_the_motion_alone():
     found = bared(dropped(held=15, landed=12), "g * m_i * down")
     assert all(len(scene.times) < 35 for scene in found.scenes)
@@ -80,6 +103,9 @@ def test_a_tracker_that_finds_its_mark_late_is_told():
         np.r_[np.arange(38.0), 900.0, 901.0],  # rows that are off, and too few
         np.r_[np.arange(30.0), 400.0, np.arange(31.0, 40.0)],  # one row that is off
         np.r_[np.arange(30.0), np.arange(28.0, 18.0, -1)],  # turns back
+        np.r_[np.zeros(28), 0.86, 0.98, np.ones(10)] + 1e-3 * np.sin(np.arange(40.0) ** 2),  # step
+        np.mod(0.033 * np.arange(40.0), 1.0),  # out of a box and in again
+        np.r_[np.zeros(28), np.ones(12)] + 0.02 * np.sin(np.arange(40.0) ** 2),  # hops
     ],
 )
 def test_what_a_body_may_do_is_no_leap(x):

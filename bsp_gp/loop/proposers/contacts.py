@@ -16,8 +16,9 @@ LEAST_ROWS = 4
 """Of a body before a kick and behind it: of fewer, a kick says no more than that they are off."""
 APART = 3
 """Instants within which two kicks of a body are one."""
-NEAR = 0.05
-"""Part of the range of the distances of two bodies within which they are as near as ever."""
+NEAR, CLOSE = 0.05, 0.5
+"""Part of the range of the distances of two bodies within which they are as near as ever, and of
+the usual distance up to which they meet then."""
 DETERMINED = 1e-6
 """Part of a kick, squared, that must lie beyond all that is free."""
 BESIDE = 0.25
@@ -90,7 +91,7 @@ def _met(view, scans, peaks, spans):
         if not found:
             continue
         both = peak, max(found, key=lambda each: each.gain)
-        pair = peak.scene, frozenset(each.body for each in both)
+        pair = peak.scene, meetings[both[1].body], frozenset(each.body for each in both)
         if pair in out:  # the other's kick, of the same collision
             continue
         amounts, rest = _weighed(view, both)
@@ -116,6 +117,8 @@ def _meetings(scene, peak):
         if k == own or not len(seen):
             continue
         times, apart = scene.times[seen], apart[seen]
+        if apart.min() > CLOSE * np.median(apart):
+            continue
         is_near = apart <= apart.min() + NEAR * np.ptp(apart)
         at = int(np.argmin(np.abs(times - peak.time)))
         if is_near[at]:
