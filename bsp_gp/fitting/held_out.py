@@ -248,7 +248,7 @@ def initial_states(dataset, law, *, paper_steps=False):
         return {name: np.stack(state) for name, *state in rows}
     heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
     heads = replace(dataset, scenes=heads, train=(), test=())
-    states = _states_of(_fixed(law, paper_steps, NoiseModel.of(dataset), heads))
+    states = _states_of(states_alone(law, paper_steps, NoiseModel.of(dataset), heads))
     return {
         s.name: np.stack([states[s.name, s.names[k]] for k in s.dynamic], axis=1) for s in scenes
     }
@@ -268,11 +268,21 @@ def with_states(found, dataset, scenes, *, deadline=None):
         Of no constants but those that belong to these scenes alone.
     """
     scenes = replace(dataset, scenes=tuple(shown(found, scenes)), train=(), test=())
-    return _fixed(found.law, found.paper_steps, found.noise, scenes, deadline)
+    return states_alone(found.law, found.paper_steps, found.noise, scenes, deadline)
 
 
-def _fixed(law, paper_steps, noise, dataset, deadline=None):
-    """Fit of initial states alone, under noise that is known."""
+def states_alone(law, paper_steps, noise, dataset, deadline=None):
+    """Fit of initial states alone, under noise that is known.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        With values.
+    paper_steps : bool or None
+    noise : NoiseModel
+    dataset : Dataset
+    deadline : float, optional
+    """
     noise = replace(noise, sources=("declared",) * len(noise.levels))
     own = _own(law, dataset.scenes)
     law = law.with_constants({

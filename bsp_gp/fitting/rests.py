@@ -15,8 +15,8 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.held_out import with_states
-from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.held_out import states_alone
+from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
 
 LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
@@ -81,7 +81,7 @@ def _held(dataset, law, ends):
     """The ends, (scene, 0 or 1), whose rows a law does not follow as the others let it be."""
     moving = [scene.rows(a, len(scene.times) - b) for scene in dataset.scenes
               for a, b in [ends[scene.name]]]  # fmt: skip
-    cut = replace(dataset, scenes=tuple(moving))
+    cut = replace(dataset, scenes=tuple(moving), train=(), test=())
     still = {}
     for scene in dataset.scenes:
         head, tail = (n - 2 * BESIDE for n in ends[scene.name])  # what surely stands still
@@ -90,12 +90,17 @@ def _held(dataset, law, ends):
         if tail > 0:
             still[f"{scene.name} 1"] = (scene.name, 1, scene.rows(-tail, None))
     scenes = [replace(rows, name=name) for name, (_, _, rows) in still.items()]
+    noise = NoiseModel.of(dataset)
+    hypothesis = Hypothesis.from_laws(cut, law)
+    law, steps = hypothesis.law, bool(hypothesis.paper_steps)
     try:
-        found = fit(Hypothesis.from_laws(cut, law), cut, effort=EFFORT)
-        if found.is_failed:
-            return set()
-        found = replace(found, noise=NoiseModel.of(dataset))
-        found = with_states(found, dataset, scenes)
+        if hypothesis.parameters:
+            known = TrackNoise(replace(noise, sources=("declared",) * len(noise.levels)))
+            moved = fit(hypothesis + known, cut, effort=EFFORT)
+            if moved.is_failed:
+                return set()
+            law, steps = moved.law, moved.paper_steps
+        found = states_alone(law, steps, noise, replace(cut, scenes=tuple(scenes)))
     except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
         return set()
     if found.is_failed:
