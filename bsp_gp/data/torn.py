@@ -57,8 +57,8 @@ def without_torn_ends(scenes, second):
     more = f" and of {len(told) - LISTED} more" if len(told) > LISTED else ""
     note = (
         f"{CHECK}a track leaps by far more than any step of the motion, and does not go on from "
-        f"there: the rows beyond are left out ({', '.join(told[:LISTED])}{more}); cut the table "
-        "yourself if that is wrong"
+        f"there: the rows beyond are left out ({', '.join(told[:LISTED])}{more}); if they are the "
+        "motion, give them as a recording of their own"
     )
     return tuple(out), (note,)
 
@@ -96,10 +96,12 @@ def _leap(times, places):
     # What rests, jitters, or answers a push within a few rows may leap: it does not move elsewise.
     if not np.linalg.norm(span) > SMOOTH * top > 0:
         return None
-    longest = heapq.nlargest(FEW + 1, size[:first].tolist())[::-1]  # a heap, the least in front
+    longest = sorted(np.partition(size[:first], -FEW - 1)[-FEW - 1 :].tolist())
+    if not size[first:].max() > LEAP * longest[0] > 0:  # the longest before only grow
+        return None
     for k in range(first, len(size) - LEAST_ROWS + 1):
-        is_leap = size[k] > LEAP * longest[0] > 0
-        heapq.heappushpop(longest, float(size[k]))
+        is_leap = size[k] > LEAP * longest[0]
+        heapq.heappushpop(longest, float(size[k]))  # sorted, it is a heap: the least in front
         if not is_leap:
             continue
         before, behind = way[k - 1], way[k + 1]

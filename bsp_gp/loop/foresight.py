@@ -153,17 +153,18 @@ def _is_better_in_noise(accounts):
 
 
 def _that_help(rounds, helps):
-    """Rounds up to the last that adopts what predictions are better with.
-
-    A kick was at its instant, and foretells nothing.
-    """
+    """Rounds up to the last that adopts what predictions are better with."""
     kept = list(rounds)
     for k in reversed(range(len(helps))):
-        best = rounds[k].decision.best
-        if best.kind not in FORESEEING or best.code == "contact" or helps[k]:
+        if not foresees(rounds[k].decision.best) or helps[k]:
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept
+
+
+def foresees(cause):
+    """Whether a cause says what held-out rows show: not a kick, which was at its instant."""
+    return cause.kind in FORESEEING and cause.code != "contact"
 
 
 def _runs_away(accounts):

@@ -18,7 +18,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
 from bsp_gp.loop.decide import share_of_listed
-from bsp_gp.loop.foresight import FORESEEING
+from bsp_gp.loop.foresight import FORESEEING, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
@@ -118,7 +118,7 @@ def is_many(rounds, removed):
     causes = [
         max(len(r.proposals[r.decision.best.id].formulas), 1)
         for r in adopted
-        if r.decision.best.kind in FORESEEING and r.decision.best.code != "contact"
+        if foresees(r.decision.best)
     ]
     # Someone may have kicked a ball now and then; what is kicked all the time is pushed.
     of_kicks = (r for r in adopted if r.decision.best.code == "contact")
