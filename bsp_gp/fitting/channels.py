@@ -99,3 +99,18 @@ def join(arrays):
         whole[..., : a.shape[-2], :] = a
         filled.append(whole)
     return np.concatenate(filled, axis=-1)
+
+
+def unexplained(fit, name):
+    """Chi-squared of a scene and its degrees of freedom.
+
+    Tails of the noise, if it has any, are no reason why a whole track should lie far off.
+    """
+    channels = fit.channels
+    mine = channels.scene == channels.scene_names.index(name)
+    chains = len(np.unique(channels.chain[mine]))
+    dof = channels.seen[:, mine].sum() - chains * len(fit.local_columns)
+    left = fit.whitened
+    if np.isfinite(fit.noise.degrees) and not fit.noise.adding:
+        left = np.nan_to_num(fit.residual / np.array(fit.noise.levels)[channels.axis])
+    return float(np.square(left[:, mine]).sum()), max(int(dof), 1)

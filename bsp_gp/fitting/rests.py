@@ -14,6 +14,7 @@ from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.errors import EvaluationError, FitError
+from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import states_alone
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
@@ -105,11 +106,9 @@ def _held(dataset, law, ends):
         return set()
     if found.is_failed:
         return set()
-    channels, out = found.channels, set()
+    out = set()
     for name, (scene, k, _) in still.items():
-        mine = channels.scene == channels.scene_names.index(name)
-        dof = max(int(channels.seen[:, mine].sum()) - len(found.local_columns), 1)
-        left = float(np.square(found.whitened[:, mine]).sum())
+        left, dof = unexplained(found, name)
         if left > HELD * dof and stats.chi2.sf(left, dof) < CHANCE:
             out.add((scene, k))
     return out
@@ -119,10 +118,7 @@ def _still_ends(scene, levels):
     """How many rows stand still at the beginning and at the end of a scene of one moving body."""
     if len(scene.dynamic) != 1 or scene.first is not None:
         return 0, 0
-    axes = np.isfinite(levels)
-    places = scene.positions[:, scene.dynamic[0]][:, axes]
-    places = places / np.maximum(levels[axes], np.finfo(float).tiny)
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    places, seen = in_levels(scene, scene.dynamic[0], levels)
     head = _n_still(scene.times[seen], places[seen])
     tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
     moving = np.linalg.norm(np.diff(places[seen][head : len(seen) - tail], axis=0), axis=1)
@@ -153,6 +149,13 @@ def _smooth(t, places):
     """Parabolas nearest to places."""
     columns = np.stack([np.ones_like(t), t, t * t], axis=1)
     return columns @ np.linalg.lstsq(columns, places, rcond=None)[0]
+
+
+def in_levels(scene, k, levels):
+    """Places of a body in levels of the noise (T, a), along axes that have one, and rows seen."""
+    axes = np.isfinite(levels)
+    places = scene.positions[:, k][:, axes] / np.maximum(levels[axes], np.finfo(float).tiny)
+    return places, np.flatnonzero(np.isfinite(places).all(axis=1))
 
 
 def still_rows(places):

@@ -7,9 +7,10 @@ the fit leaves the recording unexplained.
 
 import numpy as np
 
+from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.parts.defects import Shifted
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
+from bsp_gp.loop.proposers.swaps import smooth_levels
 
 LONG = 1.5
 """Steps, of the usual ones, from which a step is a gap."""

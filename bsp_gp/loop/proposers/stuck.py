@@ -8,11 +8,12 @@ comes to rest looks the same.
 import numpy as np
 from scipy import stats
 
+from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import LeftOut
-from bsp_gp.fitting.rests import still_rows
+from bsp_gp.fitting.rests import in_levels, still_rows
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.loop.proposers.swaps import smooth_levels, unexplained
+from bsp_gp.loop.proposers.swaps import smooth_levels
 
 LEAST_ROWS = 4
 """That stand still."""
@@ -44,8 +45,7 @@ def _ends(scene, k, levels, axes):
 
     The gain is what as many steps as elsewhere would have been; leaving them out costs less.
     """
-    places = scene.positions[:, k][:, axes] / levels[axes]
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    places, seen = in_levels(scene, k, levels)
     low, high = np.nanmin(scene.positions, axis=(0, 1)), np.nanmax(scene.positions, axis=(0, 1))
     for is_tail in (True, False):
         rows = seen[::-1] if is_tail else seen

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.parts.defects import Swapped
 from bsp_gp.fitting.tangent import as_pair
 
@@ -54,21 +55,6 @@ def smooth_levels(view):
     rough = np.concatenate(rough) if rough else np.ones(1)
     share = float(np.sqrt(np.median(rough))) if len(rough) and np.median(rough) > 0 else 1.0
     return min(share, 1.0), min(share, 1.0) * levels
-
-
-def unexplained(fit, name):
-    """Chi-squared of a scene and its degrees of freedom.
-
-    Tails of the noise, if it has any, are no reason why a whole track should lie far off.
-    """
-    channels = fit.channels
-    mine = channels.scene == channels.scene_names.index(name)
-    chains = len(np.unique(channels.chain[mine]))
-    dof = channels.seen[:, mine].sum() - chains * len(fit.local_columns)
-    left = fit.whitened
-    if np.isfinite(fit.noise.degrees) and not fit.noise.adding:
-        left = np.nan_to_num(fit.residual / np.array(fit.noise.levels)[channels.axis])
-    return float(np.square(left[:, mine]).sum()), max(int(dof), 1)
 
 
 def _swaps(scene, levels, choice):

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from bsp_gp.fitting.rests import still_rows
+from bsp_gp.fitting.rests import in_levels, still_rows
 from bsp_gp.loop.proposers.stuck import is_broken
 
 LEAST_STILL = 3
@@ -51,9 +51,7 @@ def ends_of(scene, name, levels):
 
 def _heads(scene, name, levels):
     """Rows with which the motion may begin, the first among them."""
-    places = scene.positions[:, scene.names.index(name)][:, np.isfinite(levels)]
-    places = places / np.maximum(levels[np.isfinite(levels)], np.finfo(float).tiny)
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    places, seen = in_levels(scene, scene.names.index(name), levels)
     n = still_rows(places[seen])
     if not LEAST_STILL <= n <= MOST_STILL * len(seen):
         return [0]
