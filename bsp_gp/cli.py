@@ -177,9 +177,11 @@ def _check(args):
     except DataError:
         _tell_columns(args)
         raise
+    from bsp_gp.data.torn import without_torn_ends
     from bsp_gp.report.drawing import png_bytes
     from bsp_gp.report.recording import data_figure, data_text
 
+    dataset = without_torn_ends(dataset)  # as `close` and `fit` take it
     text = data_text(dataset)
     files = {"check.txt": f"{text}\n", "picture.png": png_bytes(data_figure(dataset))}
     _write_folder(args, "check", out, files)

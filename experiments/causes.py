@@ -31,7 +31,7 @@ LAWS = {
     "tilted camera": "c * m_i * e_x", "wrong scale or clock": "c * m_i * e_y",
 }  # fmt: skip
 """What may be taken for an effect, where the data have what it names."""
-ADDED = ("law", "period", "contact")
+ADDED = ("law", "period", "contact", "collision")
 """Codes of causes whose text is the force that they add."""
 CHANGED = ("exponent", "number")
 """Codes of causes whose text is the declared term with another number, or says which that is."""

@@ -41,12 +41,11 @@ from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.rates import ONLY, from_rates
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
-from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity, Evaluation
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
-from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.twice import by_date, measures_at_once
 from bsp_gp.data.wide import groups_of
@@ -358,9 +357,6 @@ def _assemble(table, roster, declaration, default_name):
     scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes, free)
     if conversion.system.is_angle:
         scenes = tuple(map(unwrapped, scenes))
-    is_counted = declaration.evaluation != Evaluation()  # rows by their numbers
-    is_whole = is_star or is_counted
-    scenes, torn = (scenes, ()) if is_whole else without_torn_ends(scenes, conversion.time())
     has_times = "t" in table.frame.columns
     clock = check_declared_rate(rows, declaration, conversion.time()) if has_times else ()
     clock += clock_jumps(rows, scenes, conversion.time())
@@ -377,7 +373,6 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *apart,
         *still,
-        *torn,
         *(roster.notes if roster else ()),
         *idle,
         *clock,

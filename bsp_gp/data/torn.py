@@ -5,10 +5,13 @@ many times the longest step before, and does not go on from there as a body that
 """
 
 import heapq
+from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.scene import CHECK
+from bsp_gp.data.extent import is_of_the_sky
+from bsp_gp.data.scene import CHECK, Evaluation
+from bsp_gp.units import Unit
 
 LEAP = 8.0
 """Steps, in the longest of the track before but for a few, from which one is a leap."""
@@ -23,44 +26,44 @@ ONWARD = 0.5
 LISTED = 3
 
 
-def without_torn_ends(scenes, second):
-    """Scenes of one moving body without the ends of its track behind a leap, and what was done.
+def without_torn_ends(dataset):
+    """The data set without ends of tracks behind a leap, with a note.
 
-    Where several move, another of them may have been taken for it: that is asked by the loop. Nor
-    where something is logged beside the track, or first states are declared.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-    second : float
-        Of the unit of the file's times, how many seconds it is.
+    Scenes of one moving body alone: where several move, another of them may have been taken for
+    it. Nor where something is logged beside the track, first states are declared, rows are counted
+    (`Evaluation`), or in the sky.
 
     Returns
     -------
-    scenes : tuple of Scene
-    notes : tuple of str
+    Dataset
+        The same one where there is no such end.
     """
-    out, told = [], []
-    for scene in scenes:
+    if dataset.evaluation != Evaluation() or is_of_the_sky(dataset):
+        return dataset
+    scenes, told = [], []
+    unit = dataset.units.text(Unit.of(s=1))
+    for scene in dataset.scenes:
         first, stop = _whole(scene)
         if (first, stop) != (0, len(scene.times)):
             at = [scene.times[first]] if first else []
             at += [scene.times[stop - 1]] if stop < len(scene.times) else []
-            when = " and ".join(f"{time / second:.6g}" for time in at)
+            when = " and ".join(f"{time:.6g}" for time in at)
             sides = "before" if stop == len(scene.times) else "after"
             sides = "outside" if len(at) > 1 else sides
-            told.append(f"{len(scene.times) - stop + first} of {scene.name!r} {sides} t = {when}")
+            told.append(
+                f"{len(scene.times) - stop + first} of {scene.name!r} {sides} t = {when} {unit}"
+            )
             scene = scene.rows(first, stop)
-        out.append(scene)
+        scenes.append(scene)
     if not told:
-        return tuple(out), ()
+        return dataset
     more = f" and of {len(told) - LISTED} more" if len(told) > LISTED else ""
     note = (
         f"{CHECK}a track leaps by far more than any step of the motion, and does not go on from "
         f"there: the rows beyond are left out ({', '.join(told[:LISTED])}{more}); if they are the "
         "motion, give them as a recording of their own"
     )
-    return tuple(out), (note,)
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
 
 
 def _whole(scene):

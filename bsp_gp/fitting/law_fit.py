@@ -12,6 +12,7 @@ from bsp_gp.data.drawn import plot_constants
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
 from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.data.split import choose_split
+from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.errors import DataError, SettingsError, in_python
 from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.followed import about_lost, followed
@@ -198,7 +199,8 @@ def fit_law(
     if noise is not None:
         dataset = declare_noise(dataset, checked_noise(noise, dataset.n_dims))
     law = unset(laws) if isinstance(laws, ForceLaw) else read_law(dataset, laws)
-    dataset = without_rests(with_usable_masses(dataset, needs_masses(law)), law)
+    dataset = without_torn_ends(with_usable_masses(dataset, needs_masses(law)))
+    dataset = without_rests(dataset, law)
     split = choose_split(dataset, generator(rng))
     said = estimate_noise(dataset)
     train, far_off = training_part(dataset, split.learned, said)

@@ -29,12 +29,12 @@ CAUSES = (
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind",
     "belt", "scale", "clock", "tilt", "slant", "drift", "offset", "delay", "exposure", "lens",
     "shutter", "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "untrimmed",
-    "bad_row", "clock_jump", "hidden_body", "contact", "bounce", "rod", "wire", "frame",
-    "reference", "kicks", "noise", "varying_strength", "free_force",
+    "bad_row", "clock_jump", "hidden_body", "contact", "collision", "bounce", "rod", "wire",
+    "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
-MET = " as they meet"
-"""What the text of a contact of two bodies ends with."""
+KICKED = ("contact", "collision")
+"""Codes of what is over in an instant: a body that is kicked, two that kick each other."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
 NOISE_FINDINGS = (

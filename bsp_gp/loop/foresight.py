@@ -11,6 +11,7 @@ from scipy import special, stats
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
+from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.proposal import FAULTS, continued
 
 N_COPIES = 40
@@ -164,7 +165,7 @@ def _that_help(rounds, helps):
 
 def foresees(cause):
     """Whether a cause says what held-out rows show: not a kick, which was at its instant."""
-    return cause.kind in FORESEEING and cause.code != "contact"
+    return cause.kind in FORESEEING and cause.code not in KICKED
 
 
 def _runs_away(accounts):

@@ -17,6 +17,7 @@ from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Constancy
+from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import FORESEEING, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
@@ -121,7 +122,7 @@ def is_many(rounds, removed):
         if foresees(r.decision.best)
     ]
     # Someone may have kicked a ball now and then; what is kicked all the time is pushed.
-    of_kicks = (r for r in adopted if r.decision.best.code == "contact")
+    of_kicks = (r for r in adopted if r.decision.best.code in KICKED)
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
     return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES

@@ -22,6 +22,7 @@ CAUSES = {
     "untrimmed": "rows before a body is let go, or after its motion has ended",
     "bad_row": "a bad row", "clock_jump": "times that are off from a row on",
     "hidden_body": "an unseen body", "contact": "a contact",
+    "collision": "a collision",
     "bounce": "a floor or wall that it bounces off",
     "rod": "a distance that stays constant: a string or rod",
     "wire": "a line or plane that is kept to: a wire or rail",

@@ -4,7 +4,6 @@ import math
 import re
 from dataclasses import dataclass
 
-from bsp_gp.loop.criteria import MET
 from bsp_gp.report.numbers import format_number, with_unit
 
 MOST_KICKS = 3
@@ -26,7 +25,7 @@ def kick(effect):
         _Kick(body, scene, instant, gains[k * n_dims : (k + 1) * n_dims])
         for k, ((body, scene), instant) in enumerate(zip(found, instants, strict=True))
     ]  # fmt: skip
-    if len(kicks) == 2 and kicks[0].is_against(kicks[1], effect.name.endswith(MET)):
+    if len(kicks) == 2 and kicks[0].is_against(kicks[1], effect.code == "collision"):
         return _collision(*kicks)
     if len(kicks) > MOST_KICKS:
         return _many_kicks(kicks)
@@ -56,13 +55,13 @@ class _Kick:
     def when(self):
         return with_unit(format_number(self.instant.value, 3), self.instant.unit)
 
-    def is_against(self, other, has_met=False):
+    def is_against(self, other, have_met=False):
         """Whether another body gets a velocity the other way, at an instant that may be the same.
 
         Or while both are as near as ever: a soft contact lasts. Without intervals nothing is said.
         """
         one, two = self.instant, other.instant
-        is_at_once = has_met or max(one.low, two.low) <= min(one.high, two.high)
+        is_at_once = have_met or max(one.low, two.low) <= min(one.high, two.high)
         along = sum(a.value * b.value for a, b in zip(self.gains, other.gains, strict=True))
         is_opposite = along < AGAINST * self.speed * other.speed
         is_other = (self.scene, self.body) != (other.scene, other.body)

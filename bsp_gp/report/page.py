@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from bsp_gp.data.scene import CHECK
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
@@ -40,8 +41,10 @@ _TOLD = 12
 _MOST_FINDINGS = 3
 _LIKELY = 0.1
 """Part of the probability of the likeliest from which causes of other kinds are told with it."""
-_NAMED = {"contact": kick, "inclined": inclination, "ripple": ripple, "bad_row": bad_rows,
-          "clock_jump": clock_jumps}  # fmt: skip
+_NAMED = {
+    **dict.fromkeys(KICKED, kick), "inclined": inclination, "ripple": ripple, "bad_row": bad_rows,
+    "clock_jump": clock_jumps,
+}  # fmt: skip
 """How causes of a code are told, whatever they are."""
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
@@ -183,7 +186,7 @@ def _noise(finding):
 
 def _parts(effect, law, other):
     """Each of several forces that were found as one, in plain words; one, if along several axes."""
-    if effect.code in ("contact", "reference"):  # one force along every axis, or by every body
+    if effect.code in (*KICKED, "reference"):  # one force along every axis, or by every body
         return ()
     added = {c.name: c.value for c in effect.constants}
     terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]

@@ -2,7 +2,6 @@
 
 from types import SimpleNamespace
 
-from bsp_gp.loop.criteria import MET
 from bsp_gp.report.kicks import kick
 
 
@@ -15,13 +14,15 @@ def effect_of(*kicks):
             SimpleNamespace(name=f"w_x{k}", value=gain, unit="m/s", low=gain, high=gain),
             SimpleNamespace(name=f"t{k}", value=time, unit="s", low=time - 1e-3, high=time + 1e-3),
         ]  # fmt: skip
-    return SimpleNamespace(name="kick " + ", ".join(name), constants=constants)
+    return SimpleNamespace(code="contact", name="kick " + ", ".join(name), constants=constants)
 
 
 def test_a_kick_is_told_with_its_body_size_instant_and_scene():
     values = {"w_x1": (0.6, "m/s"), "t1": (0.433, "s"), "w_y1": (-0.8, "m/s")}
     constants = [SimpleNamespace(name=n, value=v, unit=u) for n, (v, u) in values.items()]
-    effect = SimpleNamespace(name="kick red, 2[throw 1, 0.43 s]", constants=constants)
+    effect = SimpleNamespace(
+        code="contact", name="kick red, 2[throw 1, 0.43 s]", constants=constants
+    )
     told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
     assert kick(effect) == told
 
@@ -41,7 +42,7 @@ def test_two_bodies_that_are_kicked_at_once_against_each_other_collide():
 def test_a_soft_contact_lasts():
     effect = effect_of(("red", "1", 1.8682, -0.193), ("blue", "1", 1.9, 0.0963))
     assert kick(effect).startswith("2 kicks")
-    effect.name += MET
+    effect.code = "collision"
     assert kick(effect).startswith("a collision of red and blue at 1.87 s")
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.fitting.parts.contacts import Kick
-from bsp_gp.loop.criteria import MET
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import fresh_name, numbered
 
@@ -104,7 +103,7 @@ def _met(view, scans, peaks, spans):
             # One event: that the other is kicked, too, is what a collision is.
             log_prior = -(view.criteria.cause_nats + view.odd_nats)
             found = _proposal(view, spans, both, gain)
-            out[pair] = replace(found, text=found.text + MET, log_prior=log_prior)
+            out[pair] = replace(found, code="collision", log_prior=log_prior)
     return list(out.values())
 
 
