@@ -131,6 +131,8 @@ class Scene:
     first : FirstState or None
     may_meet : bool
         Whether two entities may have the same coordinates, as angles of two arms do.
+    part_of : str
+        Name of the recording of which it is a stretch; "" = a recording of its own.
     """
 
     name: str
@@ -143,6 +145,7 @@ class Scene:
     first: FirstState | None = None
     may_meet: bool = False
     logs: Mapping = field(default_factory=dict)
+    part_of: str = ""
 
     def __post_init__(self):
         for attribute in ("inputs", "logs"):

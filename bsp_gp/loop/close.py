@@ -16,6 +16,7 @@ from bsp_gp.data.logged import asked_of
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
+from bsp_gp.data.stretches import in_stretches
 from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
@@ -147,7 +148,7 @@ def close_loop(
     says("reading the data set")
     known = {"t", *dataset.logged}
     dataset = without_torn_ends(asked_of(dataset, _words(declared), exclude))
-    dataset = dataset if all_rows else in_blocks(dataset)
+    dataset = dataset if all_rows else in_stretches(in_blocks(dataset))
     ready = _Ready(dataset, declared, split_rng)
     grammar = grammar if isinstance(grammar, Grammar) else load_grammar(grammar)
     unknown = sorted(set(exclude) - set(grammar.inputs) - known)

@@ -1,0 +1,82 @@
+"""Recordings of very many turns, followed in stretches.
+
+A prediction of a hundred turns is out of step as soon as the law lacks anything, and tells nothing
+then but that. Stretches of some turns, each from a state of its own, show what is lacking as
+tracks do; of what all rows tell, only the phase from one stretch to the next is not used.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from bsp_gp.data.extent import is_of_the_sky
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import CHECK, Evaluation
+
+MOST_TURNS, TURNS = 40, 12
+"""Turns up to which a recording is followed as a whole, and turns of a stretch, about."""
+LEAST_ROWS = 60
+"""Rows of a stretch."""
+BEYOND, SHARE = 3.0, 0.05
+"""Standard deviations, and part of the widest, by which a track goes to either side in a turn."""
+LISTED = 3
+
+
+def in_stretches(dataset):
+    """The data set with recordings of very many turns cut into stretches, and a note of it.
+
+    Nothing is done where rows are counted (`Evaluation`), where places are sums, in the sky, where
+    small forces add up over many turns, or where properties are unknown.
+
+    Returns
+    -------
+    Dataset
+        The same one where no recording was cut.
+    """
+    is_plain = dataset.evaluation == Evaluation() and not dataset.is_summed
+    if not is_plain or dataset.latents or is_of_the_sky(dataset):
+        return dataset
+    sigma = np.array(estimate_noise(dataset).sigma)
+    parts, told = {}, []
+    for scene in dataset.scenes:
+        turns = _turns(scene, sigma)
+        count = min(round(turns / TURNS), len(scene.times) // LEAST_ROWS)
+        parts[scene.name] = (scene,)
+        if turns > MOST_TURNS and count > 1:
+            edges = np.linspace(0, len(scene.times), count + 1).round().astype(int)
+            parts[scene.name] = tuple(
+                replace(scene.rows(a, b), name=f"{scene.name}/{k}", part_of=scene.name)
+                for k, (a, b) in enumerate(pairwise(edges.tolist()), 1)
+            )
+            told.append(f"{turns} turns of {scene.name!r} in {count}")
+    if not told:
+        return dataset
+    more = f" and {len(told) - LISTED} scenes more" if len(told) > LISTED else ""
+    note = (
+        f"{CHECK}so many turns are followed in stretches, each from a state of its own "
+        f"({', '.join(told[:LISTED])}{more}): their phase from one stretch to the next is not used"
+    )
+
+    def named(scenes):
+        return tuple(part.name for name in scenes for part in parts[name])
+
+    return replace(
+        dataset, scenes=tuple(part for own in parts.values() for part in own),
+        train=named(dataset.train), test=named(dataset.test), notes=(*dataset.notes, note),
+    )  # fmt: skip
+
+
+def _turns(scene, sigma):
+    """How often the body that does so most goes to and fro along an axis."""
+    most = 0
+    for axis in np.flatnonzero(np.isfinite(sigma)):
+        for k in scene.dynamic:
+            places = scene.positions[:, k, axis]
+            places = places[np.isfinite(places)]
+            if len(places):
+                away = places - np.median(places)
+                beyond = max(BEYOND * sigma[axis], SHARE * np.abs(away).max())
+                sides = np.sign(away[np.abs(away) > beyond])
+                most = max(most, int((np.diff(sides) != 0).sum()) // 2)
+    return most
