@@ -16,6 +16,10 @@ MEMORIES = 2.0 ** np.arange(1, 8)
 """Times over which it is smooth, in steps between rows."""
 LOOKED_AT, FEWEST, MOMENTS = 48, 8, 3000
 """Pieces of tracks by which these are chosen: fewer of those that have many moments."""
+NEAR = 3.0
+"""Times by which memories differ that are tried where one was chosen for nearly the same."""
+NOTHING = 1e-12
+"""Part of what a force shows best, below which a moment is rounding."""
 LIKELIER = 1.0
 """Nats by which it must be likelier than none, and one with a memory likelier than a white one."""
 
@@ -71,17 +75,38 @@ class FreeForce:
         values, vectors = self.shown
         return values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0]
 
-    def chosen(self, left):
-        """The same with the memory that is likeliest to have left moments (W, m)."""
+    def telling(self, left):
+        """The same force in as many turned moments as show any, and these of `left`.
+
+        Of a body on a rod a half: forces along it show nothing, in whatever memory.
+        """
+        values, vectors = self.shown
+        top = values.max(axis=1, keepdims=True, initial=0.0)
+        count = max(int((values > NOTHING * top).sum(axis=1).max(initial=0)), 1)
+        turned = np.swapaxes(vectors[:, :, -count:], 1, 2)  # eigenvalues rise
+        found = replace(self, by_force=turned @ self.by_force)
+        return found, (turned @ left[..., None])[..., 0]
+
+    def chosen(self, left, near=None):
+        """The same with the memory that is likeliest to have left moments (W, m).
+
+        Parameters
+        ----------
+        near : FreeForce, optional
+            That was chosen for nearly the same moments: memories far from its own are not tried.
+        """
         count = min(max(MOMENTS // left.shape[1], FEWEST), LOOKED_AT)
         some = np.unique(np.linspace(0, len(left) - 1, count).astype(int))
-        part = FreeForce(self.by_force[some], self.times[:, some])
+        part, left = FreeForce(self.by_force[some], self.times[:, some]).telling(left[some])
         steps = np.diff(self.times, axis=0)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         spans = np.nanmax(self.times, axis=0) - np.nanmin(self.times, axis=0)
+        memories = [m for m in step * MEMORIES if m < np.max(spans)]
+        if near is not None and near.memory:
+            memories = [m for m in memories if near.memory / NEAR < m < near.memory * NEAR]
         heights = {}
-        for memory in (0.0, *(m for m in step * MEMORIES if m < np.max(spans))):
-            values, turned = replace(part, memory=memory).seen(left[some])
+        for memory in (0.0, *memories):
+            values, turned = replace(part, memory=memory).seen(left)
             heights[memory] = _as_likely(turned, values)[1] - (LIKELIER if memory else 0.0)
         return replace(self, memory=max(heights, key=heights.get))
 

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bsp_gp.fitting.free_force import STRENGTHS, FreeForce, in_units
+from bsp_gp.fitting.free_force import NOTHING, STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import less_exact, link, orthonormal
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.pieces import cut_pieces
@@ -60,8 +60,6 @@ MOST_KEPT = 1 << 24
 """Moments of laws that are kept, in numbers."""
 ALIKE = 1e-8
 """Part of what a force shows by which it may differ from what it shows elsewhere."""
-NOTHING = 1e-12
-"""Part of what a force shows best, below which a moment is rounding."""
 MOST_JOINED = 2000
 """Instants of joined pieces whose memory of a free force is followed."""
 
@@ -582,7 +580,7 @@ class _Group:
         kept : ndarray of bool, shape (W, m)
         """
         n = 2 * self.n_own * self.n_dims
-        before, kept, is_last = None, (np.inf, self.nodes), False
+        before, near, kept, is_last = None, None, (np.inf, self.nodes), False
         for turn in range(PASSES + 1):
             changes = self.linearised()
             white = self._white(changes)
@@ -601,8 +599,9 @@ class _Group:
             # Where places do not matter to what forces do, one pass leads to the smoothed tracks.
             is_last = turn + 1 >= PASSES or turn > 0 and _are_alike(by_force, before)
             before, kept = by_force, (shown, self.nodes)
-            if is_last or not self._smoothed(changes, white, by_force, left):
+            if is_last or not self._smoothed(changes, white, by_force, left, near):
                 break
+            near = self.free
         error = self._inexact(by_force, left)
         strength = self.free.strength(left) if self.free.memory else None
         self._linked = self._links(changes, white, error)
@@ -685,9 +684,9 @@ class _Group:
         keep = tail * shown > self.lost * tail[:, -1:].max()
         return keep if expected is None else keep | (np.cumsum(expected, axis=1) > self.lost)
 
-    def _smoothed(self, changes, white, by_force, left):
+    def _smoothed(self, changes, white, by_force, left, near):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""
-        self.free = FreeForce(by_force, self.fine.times).chosen(left)
+        self.free = FreeForce(by_force, self.fine.times).chosen(left, near)
         force = self.free.smoothest(left)
         if force is None:
             return False

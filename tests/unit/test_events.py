@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tests.fitted_tracks import (
     body,
@@ -301,6 +302,34 @@ def test_a_spring_with_dry_friction_turns_round_and_stops():
     ends, _ = flow.run(nodes, mesh)
     assert mesh.is_complete and mesh.counts.max() < 40
     np.testing.assert_allclose(ends[0, 0, 0], x[1:], atol=3e-6)
+
+
+@pytest.mark.parametrize("friction", [0.9, -0.2])
+def test_derivatives_by_what_goes_aside_are_digits_where_a_body_turns_round(friction):
+    """Also just before its stop, and where what is taken for friction drives it."""
+    times = np.arange(0.0, 3.0, 0.09)
+    law = law_of("-c1 * m_i * (p_i - p_j)", "-c2 * m_i * normalize(v_i)", c1=4.0, c2=friction)
+    crew = (body("a"), body("b", is_static=True))
+    scene = scene_of(times, crew, [[1.0, 0.0], [0.0, 0.0]])
+    flow = flow_of(law, [scene], 1e-9)
+    nodes = nodes_of(flow, [[1.0, 0.0]], [[0.5, 0.0]])
+    for row in range(len(times) - 1):
+        nodes[..., row + 1, 0] = flow.run(nodes, flow.mesh(nodes))[0][..., row]
+    mesh = flow.mesh(nodes)
+    moved = flow.run(nodes, mesh)[1]
+    assert np.abs(moved).max() < 10
+    turned = np.sign(nodes[1, 0, 0, 1:, 0]) != np.sign(nodes[1, 0, 0, :-1, 0])
+    # What drives a body turns it aside ever faster as it slows down: nothing is linear there.
+    for k in np.flatnonzero(turned & (friction > 0)):
+        start = nodes[:, 0, :, k, 0].copy()
+        start[1, 1] = 1e-3 * abs(start[1, 0])
+
+        def rate(t, y):
+            p, v = y[:2], y[2:]
+            return np.concatenate([v, -4 * p - friction * v / np.linalg.norm(v)])
+
+        true = solve_ivp(rate, (0, 0.09), start.ravel(), "LSODA", rtol=1e-9, atol=1e-12)
+        assert moved[k, 1, 3] == pytest.approx(true.y[1, -1] / start[1, 1], abs=0.02)
 
 
 def test_a_body_that_stays_in_contact_has_no_event():

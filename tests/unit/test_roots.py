@@ -70,3 +70,17 @@ def test_what_is_not_finite_behind_ends_where_it_was_looked_for(n):
     with np.errstate(invalid="ignore"):
         before, behind = roots(margin, np.zeros(n), np.ones(n))
     assert np.all((0.5 <= behind) & (behind <= 1.0) & (before <= behind))
+
+
+def test_roots_far_nearer_than_their_ends_are_found_as_closely():
+    """A body that has as good as stopped when a step begins: the stop is within 1e-9 of it."""
+    places = 5e-12 * np.ones(FEW + 1)
+    high = 0.015 * np.ones(FEW + 1)
+    near = 1e-10 * np.ones(FEW + 1)
+
+    def margin(length, which):
+        return 1e-11 * (places[which] - length) * (1 + 0.2 * length)
+
+    before, behind = roots(margin, np.zeros(FEW + 1), high, near)
+    np.testing.assert_allclose(before, places, rtol=1e-4)
+    np.testing.assert_allclose(behind, places, rtol=1e-4)

@@ -60,7 +60,7 @@ def owners(view, fewest=2):
     """
     pairs = {(scene.name, scene.names[k]) for scene in view.dataset.scenes for k in scene.dynamic}
     counts = {by: len({pair[k] for pair in pairs}) for k, by in enumerate(("scene", "body"))}
-    if any(scene.part_of for scene in view.dataset.scenes):  # stretches have no constants of their own
+    if any(scene.part_of for scene in view.dataset.scenes):  # stretches have no own constants
         counts["scene"] = 0
     able = [by for by, count in counts.items() if fewest <= count <= MOST]
     if len(able) == 2 and len(pairs) == counts["scene"] == counts["body"]:

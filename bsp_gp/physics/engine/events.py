@@ -25,6 +25,8 @@ ALONG = 1e-6
 """Part of the speed of what they rest on by which bodies differ from it that come to rest."""
 SLOW = 1e-3
 """Part of its speed at the start of a step below which a body that turned round had stopped."""
+HALTED = 1e-4
+"""Part of its speed that is left of a body that friction has as good as stopped within a step."""
 NEAR = 1e-10
 """To which part of itself the instant of a stop is found: what is left of the speed there is as
 small."""
@@ -54,6 +56,8 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
     points = stages.first
     changed = _changed(flow, points, end, h) | _turned(flow, stages, end).any(axis=(0, 1))
     changed |= passed_over(flow, points, end, h)
+    if slopes:
+        changed |= _halted(flow, points, end).any(axis=(0, 1))
     changed &= np.isfinite(points.state).all(axis=(0, 1, 2))  # a track that is lost stays so
     if not changed.any():
         return end, {}
@@ -147,6 +151,18 @@ def _headings(flow, stages, end):
     return out
 
 
+def _halted(flow, start, end):
+    """Bodies that may go aside and are as good as stopped at the end of a step, (G, R, M)."""
+    motion = flow.motion
+    out = np.zeros((len(motion.stops), len(end[1]), end.shape[-1]), dtype=bool)
+    for group, axes in enumerate(motion.stops):
+        if len(axes) > 1:
+            sizes = [np.square(motion.past(group, start, v)).sum(axis=1)
+                     for v in (start.state[1], end[1])]  # fmt: skip
+            out[group] = sizes[1] < HALTED**2 * sizes[0]
+    return out
+
+
 def _stopped(flow, start, state, part, changes):
     """The points behind stops: bodies are held at rest, or set out the other way.
 
@@ -220,6 +236,7 @@ def _through(flow, scheme, points, h, slopes):
         new = _switched(modes, open_, changes)
         behind = flow.points(there.state, there.times, chain, new)
         if slopes:
+            _straightened(flow, start, state, part, moved)
             total[open_] = chained(total[open_], moved, flow.n_state)
             before = flow.points(state, there.times, chain, start.modes)
             _jumped(flow, total, open_, changes, is_held, (start, before, behind))
@@ -253,6 +270,43 @@ def _switched(modes, index, changes):
             program, mode, i, j = change
             new[program][mode, i, j, m] = ~new[program][mode, i, j, m]
     return new
+
+
+def _straightened(flow, start, end, length, moved):
+    """Let derivatives of parts at whose ends bodies have stopped be what they are across the way.
+
+    The direction of friction turns as fast as a body is slow: what the stages of a step make of
+    that, just before a stop, are no digits. With the velocity goes all that it was across the way;
+    on the way there the body went aside by it as long as friction, f, had not taken it: h / (1 + p)
+    for p = f / (what slows it down).
+
+    Parameters
+    ----------
+    moved : ndarray, shape (M, n, n + k)
+        Changed in place.
+    """
+    stopped = np.argwhere(_halted(flow, start, end))
+    if not len(stopped):
+        return
+    half = flow.n_state // 2
+    by_state, _ = flow.motion.slopes(start)
+    past = {group: flow.motion.past(group, start, start.state[1]) for group in set(stopped[:, 0])}
+    for group, body, m in stopped.tolist():
+        way = past[group][body, :, m]
+        way = way / np.sqrt(np.square(way).sum())
+        place = body * flow.chains.n_dims + np.array(flow.motion.stops[group])
+        along = np.outer(way, way)
+        across = np.eye(len(way)) - along
+        slowing = by_state[m][np.ix_(place, half + place)]
+        friction = -length[m] * np.trace(across @ slowing) / (len(way) - 1)
+        aside = length[m] / (1 + max(friction, 0.0))
+        own = moved[m]
+        own[half + place] = along @ own[half + place]
+        own[place] = along @ own[place]
+        own[np.ix_(place, place)] += across
+        own[np.ix_(place, half + place)] += aside * across
+        carried = flow.motion.medium_slope(group, start)[body, :, :, m]
+        own[place, flow.n_state :] += (length[m] - aside) * (across @ carried)
 
 
 def _jumped(flow, total, index, changes, is_held, points):

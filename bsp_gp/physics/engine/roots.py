@@ -119,5 +119,7 @@ def _bisected(margin, low, high, near):
         is_slow[open_] = again & (left > 0.5 * np.abs(b - a))
         side[open_] = np.where(up, 1, -1)
         out[open_] = high[open_]
+        # The root may lie far nearer to the start than the old end.
+        enough = np.maximum(CLOSE * width[open_], near[open_] * np.abs(high[open_]))
         open_ = open_[~((left <= enough) | (value == 0))]
     return low, out
