@@ -311,25 +311,50 @@ def _straightened(flow, start, end, length, moved):
 
 def _jumped(flow, total, index, changes, is_held, points):
     """Let the derivatives of some intervals jump where a condition changes or a body stops."""
-    start, before, behind = points
+    _, before, behind = points
+    stops = {}
     for m, change in enumerate(changes):
         if change is None or change[0] == CUT:
             continue
-        own, one = index[m], np.array([m])
         if change[0] == STOP:
-            rows, constants = _rows_of(flow, change), slice(flow.n_state, None)
-            slope = flow.motion.medium_slope(change[1], start.pick(one))[change[2], :, :, 0]
-            if is_held[m]:  # it moves on as what it rests on
-                total[own, rows] = 0.0
-            else:
-                total[own][rows, constants] -= slope
-                jump = _stop_jump(flow, *(p.pick(one) for p in (start, before, behind)), change)
-                total[own] = jump @ total[own]
-            total[own][rows, constants] += slope
+            stops.setdefault(change[1], []).append((m, change[2]))
             continue
+        own, one = index[m], np.array([m])
         by_state, by_constant = _jump(flow, before.pick(one), behind.pick(one), change)
         total[own] = by_state @ total[own]
         total[own][:, flow.n_state :] += by_constant
+    for group, found in stops.items():
+        which, body = np.array(found).T
+        parts = [part.pick(which) for part in points]
+        _halt(flow, total, index[which], group, body, is_held[which], parts)
+
+
+def _halt(flow, total, own, group, body, is_held, points):
+    """Let derivatives jump where bodies stop, and stay with what they rest on or set out again.
+
+    Parameters
+    ----------
+    own, body : ndarray of int, shape (S,)
+        Intervals, and who stops in each.
+    points : sequence of Points
+        Before the part of the step that ends there, at its end, behind the stop; S each.
+    """
+    rows = _rows_of(flow, group, body)
+    moved = total[own[:, None], rows]  # (S, a, n + k)
+    at = np.arange(len(own))
+    slope = 0.0
+    if flow.motion.is_carried(group):
+        slope = np.moveaxis(flow.motion.medium_slope(group, points[0]), 3, 0)[at, body]
+        moved[..., flow.n_state :] -= slope
+    moved[is_held] = 0.0  # it moves on as what it rests on
+    free = np.flatnonzero(~is_held)
+    if len(free):
+        parts = [part.pick(free) for part in points]
+        way, by_speed = _set_out(flow, group, body[free], parts)
+        along = (way[..., None] * moved[free]).sum(axis=1)
+        moved[free] += by_speed[..., None] * along[:, None]
+    moved[..., flow.n_state :] += slope
+    total[own[:, None], rows] = moved
 
 
 def _part(flow, scheme, points, length, slopes):
@@ -492,35 +517,39 @@ def _speeds(flow, scheme, points, keys, which, instants):
     return out
 
 
-def _rows_of(flow, change):
-    """Rows of the derivatives that belong to the velocity which a stop takes."""
-    _, group, body, _ = change
-    n_dims = flow.chains.n_dims
-    return flow.n_state // 2 + body * n_dims + np.array(flow.motion.stops[group])
+def _rows_of(flow, group, body):
+    """Rows of the derivatives that belong to velocities which stops take, (S, a)."""
+    axes = np.array(flow.motion.stops[group])
+    return flow.n_state // 2 + body[:, None] * flow.chains.n_dims + axes
 
 
-def _stop_jump(flow, start, before, behind, change):
-    """How derivatives by the state jump where a body stops and sets out again, (n, n)."""
-    _, group, body, _ = change
-    axes, rows = list(flow.motion.stops[group]), _rows_of(flow, change)
+def _set_out(flow, group, body, points):
+    """Which way bodies came that stop, and what one more in their speed changes behind it.
+
+    Returns
+    -------
+    way, by_speed : ndarray, shape (S, a)
+    """
+    start, before, behind = points
+    motion, axes = flow.motion, list(flow.motion.stops[group])
+    here = body[:, None], axes, np.arange(len(body))[:, None]
     # Just before the stop the body creeps as it came.
     creep = before.state.copy()
-    medium = _of_body(flow.motion.medium(group, start), body, 0)
-    came = start.state[1, body, axes, 0] - medium
-    if flow.motion.constraints:
+    medium = np.broadcast_to(motion.medium(group, start), start.state[1][:, axes].shape)
+    medium = medium[body, :, np.arange(len(body))]
+    came = start.state[1][here] - medium
+    if motion.constraints:
         creep[1] = start.state[1]
-        creep = flow.motion.constraints.along(before.at(creep))
-        came = creep[1, body, axes, 0] - medium
-    way = came / np.sqrt(np.square(came).sum())
-    creep[1, body, axes, 0] = medium + CREEP * way
-    here = flow.points(creep, before.times, before.chain, before.modes)
-    slowed = flow.motion.acceleration(here)[body, axes, 0]
-    after = flow.motion.acceleration(behind)[body, axes, 0]
-    jump = np.eye(flow.n_state)
-    slowing = way @ slowed
-    if slowing != 0:
-        jump[np.ix_(rows, rows)] += np.outer(after - slowed, way) / slowing
-    return jump
+        creep = motion.constraints.along(before.at(creep))
+        came = creep[1][here] - medium
+    way = came / np.sqrt(np.square(came).sum(axis=1, keepdims=True))
+    creep[1][here] = medium + CREEP * way
+    slowed = motion.acceleration(before.at(creep))[here]
+    after = motion.acceleration(behind)[here]
+    slowing = (way * slowed).sum(axis=1, keepdims=True)
+    is_slowed = slowing != 0
+    by_speed = np.where(is_slowed, after - slowed, 0.0) / np.where(is_slowed, slowing, 1.0)
+    return way, by_speed
 
 
 def _jump(flow, here, there, change):
