@@ -28,7 +28,7 @@ from bsp_gp.data.roster import (
     require_columns,
     vector_stems,
 )
-from bsp_gp.data.scene import PROPERTY_UNITS, Entity, FirstState, Scene
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -57,8 +57,8 @@ class Rows:
         unknown.
     is_placed : bool
         Whether the places of first rows are exact.
-    is_angle : bool
-        Whether positions are angles.
+    may_meet : bool
+        Whether two bodies may have one place: angles, and places along one axis.
     logged : dict of str to (str, ndarray, Unit)
         Further columns, see `bsp_gp.data.logged.logged_columns`.
     second : float
@@ -79,7 +79,7 @@ class Rows:
     inputs: dict = field(default_factory=dict)
     first: tuple | None = None
     is_placed: bool = False
-    is_angle: bool = False
+    may_meet: bool = False
     logged: dict = field(default_factory=dict)
     second: float = 1.0
 
@@ -103,6 +103,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
         Name of the scene where the table has no such column.
     """
     axes, line_notes = axes_of(table, declaration)
+    table, foot_notes = _without_timeless_ends(table)
     table, gap_notes = _without_gaps(table)
     known = [axis for axis in axes if axis in table.frame.columns]
     still = np.zeros(len(table.frame))
@@ -129,11 +130,11 @@ def build_rows(table, declaration, conversion, *, scene_name):
         _sigma(table, axes, conversion),
         table.frame.index.to_numpy(),
         table.file,
-        (*line_notes, *gap_notes),
+        (*line_notes, *foot_notes, *gap_notes),
         _inputs(table, declaration, conversion),
         _first(table, declaration, conversion, axes),
         declaration.first_position == "exact",
-        conversion.system.is_angle,
+        conversion.system.is_angle or len(known) == 1,  # sensors of their own, each from its zero
         logged_columns(table, inputs_of(table, declaration)),
         conversion.time() if "t" in table.frame.columns else 1.0,
     )
@@ -318,6 +319,23 @@ def _refuse_rates(table, declaration, axes):
                 "its distance (LiDAR, sonar) or location (GPS); or, if one of the columns is a "
                 "position, name it: --columns x=ITS_NAME",
             )  # fmt: skip
+
+
+def _without_timeless_ends(table):
+    """The table without rows at its ends that have no time, as sums and means below it; a note."""
+    if "t" not in table.frame.columns:
+        return table, ()
+    lines = table.frame.index.to_numpy()  # of runs side by side the same ones
+    timed = lines[table.frame["t"].notna().to_numpy()]
+    if not len(timed):
+        return table, ()
+    is_within = (timed.min() <= lines) & (lines <= timed.max())
+    if is_within.all():
+        return table, ()
+    kept = table.frame[is_within]
+    count = len(table.frame) - len(kept)
+    note = f"{CHECK}{count} row(s) without a time at the ends of the table are left out"
+    return replace(table, frame=kept), (note,)
 
 
 def _without_gaps(table):
@@ -546,7 +564,7 @@ def _scene(rows, part, entities, row, local, is_new, shape):
             spread(rows.sigma),
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
             first_state(),
-            rows.is_angle,
+            rows.may_meet,
             {n: spread(v) for n, (_, v, _) in rows.logged.items() if np.isfinite(v[part]).any()},
         )
     except DataError as error:

@@ -108,6 +108,7 @@ def read_table(path, *, rename=None, as_text=False):
     marks = ("entity",) if as_text else ("t", "frame")
     try:
         layout = sniff(head, dict(rename or {}), marks, path)
+        source = source.without_comments(layout.data_line)
         _require_even_rows(source, layout, head)
     except csv.Error as error:  # such as a cell of more than 131,072 characters
         raise DataError(
@@ -151,7 +152,9 @@ def long_table(
         frame, found, steps = with_sums_of_steps(frame, found)
         frame, dates, dated = _without_dates(frame, [h.name for h in found])
         notes = (*notes, *steps, *dates)
-        if not {"t", "frame"} & {h.name for h in found} and has_place(found):
+        names = {h.name for h in found}
+        has_motion = has_place(found) or names & {"vx", "vy", "vz"}
+        if not {"t", "frame"} & names and has_motion:
             frames, untimed = rows_as_frames(frame, found)
     names = [h.name for h in found]
     if groups:

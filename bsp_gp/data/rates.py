@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
 from bsp_gp.data.conversion import is_unit, unit_of
@@ -28,6 +29,8 @@ PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 GAP = 3.5
 """Typical steps of a gap behind which a track begins anew: what is gone in it is not known."""
+NEIGHBOURS = 15
+"""Steps among which the usual one is told."""
 LONE = 0.1
 """Part of the variance of a gyroscope's axis that the others may have, if all turns about it."""
 CURVED = 0.1
@@ -165,7 +168,7 @@ def _summed(table, declaration, found):
         units = units | {"t": "s"}
     table = replace(
         table, frame=frame, units={**table.units, **units}, theirs=theirs, unused=unused,
-        notes=(*table.notes, *notes),
+        untimed="", notes=(*table.notes, *notes),
     )  # fmt: skip
     return table, replace(declaration, velocity=ONLY, noise=_noise(declaration, times, scale))
 
@@ -243,11 +246,12 @@ def _roughness(values):
 
 
 def _parts(times, rows):
-    """Rows of a track up to its gaps."""
+    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none."""
     steps = np.diff(times[rows])
     if not len(steps) or not np.median(steps) > 0:  # told where times are checked
         return [rows]
-    return np.split(rows, np.flatnonzero(steps > GAP * np.median(steps)) + 1)
+    usual = np.maximum(ndimage.median_filter(steps, NEIGHBOURS, mode="nearest"), np.median(steps))
+    return np.split(rows, np.flatnonzero(steps > GAP * usual) + 1)
 
 
 def _track(table, times, values, rows, found, scale):

@@ -15,6 +15,8 @@ from bsp_gp.data.headings import (
 )
 from bsp_gp.errors import DataError, in_python
 
+MOST_ABOVE = 12
+"""Lines of a title above rows without headings."""
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _COMMENT = re.compile(r"^\ufeff?[#%]\s*")
@@ -109,6 +111,11 @@ def _without_header(head, rename):
     names = {theirs for ours, theirs in rename.items() if ours in TEXT_COLUMNS}
     lines = [line for line in head[first:] if line.strip()]
     rows, delimiter = _rows_of_numbers(lines, said - names)
+    n_above = 0 if rows or not said else _n_above(lines, said - names)
+    if n_above:
+        above = lines[n_above - 1]
+        first += 1 + max(k for k, line in enumerate(head[first:]) if line == above)
+        rows, delimiter = _rows_of_numbers(lines[n_above:], said - names)
     numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
     named = {} if said or any(map(_COMMENT.match, head)) else _named_by_place(rows, rename)
     if not named and not (said and said <= set(numbers)):
@@ -122,6 +129,19 @@ def _without_header(head, rename):
         delimiter, headings(numbers, {**named, **rename}), ("",) * len(numbers), header_line=-1,
         data_line=first, decimal=_decimal(head[first:], delimiter), notes=(note,) if named else (),
     )  # fmt: skip
+
+
+def _n_above(lines, said):
+    """Lines above the rows of numbers whose columns are said by their numbers; 0 of other files."""
+    numbers = [int(k) for k in said if k.isdecimal()]
+    for n in range(1, min(MOST_ABOVE, len(lines) - 2)):
+        if any(set(split_line(lines[n - 1], mark)) & said for mark in _DELIMITERS):
+            return 0  # they are names
+        rows, _ = _rows_of_numbers(lines[n:], said)
+        widths = set(map(len, rows))
+        if len(widths) == 1 and numbers and max(numbers) <= widths.pop():
+            return n
+    return 0
 
 
 def _rows_of_numbers(lines, said):

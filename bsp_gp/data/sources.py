@@ -16,6 +16,7 @@ from bsp_gp.errors import DataError, MissingDependencyError
 
 MAX_BYTES = 4 * 2**30
 MAX_ROWS = 20_000_000
+_MARKS = (b",", b";", b"\t", b"\n", b'"', b"#")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f\x7f]")
 _UTF_8 = re.compile(rb"[\xc2\xc3][\x80-\xbf]|\xe2[\x80-\xbf]{2}")
 """Letters and signs of the West in UTF-8."""
@@ -60,6 +61,24 @@ class Source:
     @property
     def for_pandas(self):
         return self.path if self.text is None else io.StringIO(self.text)
+
+    def without_comments(self, first):
+        """The same with blank lines for comments (#) from a line on, where few lines are; a note.
+
+        Rows that someone has taken out of a table so are no rows.
+        """
+        if not self.counts[b"#"]:
+            return self
+        with self.open() as stream:
+            lines = stream.read().split("\n")
+        found = [k for k in range(first, len(lines)) if lines[k].lstrip().startswith("#")]
+        if not found or 2 * len(found) > len(lines) - first:
+            return self
+        for k in found:
+            lines[k] = ""
+        text = "\n".join(lines)
+        note = f"lines that begin with # are no rows: {len(found)}, the first is {found[0] + 1}"
+        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
 
 
 def open_source(path, names=()):
@@ -111,7 +130,7 @@ def _text_file(path, names):
     """SHA-256, encoding and counts of delimiters, after the checks that need every byte."""
     digest = hashlib.sha256()
     decoder = codecs.getincrementaldecoder("utf-8")()
-    counts = dict.fromkeys((b",", b";", b"\t", b"\n", b'"'), 0)
+    counts = dict.fromkeys(_MARKS, 0)
     is_blank = True
     bad_line = None
     with path.open("rb") as stream:
@@ -168,7 +187,7 @@ def _utf_16(path, names):
 
 
 def _counts(text):
-    return {mark.encode(): text.count(mark) for mark in (",", ";", "\t", "\n", '"')}
+    return {mark: text.count(mark.decode()) for mark in _MARKS}
 
 
 def _told_apart(source, names):
