@@ -400,7 +400,7 @@ def _properties(dataset):
 
 
 def _way(dataset):
-    """The axis along which everything moves all the time in one direction; "" if it is none."""
+    """The axis along which everything moves all the time in one direction, "x" or "-x"; or ""."""
     axes, signs = set(), set()
     for scene in dataset.scenes:
         for k in scene.dynamic:
@@ -415,7 +415,7 @@ def _way(dataset):
             signs.add(np.sign(ahead))
             if len(signs) > 1 or abs(ahead) < _ONE_WAY * spans[axis]:
                 return ""
-    return "xyz"[axes.pop()] if axes else ""
+    return ("-" if signs == {-1.0} else "") + "xyz"[axes.pop()] if axes else ""
 
 
 def _partner(dataset):

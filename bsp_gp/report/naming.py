@@ -49,6 +49,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
     return pretty_unit(phrase).replace("the other body", other)
 
 
+FARTHEST = 2.0
+"""Powers from the one in the law up to which an estimate to first order reaches."""
 WIDEST = 3.0
 """Width of the interval of a power up to which its best value is told: friction, linear and
 quadratic drag lie within it."""
@@ -64,7 +66,12 @@ def _loose(e):
 
 def is_untold(exponent):
     """Whether the data leave a power so open that its best value says nothing."""
-    return not exponent["high"] - exponent["low"] <= WIDEST
+    return is_beyond(exponent) or not exponent["high"] - exponent["low"] <= WIDEST
+
+
+def is_beyond(exponent):
+    """Whether a power is so far from the one in the law that no first order tells which it is."""
+    return abs(exponent["value"] - exponent["stated"]) > FARTHEST
 
 
 _OBLATE = re.compile(r"norm\((p_i - \w+)\)\^-5 \* \(\(1 - 5 \* .* \* \(\1\) \+ 2 \* ")

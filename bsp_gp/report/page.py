@@ -33,7 +33,7 @@ from bsp_gp.report.naming import (
     ripple,
 )
 from bsp_gp.report.numbers import format_number, format_value, is_number
-from bsp_gp.report.rewritings import dependence, rewritten, told_once
+from bsp_gp.report.rewritings import dependence, other_way, rewritten, told_once
 from bsp_gp.report.unseen_body import name_of, rivals_of
 
 _TOLD = 12
@@ -84,6 +84,7 @@ def page_of(report):
             r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
+            r.effect.name += other_way(r.effect, why, page.dataset)
     return page
 
 

@@ -34,7 +34,7 @@ def told_once(law, others, dataset):
     constant = [name for name, known in properties.items() if known.get("is_constant")]
     symbols = sorted({f"{short}_{role}" for name in constant for short in _spellings(name)
                       for role in "ij"})  # fmt: skip
-    way = dataset.get("way")
+    way = (dataset.get("way") or "").lstrip("-")
     towards = (*_TOWARDS[:3], f"e_{way}") if way else ()
     known, kept, reasons = {_key(law, symbols, towards)}, [], set()
     for other in others:
@@ -45,9 +45,33 @@ def told_once(law, others, dataset):
             continue
         reasons |= {f"powers of {s}" for s in symbols if _count(s, other) != _count(s, law)}
         if any(_count(word, other) != _count(word, law) for word in towards):
-            reasons.add(f"e_{way} for normalize(v_i)")
+            reasons.add(_turned(way))
     why = ", ".join([*sorted(reasons, reverse=True)[:MOST_PROPERTIES]])
     return tuple(kept), len(others) - len(kept), why
+
+
+def _turned(way):
+    return f"e_{way} for normalize(v_i)"
+
+
+def other_way(effect, why, dataset):
+    """What a force is as well where nothing turns back: friction, or a push; "" if it is neither.
+
+    Parameters
+    ----------
+    why : str
+        As `told_once` gives it.
+    """
+    sign = -1 if (dataset.get("way") or "").startswith("-") else 1
+    way = (dataset.get("way") or "").lstrip("-")
+    one_term = len(_split(effect.written or "", " + ", " - ")) == 1
+    if not way or _turned(way) not in why or not (one_term and len(effect.constants) == 1):
+        return ""
+    if _count("normalize(v_i)", effect.written):
+        return f", or a push along {way}: nothing turns back, and these data cannot tell"
+    if effect.constants[0].value * sign < 0:  # it brakes
+        return ", or friction as large: nothing turns back, and these data cannot tell"
+    return ""
 
 
 def rewritten(n_same, why):

@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from bsp_gp.report.codes import FINDINGS, VARIABLES
-from bsp_gp.report.naming import is_untold, size_name
+from bsp_gp.report.naming import is_beyond, is_untold, size_name
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
@@ -172,7 +172,9 @@ def powers_sentence(round_):
         if is_untold(e):
             low, high = (format_number(e[key], 2) for key in ("low", "high"))
             text = f"{size} to any power from {low} to {high}"
-        if e["stated"] == 0:
+        if is_beyond(e):
+            text = f"{size} to another power than is written, these data do not tell which"
+        elif e["stated"] == 0:
             text = f"a further {text}, which the law has not"
         elif is_number(e["stated"]):
             text += f", written as {e['stated']:g}".replace("-", "−")
