@@ -14,7 +14,6 @@ from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 from bsp_gp.physics.engine.flow import Flow
-from bsp_gp.physics.engine.motion import Motion
 
 __all__ = ["RANKS", "grow", "seeds", "tried"]
 
@@ -118,7 +117,7 @@ def tried(climb, points, ranks):
             if out and (climb.run.is_over() or n_good >= ENOUGH):
                 break
             nodes = [own.copy() for own in point.nodes]
-            values, chisqr = _fit_rows(climb, point.values, nodes, places, climb.ridge(point))
+            values, chisqr, _ = _fit_rows(climb, point.values, nodes, places, climb.ridge(point))
             out.append((chisqr, number, rank, TrackPoint(values, tuple(nodes))))
             n_good += chisqr < n_rows + GOOD * np.sqrt(2 * n_rows)
     out.sort(key=lambda trial: trial[:3])
@@ -164,7 +163,7 @@ def grow(climb, point, rank=0):
     places = [_calmest(climb, k, rank) for k in range(len(nodes))]
     followed, share = None, GROWTH
     while True:
-        values, chisqr = _fit_rows(climb, values, nodes, places, ridge)
+        values, chisqr, _ = _fit_rows(climb, values, nodes, places, ridge)
         n_rows = sum(int((stop - first).sum()) for first, stop in places)
         is_lost = not chisqr < LOST * n_rows
         if is_lost and followed is not None:
@@ -202,26 +201,36 @@ def _is_whole(places, groups, begun):
 
 
 def _begin_next(climb, values, nodes, places):
-    """Put in the seed of the calmest chain that has not begun: the one that fits the constants."""
-    waiting = []
+    """Put in seeds of the calmest chains that have not begun, as many as have: each where it fits.
+
+    The constants are those that the chains before have found.
+    """
+    waiting, n_begun = [], 0
     for group, ((first, stop), chains, noise) in enumerate(
         zip(places, climb.run.groups, climb.noises, strict=True)
     ):
         turn = seeds(chains, noise, SEED_ROWS)[2]
         waiting += [(turn[s], group, s) for s in np.flatnonzero(first == stop)]
-    _, group, chain = min(waiting)
-    chains, noise = climb.run.groups[group], climb.noises[group]
-    trials = []
+        n_begun += int((first < stop).sum())
+    chosen = [(group, s) for _, group, s in sorted(waiting)[:n_begun]]
+    best = {}
     for rank in range(RANKS):
-        first, stop, _ = seeds(chains, noise, SEED_ROWS, rank)
+        pieces = [
+            seeds(chains, noise, SEED_ROWS, rank)[:2]
+            for chains, noise in zip(climb.run.groups, climb.noises, strict=True)
+        ]
         alone = [(np.zeros_like(f), np.zeros_like(f)) for f, _ in places]
-        alone[group][0][chain], alone[group][1][chain] = first[chain], stop[chain]
+        for group, s in chosen:
+            alone[group][0][s], alone[group][1][s] = (each[s] for each in pieces[group])
         own = [part.copy() for part in nodes]
-        _, chisqr = _fit_rows(climb, values, own, alone, None, is_held=True)
-        trials.append((chisqr, rank, first[chain], stop[chain], own))
-    best = min(trials, key=lambda trial: trial[:2])
-    nodes[group][..., chain] = best[4][group][..., chain]
-    places[group][0][chain], places[group][1][chain] = best[2], best[3]
+        *_, heights = _fit_rows(climb, values, own, alone, None, is_held=True)
+        for group, s in chosen:
+            if (group, s) not in best or heights[group, s] < best[group, s][0]:
+                begun = alone[group][0][s], alone[group][1][s], own[group][..., s]
+                best[group, s] = heights[group, s], *begun
+    for (group, s), (_, first, stop, states) in best.items():
+        nodes[group][..., s] = states
+        places[group][0][s], places[group][1][s] = first, stop
 
 
 def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
@@ -233,17 +242,21 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     -------
     values : ndarray, shape (k,)
     chisqr : float
+    heights : dict of (int, int) to float
+        That of every chain, by the numbers of its group and of its own; inf of those that were not
+        followed.
     """
     run = climb.run
     begun = [
-        group for group in zip(run.groups, climb.noises, places, nodes, strict=True)
-        if (group[2][1] > group[2][0]).any()
+        group for group in enumerate(zip(run.motions, climb.noises, places, nodes, strict=True))
+        if (group[1][2][1] > group[1][2][0]).any()
     ]  # fmt: skip
     shootings, own = [], []
-    for chains, noise, (first, stop), full in begun:
+    for _, (whole, noise, (first, stop), full) in begun:
+        chains = whole.chains
         cut = chains.cut(first, stop)
         coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
-        motion = Motion(run.law, cut, run.parameters)
+        motion = whole.on(cut, run.law)
         flow = Flow(motion, coarse, max_steps=MAX_STEPS, is_over=run.is_over)
         rows = first + np.arange(cut.times.shape[0])[:, None]
         rows = np.clip(rows, 0, np.maximum(stop - 1, 0))
@@ -263,10 +276,18 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         if minimum.code not in ("stalled", "limit") or minimum.linearised is None:
             break
         point = problem.settled(minimum.point, 2)  # gaps between nodes hold the descent up
-    for (chains, _, (first, stop), full), new in zip(begun, minimum.point.nodes, strict=True):
-        for s in range(chains.n_chains):
+    heights, seen = {}, minimum.linearised
+    blocks = None if seen is None else problem.split(seen.by_block(seen.residual) + seen.rests)
+    for k, ((number, (_, _, (first, stop), full)), new) in enumerate(
+        zip(begun, minimum.point.nodes, strict=True)
+    ):
+        for s in range(len(first)):
             full[..., first[s] : stop[s], s] = new[..., : stop[s] - first[s], s]
-    return minimum.values, float(minimum.chisqr)
+            heights[number, s] = np.inf
+        if blocks is not None:
+            for block, s in enumerate(shootings[k].windows.chain.tolist()):
+                heights[number, s] = float(blocks[k][block])
+    return minimum.values, float(minimum.chisqr), heights
 
 
 def _foresee(climb, values, nodes, places, share):

@@ -28,6 +28,91 @@ def constraints_of(law):
     return tuple(part for part in law.frame if part.kind == "constraint")
 
 
+def lone_constraint(law, chains):
+    """The one constraint of a lone body that depends on its place and the time alone, or None.
+
+    Such a one can be put into the formulas of the law themselves.
+    """
+    parts = constraints_of(law)
+    if len(parts) != 1 or len(law.frame) != 1 or chains.n_moving != 1:
+        return None
+    (part,) = parts
+    moving = {name for name in part.formula.inputs if name in (*STATE, *chains.series.names)}
+    bodies = {body for body, other in part.pairs if not other}
+    is_lone = moving <= {"p_i"} and len(bodies) == len(part.pairs)
+    is_lone &= all(own[0] in bodies for own in chains.bodies)
+    if not is_lone or any(term.kind == "pair" for term in law.terms):
+        return None
+    return part
+
+
+class Held:
+    """A graph in which the velocity of a body is along a constraint, and accelerations can be.
+
+    Parameters
+    ----------
+    part : Constraint
+        On the body alone, see `lone_constraint`.
+    is_rubbed : bool
+        Whether friction acts, whose direction turns with the least way off the constraint.
+    """
+
+    def __init__(self, graph, part, chains, is_rubbed):
+        g, axes = graph, range(chains.n_dims)
+        self.graph = g
+        value = Lowering(g, chains.n_dims, chains.direction).lower(part.formula)
+        place, velocity = ([g.input(name, k) for k in axes] for name in ("p_i", "v_i"))
+
+        def along(node):
+            slopes = [g.slope(node, x) for x in place]
+            return g.add(g.slope(node, g.input("t")), g.dot(slopes, velocity))
+
+        rate = along(value)
+        self.pull = [g.slope(value, x) for x in place]
+        self.size, self.bend = g.dot(self.pull, self.pull), along(rate)
+        share = g.div(rate, self.size)
+        moved = [g.sub(v, g.mul(share, j)) for v, j in zip(velocity, self.pull, strict=True)]
+        self.velocity = moved if is_rubbed else velocity
+
+    def __getattr__(self, name):
+        return getattr(self.graph, name)
+
+    def input(self, name, axis=None):
+        """As that of the graph."""
+        return self.velocity[axis] if name == "v_i" else self.graph.input(name, axis)
+
+    def acceleration(self, free):
+        """What the constraint leaves of accelerations, nodes."""
+        g = self.graph
+        tension = g.div(g.add(g.dot(self.pull, free), self.bend), self.size)
+        return [g.sub(a, g.mul(tension, j)) for a, j in zip(free, self.pull, strict=True)]
+
+    def leaves_all(self, free, names, moving):
+        """Whether no constant loses all influence to the constraint, but for rounding.
+
+        Told at random values: what is nothing is nothing everywhere.
+        """
+        g, rng, kept = self.graph, np.random.default_rng(0), {}
+
+        def value(*key):
+            return kept.setdefault(key, np.array([rng.uniform(0.5, 1.5)]))
+
+        left = self.acceleration(free)
+        constants = [name for name in names if g.has_constant(name)]
+        for name in constants:
+            slopes = [[g.slope(a, g.constant(name)) for a in each] for each in (free, left)]
+            sizes = []
+            for nodes in slopes:
+                tape = Tape(g, nodes, moving)
+                known = {other: value(other)[0] for other in names if g.has_constant(other)}
+                with np.errstate(all="ignore"):
+                    out = tape.run(tape.prepare(value, known), value)
+                sizes.append(max(float(np.max(np.abs(x))) for x in out))
+            if 0 < sizes[0] and not sizes[1] > NEAR * sizes[0]:
+                return False
+        return True
+
+
 class _Program:
     """One constraint with its derivatives along tracks, as tapes."""
 

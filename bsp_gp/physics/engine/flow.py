@@ -161,7 +161,7 @@ class Flow:
         self.n_state = 2 * chains.n_moving * chains.n_dims
         self.n_constants = len(motion.parameters)
         self.pattern = np.array(motion.slope_pattern(), dtype=np.int64).reshape(-1, 2)
-        is_plain = not (motion.constraints or motion.linkages)
+        is_plain = not motion.linkages and (motion.is_folded or not motion.constraints)
         self.is_compiled = is_plain and motion.compiled is not None
         self.is_carried = self.is_compiled and self.n_state <= MOST_CARRIED
         self.is_sparse = self.is_carried or len(self.pattern) <= MANY_SLOPES

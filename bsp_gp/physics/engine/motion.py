@@ -12,7 +12,12 @@ import numpy as np
 from bsp_gp.language.formula import summands
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.engine.compiled import Compiled
-from bsp_gp.physics.engine.constrained import Constraints, constraints_of
+from bsp_gp.physics.engine.constrained import (
+    Constraints,
+    Held,
+    constraints_of,
+    lone_constraint,
+)
 from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.linked import Linkages, linkages_of
 from bsp_gp.physics.engine.lowering import MOVING, Lowering, fades_at_rest
@@ -68,7 +73,13 @@ class Points:
 
 
 class _Program:
-    """All terms of one kind of a law, lowered."""
+    """All terms of one kind of a law, lowered.
+
+    Attributes
+    ----------
+    is_held : bool
+        Whether its accelerations are those that the one constraint of a lone body leaves.
+    """
 
     def __init__(self, law, kind, chains):
         self.kind = kind
@@ -77,11 +88,16 @@ class _Program:
         vectors = {k for k, v in chains.properties.items() if v.ndim == 3}
         parts, unknown = _instruments(law), fitted_properties(law)
         frame = Frame(g, parts, chains.n_dims, kind) if parts else None
+        # Drag that fades with the speed brings nothing to rest.
+        forces = (force for term in self.terms for force in summands(term.formula))
+        may_stop = any("v_i" in f.inputs and not fades_at_rest(f) for f in forces)
+        part = lone_constraint(law, chains)
+        held = Held(g, part, chains, may_stop) if part and kind == "field" else None
         self.series = chains.series.names
         late = late_inputs(law)
         self.moving = (*MOVING, *self.series, *(name + RATE for name in late))
         lowering = Lowering(
-            frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving,
+            held or frame or g, chains.n_dims, chains.direction, vectors, unknown, self.moving,
             rails_of(law),
         )  # fmt: skip
         total = [g.zero] * chains.n_dims
@@ -97,10 +113,10 @@ class _Program:
             total = frame.acceleration(total)
         names = replace(law, terms=tuple(self.terms)).names
         names += tuple(f"{column}_{role}" for column in unknown for role in "ij")
+        self.is_held = held is not None and held.leaves_all(total, names, self.moving)
+        if self.is_held:
+            total = held.acceleration(total)
         self.constants = tuple(name for name in names if g.has_constant(name))
-        # Drag that fades with the speed brings nothing to rest.
-        forces = (force for term in self.terms for force in summands(term.formula))
-        may_stop = any("v_i" in f.inputs and not fades_at_rest(f) for f in forces)
         self.modes, self.stops = lowering.modes, lowering.stops if may_stop else []
         self.value = Tape(g, total, self.moving)
         self._add_slopes(total, chains.n_dims, late)
@@ -197,10 +213,12 @@ class Motion:
         self.others = np.array(
             [[j for j in range(n_all) if j != i] for i in range(n_own)], dtype=int
         ).reshape(n_own, n_all - 1)
-        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * bool(_instruments(law)))
+        is_framed = bool(_instruments(law)) or lone_constraint(law, chains) is not None
+        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * is_framed)
         self.programs = [
             _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
         ]
+        self.is_folded = any(program.is_held for program in self.programs)
         self._settle()
         self._find_stops()
         self.has_modes = any(program.modes for program in self.programs)
@@ -559,7 +577,7 @@ class Motion:
         return total
 
     def _acceleration(self, points):
-        if not self.constraints:
+        if not self.constraints or self.is_folded:
             return self._free_acceleration(points)
         return self.constraints.accelerations(self._free_acceleration(self._along(points)), points)
 
@@ -591,7 +609,8 @@ class Motion:
         """The same with the points on the last axis."""
         _, n_own, n_dims, n_points = points.state.shape
         n, asked = n_own * n_dims, points
-        if self.constraints:
+        is_left = self.constraints and not self.is_folded
+        if is_left:
             points = self._along(points)
         by_state = np.zeros((n_own, n_dims, 2, n_own, n_dims, n_points))
         by_constant = np.zeros((n_own, n_dims, len(self.parameters), n_points))
@@ -607,7 +626,7 @@ class Motion:
         if self.linkages:
             free = self._pushed(points)
             by_state, by_constant = self.linkages.slopes(free, by_state, by_constant, points)
-        if self.constraints:
+        if is_left:
             free = self._free_acceleration(points)
             flat = by_state.reshape(n, 2 * n, n_points), by_constant.reshape(n, -1, n_points)
             if points is not asked:
@@ -635,7 +654,7 @@ class Motion:
     def slope_pattern(self):
         """Which derivatives by the state may differ from zero: a list of (row, column)."""
         n_own, n_dims = self.chains.n_moving, self.chains.n_dims
-        if self.constraints or self.linkages:
+        if self.linkages or (self.constraints and not self.is_folded):
             return list(np.ndindex(n_own * n_dims, 2 * n_own * n_dims))
         found = np.zeros((n_own, n_dims, 2, n_own, n_dims, 1))
         for program in self.programs:
