@@ -647,7 +647,7 @@ def _loop(parser):
     group.add_argument(
         "--all-rows", action="store_true",
         help="take every row of long tracks as it is (default: dense rows are averaged over short "
-        "blocks)",
+        "blocks, and recordings of very many turns followed in stretches)",
     )  # fmt: skip
     group.add_argument(
         "--per-entity", help=argparse.SUPPRESS,

@@ -121,8 +121,8 @@ def close_loop(
     earlier : str, optional
         Such text of a run with the same data and settings, to go on from.
     all_rows : bool
-        Take every row as it is; by default long tracks of dense rows are averaged, see
-        `bsp_gp.data.blocks`.
+        Take every row as it is; by default long tracks of dense rows are averaged, and recordings
+        of very many turns cut into stretches, see `bsp_gp.data.blocks` and `bsp_gp.data.stretches`.
 
     Returns
     -------

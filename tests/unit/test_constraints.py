@@ -110,6 +110,55 @@ def test_derivatives_are_exact_also_across_a_stop(drag):
         np.testing.assert_allclose(total[:, :, column], measured, rtol=1e-4, atol=1e-4)
 
 
+RODS = ("norm(p_i - (0.02, 1.61)) = L", "norm(p_i - (0.02 [m] + a * t, 1.61 [m])) = L",
+        "2 * x_i + y_i = L")  # fmt: skip
+
+
+@pytest.mark.parametrize("constraint", RODS)
+@pytest.mark.parametrize(
+    "forces",
+    [(), (WEIGHT, "-c * m_i * v_i"), (WEIGHT, "-c * m_i * normalize(v_i)"), ("c * t * e_x",)],
+)
+def test_a_constraint_within_the_formulas_of_a_law_is_that_beside_them(
+    constraint, forces, monkeypatch
+):
+    """Of one body, so that motion on it runs compiled; friction runs along it in both."""
+    data = bob(n=30)
+    law = read_law(data, [*forces, constraint])
+    law = law.with_values([(name, "") for name in law.names], [0.3] * len(law.names))
+    (chains,) = build_chains(law, data.scenes, data.up)
+    parameters = [(name, "") for name in law.names]
+    within = Motion(law, chains, parameters)
+    monkeypatch.setattr("bsp_gp.physics.engine.motion.lone_constraint", lambda *_: None)
+    beside = Motion(law, chains, parameters)
+    assert within.is_folded and not beside.is_folded
+    nodes, found = first_nodes(chains), []
+    row, chain = np.nonzero(np.isfinite(chains.times))
+    for motion in (within, beside):
+        motion.set_constants(np.array([law.constants[name] for name in law.names]))
+        flow = Flow(motion, np.array([1e-12]))
+        held = flow.held(nodes)
+        points = flow.points(held[..., row, chain], chains.times[row, chain], chain)
+        found.append((motion.acceleration(points), *motion.slopes(points)))
+    for one, other in zip(*found, strict=True):
+        scale = max(np.abs(other).max(), 1.0)
+        np.testing.assert_allclose(one, other, atol=1e-9 * scale)
+
+
+def test_a_force_that_a_rod_takes_up_whole_stays_beside_the_formulas():
+    """What is left of it is rounding, which must not pass for an influence."""
+    data = bob(n=30)
+    law = read_law(data, [WEIGHT, "c * (p_i - (0.02 [m] * e_x + 1.61 [m] * e_y) - origin)", ROD])
+    (chains,) = build_chains(law, data.scenes, data.up)
+    motion = Motion(law, chains, [("c", "")])
+    assert not motion.is_folded
+    motion.set_constants(np.array([2.0]))
+    flow = Flow(motion, np.array([1e-12]))
+    row, chain = np.nonzero(np.isfinite(chains.times))
+    held = flow.held(first_nodes(chains))[..., row, chain]
+    assert not motion.slopes(flow.points(held, chains.times[row, chain], chain))[1].any()
+
+
 def test_derivatives_of_a_body_that_has_another_place_in_every_scene_and_is_not_in_all():
     t, rng = np.arange(6) * 0.05, np.random.default_rng(0)
     crews = {"1": ("bob", "free"), "2": ("free", "bob"), "3": ("free", "lone")}

@@ -58,9 +58,9 @@ def test_a_declared_split_holds_out_the_stretches_of_what_it_names():
 
 @pytest.mark.slow
 def test_what_a_hundred_turns_lack_is_found():
-    report = bsp_gp.close_loop(swung(100), "-k * m_i * (p_i - origin)", bootstrap=0, rng=0)
+    report = bsp_gp.close_loop(swung(100), "-k * m_i * (p_i - origin)", rng=0, n_bootstrap=0)
     assert report.verdict == "effect adopted"
     (effect,) = [r.effect for r in report.rounds if r.adopted]
-    assert effect.law == "c1 * v_i"
-    (constant,) = [c for c in effect.constants if c.name == "c1"]
+    assert effect.law.split(" * ", 1)[1] in ("v_i", "(norm(v_i) * normalize(v_i))")
+    (constant,) = effect.constants
     assert constant.low < -0.005 < constant.high

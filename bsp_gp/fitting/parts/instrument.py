@@ -23,7 +23,8 @@ TEXTS = {
     "perspective": "X - M = (1 + {} u) (x - M)", "lens": "X - M = (1 + {} r^2) (x - M)",
     "drift": "x = X + ({}) t of moving bodies", "offset": "x = X + ({}) of fixed bodies",
     "delay": "x(t) = X(t - {})", "exposure": "x = X + {} / 2 X''",
-    "shutter": "x(t) = X(t + {} (x - M))",
+    "shutter": "x(t) = X(t + {} (x - M))", "zero": "x = X - {}",
+    "pivot": "X = x + asin(({})(cos x, sin x))",
 }  # fmt: skip
 """What is seen of the true X and T; u and r are ways from the middle M in its sizes."""
 
@@ -65,6 +66,7 @@ class Instrument(Part):
         """Of its numbers: offsets and drifts have one per axis."""
         axes = ["xyz"[k] for k in self.axes]
         marks = axes if self.code in ("drift", "offset") else ["".join(axes)]
+        marks = ["across", "along"] if self.code == "pivot" else marks
         return tuple(
             "_".join(filter(None, (self.code, mark, who)))
             for who in self.whose or ("",) for mark in marks
@@ -117,6 +119,20 @@ def _tilt(part, g, place, time, is_driven, c):
     return place
 
 
+def _zero(part, g, place, time, is_driven, c):
+    return [g.add(x, c[0]) if k in part.axes else x for k, x in enumerate(place)]
+
+
+def _pivot(part, g, place, time, is_driven, c):
+    """Angles about a point beside the pivot, by its way across and along the rest, in lengths."""
+    place, (axis,) = list(place), part.axes
+    x = place[axis]
+    sine = g.add(g.mul(c[0], g.call("cos", x)), g.mul(c[1], g.call("sin", x)))
+    cube = g.mul(sine, g.call("square", sine))  # of the arcsine, beyond what is believed to matter
+    place[axis] = g.add(x, g.add(sine, g.div(cube, g.number(6.0))))
+    return place
+
+
 def _picture(part, g, place, time, is_driven, c):
     """Distances from the middle grow by a number, and across the picture or away from there."""
     away = [g.sub(x, g.number(m)) for x, m in zip(place, part.middle, strict=True)]
@@ -144,5 +160,5 @@ def _offset(part, g, place, time, is_driven, c):
 
 _UNDO = {
     "scale": _scale, "tilt": _tilt, "slant": _picture, "perspective": _picture, "lens": _picture,
-    "drift": _drift, "offset": _offset,
+    "drift": _drift, "offset": _offset, "zero": _zero, "pivot": _pivot,
 }  # fmt: skip
