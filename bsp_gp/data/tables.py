@@ -570,7 +570,18 @@ def _units_of(tables, declared):
             units[column] = text
         elif ratio_of(text, declared[kind]) != 1.0:
             notes.append(f"{column} is in {declared[kind]!r} as declared, not in {text!r}")
+    time = {**units, **declared}.get("time", units.get("t", "s"))
+    for column in [c for c, text in units.items() if text.lower() in _ARBITRARY]:
+        if time in _ON_EARTH and COLUMN_KINDS.get(column, column) == "length":
+            notes.append(
+                f"{CHECK}{column} is in {units[column]!r} with times in {time!r}: taken as "
+                "arbitrary units, told as px; if astronomical ones, --units length=au"
+            )
+            units[column] = "px"
     return units | declared, notes
+
+
+_ARBITRARY, _ON_EARTH = ("au", "a.u."), ("s", "ms", "min")
 
 
 def _require_renames(declaration, tables):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.data.tables import load_dataset
+from bsp_gp.units import Unit
 
 T = np.arange(12)
 PLAIN = "".join(f"{0.1 * k:g},{k * k},{2 * k}\n" for k in T)
@@ -75,3 +76,11 @@ def test_bodies_along_one_axis_may_read_the_same(tmp_path):
     rows = "".join(f"{0.1 * k:g},{k},{10 - k}\n" for k in T)
     found = loaded(tmp_path, "t,red_x,blue_x\n" + rows)
     assert len(found.scenes[0].entities) == 2
+
+
+def test_places_in_au_beside_seconds_are_in_arbitrary_units(tmp_path):
+    found = loaded(tmp_path, "t (s),x (au),y (au)\n" + PLAIN, units={})
+    assert any("arbitrary" in note for note in found.notes)
+    assert not found.units.is_calibrated(Unit.of(m=1))
+    days = loaded(tmp_path, "t (d),x (au),y (au)\n" + PLAIN, units={})
+    assert days.units.is_calibrated(Unit.of(m=1))
