@@ -8,7 +8,7 @@ from scipy import stats
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
-from bsp_gp.language.formula import Call, Constant, Number
+from bsp_gp.language.formula import Call, Constant, Number, factors, summands
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
@@ -125,9 +125,11 @@ class _Pruning:
             self.removed.add(number)
 
     def shed_terms(self):
-        """Remove single terms of sums of earlier rounds while the evidence does not ask for them.
+        """Remove single terms of sums while the evidence does not ask for them.
 
-        Only those whose strength may well be zero: of others a fit need not tell that.
+        Of the last round as well: a sum is chosen by what moments tell of it, and a fit may leave
+        nothing of one of its terms. Only those whose strength may well be zero: of others a fit
+        need not tell that.
         """
         while (formula := self._shrink(self._without_terms())) is not None:
             self.shed.add(formula)
@@ -155,13 +157,19 @@ class _Pruning:
 
     def _without_terms(self):
         for formula in self._terms_of_sums():
-            own = significance(self.found, split_linear(formula)[0])
+            own = self._strengths(formula)
             if len(own) and np.all(own < WEAK):
                 smaller = without_term(self.hypothesis, formula)
                 yield formula, smaller, to_text(formula), -self.criteria.cause_nats
 
+    def _strengths(self, formula):
+        """What a term is proportional to, in standard errors: of a wave both amplitudes."""
+        name, _ = split_linear(formula)
+        names = [name] if name else amplitudes_of(formula)
+        return np.concatenate([significance(self.found, one) for one in names] or [np.zeros(0)])
+
     def _terms_of_sums(self):
-        kept = [done for done in self.adopted[:-1] if done.number not in self.removed]
+        kept = [done for done in self.adopted if done.number not in self.removed]
         made = (done.proposals.get(done.decision.best.id) for done in kept)
         sums = [proposal.formulas for proposal in made if proposal is not None]
         return [f for terms in sums if len(terms) > 1 for f in terms if f not in self.shed]
@@ -233,6 +241,15 @@ class _Pruning:
             for f, h in ((self.found, self.hypothesis), (other, smaller))
         )
         return other, smaller, whole - theirs
+
+
+def amplitudes_of(formula):
+    """Constants to which a wave is proportional together; none of other formulas."""
+    for factor in factors(formula)[0]:
+        names = [split_linear(part)[0] for part in summands(factor)]
+        if len(names) > 1 and all(names):
+            return names
+    return []
 
 
 def _without(hypothesis, done):

@@ -260,6 +260,8 @@ def _effect(done, dataset, bounds, known, criteria):
     old = {name for name, _ in done.entering.parameters}
     added = _added(done, fit) if best.kind == "force" else ()
     others = dict.fromkeys(row.text for row in done.decision.rivals)
+    shed = {c for f in _new(fit, done.entering) if added and f not in added for c in f.constants}
+    gone = old | shed - {c for f in added for c in f.constants}
     # A change of strength that explains no more than one which a law may have is not asked for.
     surely = (v for v in known.varies if v.p_value <= criteria.alpha)
     varies = list(takewhile(lambda v: v.share > criteria.constant_within, surely))
@@ -275,7 +277,7 @@ def _effect(done, dataset, bounds, known, criteria):
         ),
         constants=tuple(
             c for c in told(constant_estimates(fit, dataset, bounds), done.details)
-            if c.name not in old
+            if c.name not in gone
         ),
         p_value=done.table.p_value,
         probability=best.probability,

@@ -49,7 +49,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
     return pretty_unit(phrase).replace("the other body", other)
 
 
-FARTHEST = 2.0
+FARTHEST = 4.0
 """Powers from the one in the law up to which an estimate to first order reaches."""
 WIDEST = 3.0
 """Width of the interval of a power up to which its best value is told: friction, linear and
@@ -71,7 +71,8 @@ def is_untold(exponent):
 
 def is_beyond(exponent):
     """Whether a power is so far from the one in the law that no first order tells which it is."""
-    return abs(exponent["value"] - exponent["stated"]) > FARTHEST
+    is_other = not exponent["low"] <= exponent["stated"] <= exponent["high"]
+    return is_other and abs(exponent["value"] - exponent["stated"]) > FARTHEST
 
 
 _OBLATE = re.compile(r"norm\((p_i - \w+)\)\^-5 \* \(\(1 - 5 \* .* \* \(\1\) \+ 2 \* ")

@@ -331,3 +331,13 @@ def test_a_period_is_told_with_its_length_and_a_year_as_one():
     assert "parallax" in period(effect(1.991e-7, "1/s"))
     both = along_one_line([SWINGS + "x", SWINGS + "y"], [1.0, 2.0])
     assert both == ("push with a period along x and y",)
+
+
+def test_a_power_far_beyond_first_order_is_not_told_as_a_number():
+    speed = {"of": "norm(v_i)", "stated": 1.0, "value": -40.0, "low": -52.0, "high": -28.0,
+             "is_told": False, "term": "c1 * v_i"}  # fmt: skip
+    effect = SimpleNamespace(exponents=[speed], varies_with=())
+    assert powers_sentence(SimpleNamespace(effect=effect)) == (
+        "Powers that the data allow (90 %): speed to another power than is written, these data do "
+        "not tell which."
+    )

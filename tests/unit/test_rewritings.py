@@ -1,6 +1,7 @@
 """Laws that are the same on the data are told once, in the units of the data."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import bsp_gp
 from bsp_gp.loop.writing_up import about_data
 from bsp_gp.report.page import page_of
 from bsp_gp.report.recording import data_text
-from bsp_gp.report.rewritings import dependence, rewritten, told_once
+from bsp_gp.report.rewritings import dependence, other_way, rewritten, told_once
 from bsp_gp.report.summary import summary_text
 from tests.unit.report_sample import adopted
 
@@ -73,8 +74,11 @@ def data(y=0.0, x=None, **settings):
 
 @pytest.mark.parametrize(
     ("dataset", "way"),
-    [(data(), "x"), (data(y=1.0), ""), (data(x=lambda t: t - 2 * t**2), "")],
-)
+    [
+        (data(), "-x"), (data(x=lambda t: t**2), "x"), (data(y=1.0), ""),
+        (data(x=lambda t: t - 2 * t**2), ""),
+    ],
+)  # fmt: skip
 def test_one_way_along_one_axis_is_seen(dataset, way):
     class Split:
         train, test, told = (), (), ""
@@ -121,3 +125,20 @@ def test_whether_the_data_tell_how_a_force_depends_on_the_mass(law, others, trie
     told = dependence(law, others, tried, SEVERAL)
     assert words in told and bool(told) == bool(words)
     assert not dependence(law, others, tried, {"properties": {"mass": {"is_constant": True}}})
+
+
+@pytest.mark.parametrize(
+    ("law", "strength", "way", "said"),
+    [
+        ("c1 * e_x", -2.3, "x", "or friction"), ("c1 * e_x", 2.3, "-x", "or friction"),
+        ("c1 * e_x", 2.3, "x", ""),  # it drives
+        ("c1 * normalize(v_i)", -2.3, "-x", "or a push along x"), ("c1 * e_x", -2.3, "", ""),
+    ],
+)  # fmt: skip
+def test_what_brakes_where_nothing_turns_back_may_be_friction(law, strength, way, said):
+    dataset = {**ONE_MASS, "way": way}
+    swap = {"e_x": "normalize(v_i)", "normalize(v_i)": "e_x"}
+    other = f"c1 * {swap[law.removeprefix('c1 * ')]}"
+    effect = SimpleNamespace(written=law, constants=(SimpleNamespace(value=strength),))
+    told = other_way(effect, told_once(law, [other], dataset)[2], dataset)
+    assert (said in told) if said else told == ""
