@@ -570,7 +570,8 @@ def _units_of(tables, declared):
             units[column] = text
         elif ratio_of(text, declared[kind]) != 1.0:
             notes.append(f"{column} is in {declared[kind]!r} as declared, not in {text!r}")
-    time = {**units, **declared}.get("time", units.get("t", "s"))
+    said = {**units, **declared}
+    time = None if any(t.is_dated for t in tables) else said.get("t", said.get("time"))
     for column in [c for c, text in units.items() if text.lower() in _ARBITRARY]:
         if time in _ON_EARTH and COLUMN_KINDS.get(column, column) == "length":
             notes.append(
