@@ -98,7 +98,8 @@ def kinds_of(dataset, fit):
         for k in axes:
             out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
         out.append(Instrument("lens", axes, **picture))
-    if dataset.units.is_angle and len(axes) == 1:
+    # Of what turns all round, out of balance does nearly the same.
+    if dataset.units.is_angle and len(axes) == 1 and 2 * size < math.pi:
         out += [Instrument(code, axes) for code in ("zero", "pivot")]
     if any(e.is_static for s in scenes for e in s.entities):
         out.append(Instrument("offset", axes, FAR * size))
