@@ -108,7 +108,7 @@ def read_table(path, *, rename=None, as_text=False):
     marks = ("entity",) if as_text else ("t", "frame")
     try:
         layout = sniff(head, dict(rename or {}), marks, path)
-        source = source.without_comments(layout.data_line)
+        source = source.without_comments(head[: layout.data_line])
         _require_even_rows(source, layout, head)
     except csv.Error as error:  # such as a cell of more than 131,072 characters
         raise DataError(

@@ -109,12 +109,12 @@ def _without_header(head, rename):
     first = next((k for k, s in enumerate(head) if s.strip() and not _COMMENT.match(s)), len(head))
     said = {theirs.strip() for theirs in rename.values() if _is_number(theirs)}
     names = {theirs for ours, theirs in rename.items() if ours in TEXT_COLUMNS}
-    lines = [line for line in head[first:] if line.strip()]
+    filled = [k for k in range(first, len(head)) if head[k].strip()]
+    lines = [head[k] for k in filled]
     rows, delimiter = _rows_of_numbers(lines, said - names)
     n_above = 0 if rows or not said else _n_above(lines, said - names)
     if n_above:
-        above = lines[n_above - 1]
-        first += 1 + max(k for k, line in enumerate(head[first:]) if line == above)
+        first = filled[n_above]
         rows, delimiter = _rows_of_numbers(lines[n_above:], said - names)
     numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
     named = {} if said or any(map(_COMMENT.match, head)) else _named_by_place(rows, rename)
@@ -125,9 +125,11 @@ def _without_header(head, rename):
         f"no header: columns read as {', '.join(named)}; if they are not that, say which is which "
         f"by its number: --columns {options}"
     )
+    notes = (note,) if named else ()
+    notes += (f"lines of a title above the rows: {n_above}",) if n_above else ()
     return Layout(
         delimiter, headings(numbers, {**named, **rename}), ("",) * len(numbers), header_line=-1,
-        data_line=first, decimal=_decimal(head[first:], delimiter), notes=(note,) if named else (),
+        data_line=first, decimal=_decimal(head[first:], delimiter), notes=notes,
     )  # fmt: skip
 
 

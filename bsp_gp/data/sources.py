@@ -62,13 +62,19 @@ class Source:
     def for_pandas(self):
         return self.path if self.text is None else io.StringIO(self.text)
 
-    def without_comments(self, first):
-        """The same with blank lines for comments (#) from a line on, where few lines are; a note.
+    def without_comments(self, above):
+        """The same with blank lines for comments (#) below the header, where few lines are; a note.
 
         Rows that someone has taken out of a table so are no rows.
+
+        Parameters
+        ----------
+        above : sequence of str
+            The lines down to the header.
         """
-        if not self.counts[b"#"]:
-            return self
+        if self.counts[b"#"] <= sum(line.count("#") for line in above):
+            return self  # the text is read once more only where there are some
+        first = len(above)
         with self.open() as stream:
             lines = stream.read().split("\n")
         found = [k for k in range(first, len(lines)) if lines[k].lstrip().startswith("#")]

@@ -561,6 +561,10 @@ def _free_of_the_sky(scenes, declaration, units):
     return {body.name for body in bodies if body.name in said or "mass" in body.properties}
 
 
+_ARBITRARY, _ON_EARTH = ("au", "a.u."), ("s", "ms", "min")
+"""Units of lengths, arbitrary ones beside such of times: no orbit is told in these."""
+
+
 def _units_of(tables, declared):
     """Units of the headers and the declared ones, which win, with notes where the two differ."""
     units, notes = {}, []
@@ -580,9 +584,6 @@ def _units_of(tables, declared):
             )
             units[column] = "px"
     return units | declared, notes
-
-
-_ARBITRARY, _ON_EARTH = ("au", "a.u."), ("s", "ms", "min")
 
 
 def _require_renames(declaration, tables):

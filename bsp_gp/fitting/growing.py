@@ -248,11 +248,14 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
     """
     run = climb.run
     begun = [
-        group for group in enumerate(zip(run.motions, climb.noises, places, nodes, strict=True))
-        if (group[1][2][1] > group[1][2][0]).any()
+        (number, *group)
+        for number, group in enumerate(
+            zip(run.motions, climb.noises, places, nodes, strict=True)
+        )
+        if (group[2][1] > group[2][0]).any()
     ]  # fmt: skip
     shootings, own = [], []
-    for _, (whole, noise, (first, stop), full) in begun:
+    for _, whole, noise, (first, stop), full in begun:
         chains = whole.chains
         cut = chains.cut(first, stop)
         coarse = np.maximum(climb.tolerance(chains, noise), COARSE * climb.sigma(noise))
@@ -278,7 +281,7 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         point = problem.settled(minimum.point, 2)  # gaps between nodes hold the descent up
     heights, seen = {}, minimum.linearised
     blocks = None if seen is None else problem.split(seen.by_block(seen.residual) + seen.rests)
-    for k, ((number, (_, _, (first, stop), full)), new) in enumerate(
+    for k, ((number, _, _, (first, stop), full), new) in enumerate(
         zip(begun, minimum.point.nodes, strict=True)
     ):
         for s in range(len(first)):

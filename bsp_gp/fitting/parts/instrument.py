@@ -15,7 +15,7 @@ LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
 UNITS = {
     "drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2,
-    "shutter": TIME / LENGTH,
+    "shutter": TIME / LENGTH, "zero": LENGTH,
 }  # fmt: skip
 TEXTS = {
     "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",

@@ -97,20 +97,17 @@ class Held:
         def value(*key):
             return kept.setdefault(key, np.array([rng.uniform(0.5, 1.5)]))
 
-        left = self.acceleration(free)
         constants = [name for name in names if g.has_constant(name)]
-        for name in constants:
-            slopes = [[g.slope(a, g.constant(name)) for a in each] for each in (free, left)]
-            sizes = []
-            for nodes in slopes:
-                tape = Tape(g, nodes, moving)
-                known = {other: value(other)[0] for other in names if g.has_constant(other)}
-                with np.errstate(all="ignore"):
-                    out = tape.run(tape.prepare(value, known), value)
-                sizes.append(max(float(np.max(np.abs(x))) for x in out))
-            if 0 < sizes[0] and not sizes[1] > NEAR * sizes[0]:
-                return False
-        return True
+        slopes = [
+            g.slope(node, g.constant(name))
+            for name in constants for node in (*free, *self.acceleration(free))
+        ]  # fmt: skip
+        tape = Tape(g, slopes, moving)
+        ready = tape.prepare(value, {name: value(name)[0] for name in constants})
+        with np.errstate(all="ignore"):
+            out = [float(np.max(np.abs(x))) for x in tape.run(ready, value)]
+        whole, left = np.moveaxis(np.reshape(out, (-1, 2, len(free))), 1, 0).max(axis=-1, initial=0)
+        return bool(np.all((whole == 0) | (left > NEAR * whole)))
 
 
 class _Program:

@@ -285,28 +285,28 @@ def _straightened(flow, start, end, length, moved):
     moved : ndarray, shape (M, n, n + k)
         Changed in place.
     """
-    stopped = np.argwhere(_halted(flow, start, end))
-    if not len(stopped):
-        return
-    half = flow.n_state // 2
-    by_state, _ = flow.motion.slopes(start)
-    past = {group: flow.motion.past(group, start, start.state[1]) for group in set(stopped[:, 0])}
-    for group, body, m in stopped.tolist():
-        way = past[group][body, :, m]
-        way = way / np.sqrt(np.square(way).sum())
-        place = body * flow.chains.n_dims + np.array(flow.motion.stops[group])
-        along = np.outer(way, way)
-        across = np.eye(len(way)) - along
-        slowing = by_state[m][np.ix_(place, half + place)]
-        friction = -length[m] * np.trace(across @ slowing) / (len(way) - 1)
-        aside = length[m] / (1 + max(friction, 0.0))
-        own = moved[m]
-        own[half + place] = along @ own[half + place]
-        own[place] = along @ own[place]
-        own[np.ix_(place, place)] += across
-        own[np.ix_(place, half + place)] += aside * across
-        carried = flow.motion.medium_slope(group, start)[body, :, :, m]
-        own[place, flow.n_state :] += (length[m] - aside) * (across @ carried)
+    is_halted = _halted(flow, start, end)
+    half, motion = flow.n_state // 2, flow.motion
+    for group in np.flatnonzero(is_halted.any(axis=(1, 2))).tolist():
+        body, m = np.nonzero(is_halted[group])
+        points, at, h = start.pick(m), np.arange(len(m)), length[m, None, None]
+        way = motion.past(group, points, points.state[1])[body, :, at]
+        way = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True))
+        along = way[:, :, None] * way[:, None]
+        across = np.eye(way.shape[1]) - along
+        of_speed = _rows_of(flow, group, body)
+        place = of_speed - half
+        own, row = m[:, None, None], place[:, :, None]
+        slowing = motion.slopes(points)[0][at[:, None, None], row, of_speed[:, None]]
+        friction = np.trace(-h * across @ slowing, axis1=1, axis2=2) / (way.shape[1] - 1)
+        aside = h / (1 + np.maximum(friction, 0.0)[:, None, None])
+        for rows in (of_speed, place):
+            moved[m[:, None], rows] = along @ moved[m[:, None], rows]
+        moved[own, row, place[:, None]] += across
+        moved[own, row, of_speed[:, None]] += aside * across
+        if motion.is_carried(group):
+            carried = np.moveaxis(motion.medium_slope(group, points), 3, 0)[at, body]
+            moved[m[:, None], place, flow.n_state :] += (h - aside) * (across @ carried)
 
 
 def _jumped(flow, total, index, changes, is_held, points):

@@ -75,13 +75,18 @@ class Points:
 class _Program:
     """All terms of one kind of a law, lowered.
 
+    Parameters
+    ----------
+    part : Constraint, optional
+        The one of a lone body, to be put into the formulas.
+
     Attributes
     ----------
     is_held : bool
         Whether its accelerations are those that the one constraint of a lone body leaves.
     """
 
-    def __init__(self, law, kind, chains):
+    def __init__(self, law, kind, chains, part=None):
         self.kind = kind
         self.graph = g = Graph()
         self.terms = [term for term in law.terms if term.kind == kind]
@@ -91,8 +96,7 @@ class _Program:
         # Drag that fades with the speed brings nothing to rest.
         forces = (force for term in self.terms for force in summands(term.formula))
         may_stop = any("v_i" in f.inputs and not fades_at_rest(f) for f in forces)
-        part = lone_constraint(law, chains)
-        held = Held(g, part, chains, may_stop) if part and kind == "field" else None
+        held = Held(g, part, chains, may_stop) if part else None
         self.series = chains.series.names
         late = late_inputs(law)
         self.moving = (*MOVING, *self.series, *(name + RATE for name in late))
@@ -213,12 +217,16 @@ class Motion:
         self.others = np.array(
             [[j for j in range(n_all) if j != i] for i in range(n_own)], dtype=int
         ).reshape(n_own, n_all - 1)
-        is_framed = bool(_instruments(law)) or lone_constraint(law, chains) is not None
-        kinds = dict.fromkeys([t.kind for t in law.terms] + ["field"] * is_framed)
-        self.programs = [
-            _Program(law, kind, chains) for kind in kinds if kind == "field" or n_all > 1
-        ]
-        self.is_folded = any(program.is_held for program in self.programs)
+        part = lone_constraint(law, chains)
+        if part is not None:
+            self.programs = [_Program(law, "field", chains, part)]
+        self.is_folded = part is not None and self.programs[0].is_held
+        if not self.is_folded:  # lowered as if there were none: that stands beside the formulas
+            kinds = [t.kind for t in law.terms] + ["field"] * bool(_instruments(law))
+            self.programs = [
+                _Program(law, kind, chains)
+                for kind in dict.fromkeys(kinds) if kind == "field" or n_all > 1
+            ]
         self._settle()
         self._find_stops()
         self.has_modes = any(program.modes for program in self.programs)
