@@ -12,6 +12,7 @@ import numpy as np
 
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK, Evaluation
 
 MOST_TURNS, TURNS = 40, 12
@@ -20,7 +21,6 @@ LEAST_ROWS = 60
 """Rows of a stretch."""
 BEYOND, SHARE = 3.0, 0.05
 """Standard deviations, and part of the widest, by which a track goes to either side in a turn."""
-LISTED = 3
 
 
 def in_stretches(dataset):
@@ -52,10 +52,9 @@ def in_stretches(dataset):
             told.append(f"{turns} turns of {scene.name!r} in {count}")
     if not told:
         return dataset
-    more = f" and {len(told) - LISTED} scenes more" if len(told) > LISTED else ""
     note = (
         f"{CHECK}so many turns are followed in stretches, each from a state of its own "
-        f"({', '.join(told[:LISTED])}{more}): their phase from one stretch to the next is not used"
+        f"({listed(told)}): their phase from one stretch to the next is not used"
     )
 
     def named(scenes):

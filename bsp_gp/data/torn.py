@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.extent import is_of_the_sky
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.units import Unit
 
@@ -23,7 +24,6 @@ SMOOTH, LEAST_LEAP = 5.0, 0.25
 """Longest steps that the way of a motion is at least, and part of that way that a leap is."""
 ONWARD = 0.5
 """Part of a leap that a body which was hit would go on by from row to row."""
-LISTED = 3
 
 
 def without_torn_ends(dataset):
@@ -57,10 +57,9 @@ def without_torn_ends(dataset):
         scenes.append(scene)
     if not told:
         return dataset
-    more = f" and of {len(told) - LISTED} more" if len(told) > LISTED else ""
     note = (
         f"{CHECK}a track leaps by far more than any step of the motion, and does not go on from "
-        f"there: the rows beyond are left out ({', '.join(told[:LISTED])}{more}); if they are the "
+        f"there: the rows beyond are left out ({listed(told)}); if they are the "
         "motion, give them as a recording of their own"
     )
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))

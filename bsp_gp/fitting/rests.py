@@ -12,6 +12,7 @@ from scipy import stats
 
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.channels import unexplained
@@ -34,7 +35,6 @@ ABRUPT = 0.5
 settles where forces balance slows down, and is motion."""
 EFFORT = 2000
 """Steps after which a law that is fitted to the motion is taken for none that could tell."""
-LISTED = 3
 
 
 def without_rests(dataset, law):
@@ -69,11 +69,9 @@ def without_rests(dataset, law):
         if head or tail:
             told.append(f"{head} before and {tail} after in {scene.name!r}")
         scenes.append(scene.rows(head, len(scene.times) - tail) if head or tail else scene)
-    more = f" and {len(told) - LISTED} scenes more" if len(told) > LISTED else ""
     note = (
         f"{CHECK}the body stands still where the law would move it, before the motion or after: it "
-        f"is held or lies on something, and these rows are left out ({', '.join(told[:LISTED])}"
-        f"{more})"
+        f"is held or lies on something, and these rows are left out ({listed(told)})"
     )
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
 

@@ -7,6 +7,7 @@ from html import escape
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bsp_gp.data.notes import listed
 from bsp_gp.report.codes import KINDS, TONES
 from bsp_gp.report.explore import exploration, script, script_digest
 from bsp_gp.report.figures import build_figures, units_of
@@ -25,7 +26,6 @@ from bsp_gp.report.numbers import (
     format_ratio,
     format_value,
     is_number,
-    listed,
     pretty_unit,
     rounded,
     with_unit,

@@ -49,12 +49,6 @@ def with_unit(text, unit):
     return f"{text} {unit}" if unit and text != NOT_KNOWN else text
 
 
-def listed(names, most):
-    """The first of some names, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(map(str, names[:most])) + more
-
-
 def power_of_ten(exponent):
     """``" × 10⁶"``; nothing for a power of zero."""
     return f" × 10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""

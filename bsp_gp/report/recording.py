@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.notes import listed
 from bsp_gp.errors import DataError
 from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
 from bsp_gp.report.drawing import new_figure, panels_of, tidy
-from bsp_gp.report.numbers import format_number, listed, with_unit
+from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
 
 MAX_PANELS = 6
