@@ -70,19 +70,40 @@ def _ends(scene, k, levels, axes):
 
 def is_broken(scene, name, at):
     """Whether a body jumps or turns off at a row where its track is said to be lost, or found."""
+    return bool(are_broken(scene, name, np.array([at]))[0])
+
+
+def are_broken(scene, name, at):
+    """The same of many rows.
+
+    Parameters
+    ----------
+    at : ndarray of int, shape (R,)
+
+    Returns
+    -------
+    ndarray of bool, shape (R,)
+    """
     places = scene.positions[:, scene.names.index(name)]
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
-    rows = np.concatenate([seen[seen < at][-BESIDE:], seen[seen >= at][:BESIDE]])
-    if len(rows) < 2 * BESIDE:
-        return True
-    t = scene.times[rows] - scene.times[rows].mean()
-    t, is_behind = t / np.abs(t).max(), rows >= at
-    smooth = np.stack([np.ones_like(t), t, t * t], axis=1)
-    broken = np.column_stack([smooth, is_behind, is_behind * t])
+    place = np.searchsorted(seen, at)
+    near = (place >= BESIDE) & (place + BESIDE <= len(seen))
+    broken = ~near  # too near an end for rows to tell
+    if not near.any():
+        return broken
+    rows = seen[place[near][:, None] + np.arange(-BESIDE, BESIDE)]
+    t = scene.times[rows]
+    t = t - t.mean(axis=1, keepdims=True)
+    t /= np.abs(t).max(axis=1, keepdims=True)
+    is_behind = np.broadcast_to(np.arange(-BESIDE, BESIDE) >= 0, t.shape)
+    basis = np.stack([np.ones_like(t), t, t * t, is_behind, is_behind * t], axis=-1)
 
     def left(basis):
-        rest = places[rows] - basis @ np.linalg.lstsq(basis, places[rows], rcond=None)[0]
-        return float(np.square(rest).sum())
+        along = np.linalg.qr(basis)[0]
+        here = places[rows]
+        rest = here - along @ (along.transpose(0, 2, 1) @ here)
+        return np.square(rest).sum(axis=(1, 2))
 
-    least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1])
-    return left(smooth) - left(broken) > least * scatter(places) ** 2
+    least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1]) * scatter(places) ** 2
+    broken[near] = left(basis[..., :3]) - left(basis) > least
+    return broken

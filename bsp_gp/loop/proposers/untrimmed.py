@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from bsp_gp.fitting.rests import in_levels, still_rows
-from bsp_gp.loop.proposers.stuck import is_broken
+from bsp_gp.loop.proposers.stuck import are_broken
 
 LEAST_STILL = 3
 """Rows that stand still before a body is let go, at least."""
@@ -65,8 +65,10 @@ def _tails(scene, name):
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     bend = np.square(np.diff(places[seen], 2, axis=0)).sum(axis=1)
     near = np.argsort(-bend)[:MOST_LOOKED_AT]
-    rows = np.unique(np.concatenate([seen[near + k] for k in range(3)])) if len(near) else []
-    broken = [int(row) for row in rows if is_broken(scene, name, row)]
+    if not len(near):
+        return [len(scene.times)]
+    rows = np.unique(np.concatenate([seen[near + k] for k in range(3)]))
+    broken = rows[are_broken(scene, name, rows)].tolist()
     strength = {row: bend[max(np.searchsorted(seen, row) - 2, 0) :][:2].max() for row in broken}
     broken.sort(key=lambda row: -strength[row])
     return [len(scene.times), *broken[:MOST_BREAKS]]
