@@ -747,6 +747,8 @@ class _Turn:
             self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
+        if self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best):
+            status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.
         held_out = HeldOut() if proposal.is_last else held_out_gain(self.base, best)
         return self._add(
@@ -816,6 +818,22 @@ def _fit_of(shared, job):
     except FAULTS:
         return None
     return new, best, evidence
+
+
+def _is_less(base, found):
+    """Whether a wider hypothesis explains the same rows worse than the one that it extends.
+
+    Its maximum cannot lie lower: it has come to another minimum, in which what was declared counts
+    for little. Such a one may be likelier because it says less of its numbers; it tells nothing of
+    what is missing beside the declared law.
+    """
+    def numbers(fit):
+        noise = {p.name for p in fit.noise.parameters if p.is_free}
+        return {name for name, _ in fit.parameters} | noise
+
+    if found.n_rows != base.n_rows or not numbers(base) <= numbers(found):
+        return False
+    return found.log_likelihood < base.log_likelihood - SAME_MINIMUM
 
 
 def _is_hopeless(proposal, broken):

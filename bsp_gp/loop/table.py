@@ -40,8 +40,9 @@ class Row:
     source : str
         Proposer.
     status : str
-        Of its fit; "idle" where a part that it adds does nothing in it; "scored", or "linearised"
-        of what nobody lists, beside a row that was fitted.
+        Of its fit; "idle" where a part that it adds does nothing in it, "less" where it explains
+        less than what it extends; "scored", or "linearised" of what nobody lists, beside a row
+        that was fitted.
     log_evidence, log_prior : float, nats
     log_likelihood : float, nats
         Of the tracks, at the best constants and noise.

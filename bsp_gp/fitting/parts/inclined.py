@@ -8,7 +8,7 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS
 
-STEEPEST = 1.5
+STEEPEST = 1.56
 """Inclination up to which a plane is no line, rad."""
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 
 from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
-from bsp_gp.fitting.ellipses import ellipse_of
-from bsp_gp.fitting.parts.inclined import STEEPEST, Inclined
+from bsp_gp.fitting.parts.inclined import Inclined
 from bsp_gp.loop.proposal import PATIENT, Family
 from bsp_gp.loop.proposers.hidden import N_NEAR, Sources, Stage, attraction, still
-from bsp_gp.loop.proposers.inclined import is_open, planes_of
+from bsp_gp.loop.proposers.inclined import is_open, lone_orbit, planes_of
 
 INCLINATIONS = np.radians([25.0, 40.0, 52.0, 62.0, 70.0, 77.0])
 N_NODES = 12
@@ -45,21 +44,9 @@ class Aslant(Sources):
 
 
 def _of_ellipse(view, stage, terms):
-    """The source in the focus of the ellipse nearest to the places of a lone star, if there is one.
-
-    Moments along straight tracks tell little of an orbit that turns round more than once.
-    """
-    scene, *others = view.dataset.scenes
-    if others or len(scene.dynamic) != 1:
-        return []
-    places = scene.positions[:, scene.dynamic[0]]
-    errors = np.broadcast_to(np.array(view.fit.noise.levels), places.shape)
-    if scene.sigma is not None:
-        quoted = scene.sigma[:, scene.dynamic[0]]
-        errors = np.where(np.isfinite(quoted) & (quoted > 0), quoted, errors)
-    seen = np.isfinite(places).all(axis=1) & np.isfinite(errors).all(axis=1)
-    found = ellipse_of(scene.times[seen], places[seen], errors[seen])
-    if found is None or not 0 < found.inclination < STEEPEST:
+    """The source in the focus of the ellipse nearest to the places of a lone star, if there is one."""
+    found = lone_orbit(view)
+    if found is None:
         return []
     plane = Inclined((found.inclination, found.node))
     strength = found.strength / (GRAVITATIONAL_CONSTANT if view.is_astronomical else 1.0)

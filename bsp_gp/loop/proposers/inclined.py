@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.fitting.parts.inclined import Inclined, stretched
+from bsp_gp.fitting.ellipses import ellipse_of
+from bsp_gp.fitting.parts.inclined import STEEPEST, Inclined, stretched
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.physics.force import ForceLaw
 
@@ -43,18 +44,42 @@ class Inclinations:
             max(_gains(draw, total, moments, size).max(), 0.0)
             for draw, size in zip(view.moment_draws.T, free, strict=True)
         ])  # fmt: skip
-        proposals = [
-            Proposal(
-                "inclined", planes[k].describe(), view.hypothesis + planes[k], 0.0,
-                float(gains[k]), 2, kind="measurement", is_afresh=True,
-                is_first=True, patience=PATIENT,
-            )
-            for k in _apart(planes, gains)
-        ]  # fmt: skip
+        proposals = [_proposal(view, planes[k], float(gains[k])) for k in _apart(planes, gains)]
+        if (orbit := lone_orbit(view)) is not None:
+            gain = float(view.left @ view.left) - orbit.chisqr
+            plane = Inclined((orbit.inclination, orbit.node))
+            if gain > max((p.gain for p in proposals), default=0.0):
+                proposals.insert(0, _proposal(view, plane, gain, path=orbit))
         best = float(max(gains.max(), 0.0))
         return Family(
             self.name, tuple(proposals), best, 2, null, n_tried=len(planes), is_continuum=True
         )
+
+
+def _proposal(view, plane, gain, **more):
+    return Proposal(
+        "inclined", plane.describe(), view.hypothesis + plane, 0.0, gain, 2, kind="measurement",
+        is_afresh=True, is_first=True, patience=PATIENT, **more,
+    )  # fmt: skip
+
+
+def lone_orbit(view):
+    """The ellipse nearest to the places of a lone body of one recording; None if there is none.
+
+    Moments along tracks that are far off tell little of an orbit that turns round, or is seen
+    nearly edge on.
+    """
+    scene, *others = view.dataset.scenes
+    if others or len(scene.dynamic) != 1:
+        return None
+    places = scene.positions[:, scene.dynamic[0]]
+    errors = np.broadcast_to(np.array(view.fit.noise.levels), places.shape)
+    if scene.sigma is not None:
+        quoted = scene.sigma[:, scene.dynamic[0]]
+        errors = np.where(np.isfinite(quoted) & (quoted > 0), quoted, errors)
+    seen = np.isfinite(places).all(axis=1) & np.isfinite(errors).all(axis=1)
+    found = ellipse_of(scene.times[seen], places[seen], errors[seen])
+    return found if found is not None and 0 < found.inclination < STEEPEST else None
 
 
 def is_open(view):
