@@ -47,6 +47,8 @@ FEW = Settings(absolute=1e-2, max_linearised=12, last_steps=0)
 PATIENT = Settings(absolute=1e-2, max_linearised=30, last_steps=0)
 """The same across gaps."""
 WHOLE = Settings(absolute=1e-6, max_linearised=60, last_steps=4)
+VALLEY = 300
+"""The same where noise lets it be no nearer to the data: few of them leave a curved valley."""
 COARSE = 4
 """Rows of a piece that shows the acceleration, up to which the rows may be coarse."""
 TURN = 0.5
@@ -514,6 +516,10 @@ class Climb:
                 problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
             )
             count += found.n_linearised
+            is_near = found.linearised is not None and not self.run.has_misfit(found)
+            if is_whole and found.code == "limit" and is_near and settings.max_linearised < VALLEY:
+                settings, point = replace(settings, max_linearised=VALLEY), found.point
+                continue
             is_lost = found.linearised is None or found.code in ("stopped", "limit")
             is_lost = is_lost or found.kept_chisqr > RISING * before
             before = found.kept_chisqr

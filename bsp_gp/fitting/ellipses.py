@@ -60,9 +60,9 @@ class Ellipse:
 
     @property
     def node(self):
-        """Angle of the line of nodes from x to y, rad."""
+        """Angle of the line of nodes from x to y, rad, from 0 to pi: it has no end of its own."""
         along = np.linalg.svd(self.picture)[0][:, 0]
-        return math.atan2(along[1], along[0])
+        return math.atan2(along[1], along[0]) % math.pi
 
     @property
     def strength(self):

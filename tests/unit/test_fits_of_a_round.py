@@ -1,5 +1,6 @@
 """Which proposals of a round are fitted, and how many."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -44,6 +45,19 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
     monkeypatch.setattr(turn, "_tell_near", lambda *_: None)
     turn.fit_best()
     assert len(fitted) == 4
+
+
+def test_what_explains_less_than_the_law_that_it_extends_is_no_candidate():
+    """It may be likelier, saying less of its numbers: it is another minimum, and no cause more."""
+    data = throws(n_scenes=3, n_times=12)
+    hypothesis = Hypothesis.from_laws(data, ())
+    base = fit(hypothesis, data)
+    turn = _Turn(SimpleNamespace(criteria=Criteria(), proposers=()), base, hypothesis)
+    wider = Proposal("law", "c * v_i", hypothesis, -3.0, 16.0)
+    for times, status in ((1.5, "less"), (0.5, base.status)):  # of what is negative
+        found = replace(base, log_likelihood=times * base.log_likelihood)
+        row = turn._fitted("laws", wider, (found, found, 0.0))
+        assert row.status == status and row.is_fit == (times < 1)
 
 
 @pytest.mark.parametrize("left_out, leaves_nothing, verdict", [

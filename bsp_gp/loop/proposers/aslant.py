@@ -44,7 +44,7 @@ class Aslant(Sources):
 
 
 def _of_ellipse(view, stage, terms):
-    """The source in the focus of the ellipse nearest to the places of a lone star, if there is one."""
+    """The source in the focus of the ellipse nearest to a lone star, if there is one."""
     found = lone_orbit(view)
     if found is None:
         return []
