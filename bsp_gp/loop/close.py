@@ -187,8 +187,9 @@ def close_loop(
         foreseen,
     )  # fmt: skip
     rounds = look(
-        ready, round_rng, begun, on_round=on_round, earlier=earlier, is_refused=foresight.refuses
-    )
+        ready, round_rng, begun, on_round=on_round, earlier=earlier,
+        is_refused=foresight.refuses, instead=foresight.instead,
+    )  # fmt: skip
     is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.

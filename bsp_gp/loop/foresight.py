@@ -1,11 +1,13 @@
 """Causes that make predictions worse are refused, whatever they explain.
 
-Where something is left beside them, so are the last ones that make them no better.
+In their place comes the likeliest that makes them better, if one does. Where something is left
+beside them, the last ones that make predictions no better are refused as well.
 """
 
 import math
 from dataclasses import replace
 
+import numpy as np
 from scipy import special, stats
 
 from bsp_gp.fitting.fit import fit
@@ -25,6 +27,8 @@ changes nothing of them but rounding."""
 NO_BETTER = 0.95
 """Ratio of errors above which predictions are no better: a law beside which something is left is
 worth what it foresees."""
+MOST_INSTEAD = 6
+"""Causes that are asked in the place of one that is refused."""
 BEYOND = 1.5
 """Times the error that noise makes, above which it is asked whether a law holds there."""
 FORESEEING = ("force", "constraint", "wall", "hidden_body")
@@ -61,23 +65,69 @@ class Foresight:
         """Whether it makes them better, or explains what no law foresees."""
         return self._of(done)[1]
 
-    def _of(self, done):
-        if done.number not in self._known:
-            self._known[done.number] = self._asked(done)
-        return self._known[done.number]
+    def instead(self, done, criteria):
+        """The round with another cause, where predictions refuse the one that it adopts.
 
-    def _asked(self, done):
+        It adopts the likeliest of those that predictions surely are better with, as a law that
+        describes the tracks: one that does so better is refused by what was held out alone. The
+        round as it is where there is none.
+
+        Parameters
+        ----------
+        done : Round
+        criteria : Criteria
+        """
+        if not done.decision.is_adopted or not self.refuses(done):
+            return done
+        base, refused = done.table.base, done.decision.best
+        others = [
+            row for row in done.table.candidates
+            if row.id != refused.id and foresees(row) and row.id in done.fits
+            and row.log_posterior - base.log_posterior > criteria.noise_nats
+        ]  # fmt: skip
+        for row in others[:MOST_INSTEAD]:
+            rivals = (refused, *(r for r in done.decision.rivals if r.id != row.id))
+            decision = replace(
+                done.decision, verdict="effective law", reason="likelier_refused", best=row,
+                rivals=rivals, is_fact=False,
+            )  # fmt: skip
+            other = replace(done, decision=decision)
+            if self._is_surely_better(other):
+                return other
+        return done
+
+    def _is_surely_better(self, done):
+        """Whether predictions surely get better with the cause that a round adopts."""
+        if self.refuses(done) or not self.helps(done):
+            return False
+        return self._accounts(done)(N_COPIES).ratio(0, 1).high < 1.0
+
+    def _of(self, done):
+        asked = done.number, done.decision.best.id
+        if asked not in self._known:
+            self._known[asked] = self._asked(done)
+        return self._known[asked]
+
+    def _accounts(self, done):
+        """``accounts(n_copies)`` of the fits before and after a round."""
         pair = [
             self._refitted(done.entering, done.hypotheses[0]),
             self._refitted(done.after, done.continuing),
         ]
-        stream = self._streams[done.number - 1]
+        seeds = self._streams[done.number - 1].bit_generator.seed_seq
+        key = (*seeds.spawn_key, done.decision.best.id)
 
         def accounts(n_copies):
+            # Whatever was asked before, and in whatever order.
+            stream = np.random.default_rng(np.random.SeedSequence(seeds.entropy, spawn_key=key))
             return Accounts(
                 pair, self._dataset, self._scenes, stream, n_copies, self._crew, self._kept
             )
 
+        return accounts
+
+    def _asked(self, done):
+        accounts = self._accounts(done)
         plain = accounts(0)
         if done.entering.is_failed:  # it foresees nothing: what it was left at has seen all rows
             return False, math.isfinite(plain.errors(1).rollout_rmse)

@@ -141,7 +141,7 @@ class Round:
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
     clock=None, on_round=None, begun=None, earlier=None, progress=None, looks=1, crew=None,
-    is_refused=None,
+    is_refused=None, instead=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -176,6 +176,8 @@ def run_rounds(
     is_refused : callable, optional
         ``is_refused(round)``: whether what a round adopts will be taken back, since it makes
         predictions worse: none is found beside it.
+    instead : callable, optional
+        ``instead(round, criteria)``: the round with another cause in the place of such a one.
 
     Returns
     -------
@@ -198,6 +200,8 @@ def run_rounds(
         if rounds and is_refused is not None and is_refused(rounds[-1]):
             break
         done = run.round(number, hypothesis, found, stream)
+        if instead is not None and done.goes_on:
+            done = instead(done, run.criteria)
         rounds.append(done)
         if on_round is not None:
             on_round(done)

@@ -33,7 +33,10 @@ HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
-DESCRIBES = {*UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods"}
+DESCRIBES = {
+    *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
+    "likelier_refused",
+}  # fmt: skip
 """Why a law only describes the tracks."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""

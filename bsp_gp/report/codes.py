@@ -79,6 +79,9 @@ REASONS = {
     "lacks otherwise looks like that",
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "
     "does not follow it within the noise",
+    "likelier_refused": "what is likelier on the tracks in which laws are looked for makes "
+    "predictions of what was held out worse; of the others it is the likeliest that makes them "
+    "better",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
 }
 STOPS = {
