@@ -26,29 +26,21 @@ BEYOND, SHARE = 3.0, 0.05
 def in_stretches(dataset):
     """The data set with recordings of very many turns cut into stretches, and a note of it.
 
-    Nothing is done where rows are counted (`Evaluation`), where places are sums, in the sky, where
-    small forces add up over many turns, or where properties are unknown.
-
     Returns
     -------
     Dataset
         The same one where no recording was cut.
     """
-    is_plain = dataset.evaluation == Evaluation() and not dataset.is_summed
-    if not is_plain or dataset.latents or is_of_the_sky(dataset):
+    if not may_be_cut(dataset):
         return dataset
     sigma = np.array(estimate_noise(dataset).sigma)
-    parts, told = {}, []
+    edges, told = {}, []
     for scene in dataset.scenes:
         turns = _turns(scene, sigma)
         count = min(round(turns / TURNS), len(scene.times) // LEAST_ROWS)
-        parts[scene.name] = (scene,)
         if turns > MOST_TURNS and count > 1:
-            edges = np.linspace(0, len(scene.times), count + 1).round().astype(int)
-            parts[scene.name] = tuple(
-                replace(scene.rows(a, b), name=f"{scene.name}/{k}", part_of=scene.name)
-                for k, (a, b) in enumerate(pairwise(edges.tolist()), 1)
-            )
+            ends = np.linspace(0, len(scene.times), count + 1).round().astype(int)
+            edges[scene.name] = ends[1:-1].tolist()
             told.append(f"{turns} turns of {scene.name!r} in {count}")
     if not told:
         return dataset
@@ -56,6 +48,37 @@ def in_stretches(dataset):
         f"{CHECK}so many turns are followed in stretches, each from a state of its own "
         f"({listed(told)}): their phase from one stretch to the next is not used"
     )
+
+    return cut_at(dataset, edges, note)
+
+
+def may_be_cut(dataset):
+    """Whether recordings may be followed in parts.
+
+    Not where rows are counted (`Evaluation`), where places are sums, in the sky, where small forces
+    add up over many turns, or where properties are unknown.
+    """
+    is_plain = dataset.evaluation == Evaluation() and not dataset.is_summed
+    return is_plain and not dataset.latents and not is_of_the_sky(dataset)
+
+
+def cut_at(dataset, edges, note):
+    """The data set with scenes in parts, each from a state of its own.
+
+    Parameters
+    ----------
+    edges : dict of str to list of int
+        First rows of the parts of a scene, without that of the first part.
+    note : str
+        That says so.
+    """
+    parts = {
+        scene.name: tuple(
+            replace(scene.rows(a, b), name=f"{scene.name}/{k}", part_of=scene.name)
+            for k, (a, b) in enumerate(pairwise([0, *rows, len(scene.times)]), 1)
+        ) if (rows := edges.get(scene.name)) else (scene,)
+        for scene in dataset.scenes
+    }  # fmt: skip
 
     def named(scenes):
         return tuple(part.name for name in scenes for part in parts[name])

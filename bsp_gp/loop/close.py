@@ -46,6 +46,7 @@ from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
+from bsp_gp.loop.kinked import in_parts, lacks
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
@@ -142,9 +143,9 @@ def close_loop(
     _check(dataset, criteria, numbers, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng = (
-        generator(rng).spawn(6)
-    )
+    (
+        split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
+    ) = generator(rng).spawn(7)  # fmt: skip
     says("reading the data set")
     known = {"t", *dataset.logged}
     dataset = without_torn_ends(asked_of(dataset, _words(declared), exclude))
@@ -174,6 +175,8 @@ def close_loop(
 
     says("fitting the declared model")
     begun = ready.begin(starts, bounds, clock)
+    if not all_rows:
+        ready, begun = _in_parts(ready, begun, declared, parts_rng, (starts, bounds, clock))
     if earlier is not None:
         earlier = rounds_from(
             earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
@@ -238,6 +241,19 @@ def _words(declared):
     if isinstance(laws, ForceLaw):
         laws = [to_text(term.formula) for term in laws.terms]
     return set(re.findall(r"\w+", " ".join(laws)))
+
+
+def _in_parts(ready, begun, declared, rng, how):
+    """The data set and its first fit, recordings cut where velocities jump, if that shows more.
+
+    Not where it leaves nothing: then kicks are all that is missing, and are found as such.
+    """
+    dataset = in_parts(ready.dataset, begun, ready.noise.sigma)
+    if dataset is None:
+        return ready, begun
+    other = _Ready(dataset, declared, rng)
+    found = other.begin(*how)
+    return (other, found) if lacks(found, other.noise.sigma) else (ready, begun)
 
 
 class _Ready:

@@ -59,10 +59,10 @@ class Walls:
             return Family(self.name)
         found = _jumps_of(view)
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
-        groups = _walls([jump for own in found.values() for jump in own], view.dataset)
+        groups = walls_at([jump for own in found.values() for jump in own], view.dataset)
         if groups:  # where a wall stands other bounces show that are not as clear
             found = _jumps_of(view, _levels(groups))
-            groups = _walls([jump for own in found.values() for jump in own], view.dataset)
+            groups = walls_at([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
         most = _unexplained(view)
         if not groups or most <= 0:
@@ -81,7 +81,7 @@ def _jumps_of(view, levels=None):
     found = _jumps_in(scenes, tuple(sorted((levels or {}).items())))
     tracks = [(scene, k) for scene in scenes for k in scene.dynamic]
     return {
-        (scene.name, k): [jump for jump in own if not _is_foreseen(jump, scene, k, view.fit)]
+        (scene.name, k): [jump for jump in own if not is_foreseen(jump.time, scene, k, view.fit)]
         for (scene, k), own in zip(tracks, found, strict=True)
     }
 
@@ -95,8 +95,17 @@ def _jumps_in(scenes, levels):
     ]  # fmt: skip
 
 
-def _is_foreseen(jump, scene, k, fit):
-    """Whether a body turns back there under the law as well, without a wall: at a spring's end."""
+def is_foreseen(time, scene, k, fit):
+    """Whether a body turns back there under the law as well, without a wall: at a spring's end.
+
+    Parameters
+    ----------
+    time : float, s
+    scene : Scene
+    k : int
+        Number of the body in it.
+    fit : Fit
+    """
     channels = fit.channels
     if scene.name not in channels.scene_names or scene.names[k] not in channels.body_names:
         return False
@@ -106,7 +115,7 @@ def _is_foreseen(jump, scene, k, fit):
     left = np.where(np.isnan(left).all(axis=0), 0.0, left)  # axes along which nothing moves
     seen = np.isfinite(places).all(axis=1) & np.isfinite(left).all(axis=1)
     times, places, left = scene.times[seen], places[seen], left[seen]
-    at, rows = int(np.searchsorted(times, jump.time)), SIDE_ROWS[0]
+    at, rows = int(np.searchsorted(times, time)), SIDE_ROWS[0]
     if at < rows or at > len(times) - rows:
         return False
     before, after = slice(at - rows, at), slice(at, at + rows)
@@ -119,8 +128,13 @@ def _is_foreseen(jump, scene, k, fit):
     return bool(found @ foreseen > FORESEEN * (found @ found))
 
 
-def _walls(found, dataset):
-    """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
+def walls_at(found, dataset):
+    """Jumps at every wall, by axis and side: bodies turn back where they come farthest.
+
+    Parameters
+    ----------
+    found : list of Jump
+    """
     extent, places, groups = extent_of(dataset)[1], places_of(dataset), {}
     swept = np.nanmax(places, axis=0) - np.nanmin(places, axis=0)
     for jump in found:
