@@ -53,11 +53,9 @@ def in_parts(dataset, found, levels):
         if len(own) > 1 or max(map(len, own.values())) > MOST:
             return None
         ((k, some),) = own.items()
-        if walls_at(jumps(scene.times, scene.positions[:, k]), dataset):
-            return None
         edges[scene.name] = np.searchsorted(scene.times, [kink.time for kink in some]).tolist()
         told += [_told(scene, k, kink, dataset.units) for kink in some]
-    if not told:
+    if not told or walls_at(_jumps(dataset), dataset):
         return None
     note = (
         f"{CHECK}whatever moves it, a velocity jumps: {listed(told)}; something hits the body "
@@ -80,6 +78,14 @@ def _unforeseen(scene, k, found):
     return [
         kink for kink in kinks(scene.times, scene.positions[:, k])
         if found.is_failed or not is_foreseen(kink.time, scene, k, found)
+    ]  # fmt: skip
+
+
+def _jumps(dataset):
+    """Jumps of all tracks."""
+    return [
+        jump for scene in dataset.scenes for k in scene.dynamic
+        for jump in jumps(scene.times, scene.positions[:, k])
     ]  # fmt: skip
 
 

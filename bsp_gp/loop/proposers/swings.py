@@ -7,6 +7,8 @@ a period explains nearly all. Whole tracks do not mind, so that it is fitted wha
 
 from dataclasses import replace
 
+import math
+
 import numpy as np
 
 from bsp_gp.fitting.channels import join
@@ -83,8 +85,10 @@ def _mass(scenes):
 
 def _decay(found):
     """The rate at which velocities die away, 1/s, by the sizes of two halves of tracks."""
-    tracks = join(chains.observed for chains in found.groups)
-    half = len(tracks) // 2
-    sizes = [np.nanstd(part, axis=0) for part in (tracks[:half], tracks[half:])]
-    early, late = (float(np.sqrt(np.nansum(np.square(size)))) for size in sizes)
-    return 4.0 * np.log(early / late) / longest(found) if early > late > 0 else 0.0
+    early = late = 0.0
+    for track in join(chains.observed for chains in found.groups).T:
+        seen = track[np.isfinite(track)]
+        half = len(seen) // 2
+        if half:  # some are shorter than others
+            early, late = early + np.var(seen[:half]), late + np.var(seen[half:])
+    return 2.0 * math.log(early / late) / longest(found) if early > late > 0 else 0.0
