@@ -5,9 +5,8 @@ force: a rest point that creeps by a hundredth of the swing takes most of it awa
 a period explains nearly all. Whole tracks do not mind, so that it is fitted whatever it promises.
 """
 
-from dataclasses import replace
-
 import math
+from dataclasses import replace
 
 import numpy as np
 
