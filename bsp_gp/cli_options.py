@@ -39,6 +39,8 @@ class _Parser(argparse.ArgumentParser):
                 "(--model FILE holds several); where nothing is known, --declare nothing, or "
                 "bsp-gp fit DATA, which looks for a law from no force at all"
             )
+        if message.startswith("unrecognized") and any(mark in message for mark in "*^("):
+            message += '; each law takes a --declare of its own: --declare "LAW" --declare "LAW"'
         if "--object" in message and "required" in message:
             message += ", such as --object ball=disc:red or --object ball=disc:#2060b0"
         raise SettingsError(f"{message}; see {self.prog} --help")

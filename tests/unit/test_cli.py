@@ -490,3 +490,10 @@ def test_interrupt_is_130(data, tmp_path, monkeypatch, capsys):
     assert main(words) == 130
     assert capsys.readouterr().err == f"bsp-gp: interrupted; the result is in {out}\n"
     assert (out / "report.html").is_file()
+
+
+def test_laws_behind_one_declare_are_told_to_take_one_each(capsys):
+    assert main(["close", "x.csv", "--declare", "-k * x_i * e_x", "-c * v_i"]) == 2
+    assert "each law takes a --declare of its own" in capsys.readouterr().err
+    assert main(["close", "x.csv", "--declare", "nothing", "--foo"]) == 2
+    assert "each law" not in capsys.readouterr().err
