@@ -21,6 +21,7 @@ from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import about_lost, followed
+from bsp_gp.fitting.hands import without_hands
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
 from bsp_gp.fitting.law_fit import (
     about_noise,
@@ -244,10 +245,16 @@ def _words(declared):
 
 
 def _in_parts(ready, begun, declared, rng, how):
-    """The data set and its first fit, recordings cut where velocities jump, if that shows more.
+    """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
 
-    Not where it leaves nothing: then kicks are all that is missing, and are found as such.
+    Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
+    and are found as such.
     """
+    if lacks(begun, ready.noise.sigma):
+        dataset = without_hands(ready.dataset, ready.law)
+        if dataset is not None:
+            ready = _Ready(dataset, declared, rng)
+            begun = ready.begin(*how)
     dataset = in_parts(ready.dataset, begun, ready.noise.sigma)
     if dataset is None:
         return ready, begun

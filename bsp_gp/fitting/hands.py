@@ -1,0 +1,219 @@
+"""Recordings that begin in somebody's hand, or end in it.
+
+A hand that throws a body, or catches it, moves it by forces as large as those of the law, which
+change from row to row and end at once. A force of some form near the place where that happened, or
+a kick, would explain it; but what acts there is no law. A thrust that is constant until it ends is
+left to the search.
+
+Pieces of a few rows, each from a state of its own, tell what acceleration the law lacks there.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.data.extent import is_of_the_sky
+from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.notes import listed
+from bsp_gp.data.scene import CHECK, Evaluation
+from bsp_gp.errors import EvaluationError, FitError
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.held_out import states_alone
+from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
+from bsp_gp.fitting.noise_model import NoiseModel
+
+PIECES = (7, 9, 11, 15, 21, 31)
+"""Rows of a piece; the fewest that show accelerations well enough."""
+LEAST_ROWS = 5
+"""Pieces, one behind the other, that a recording has at least."""
+CLEAR, SHARE = 8.0, 0.5
+"""Errors of the acceleration that a hand gives, and its part of what bodies have all along."""
+TIMES, CALM, LEVEL = 6.0, 3.0, 1.5
+"""Times what the law lacks along the middle of a recording, by which that falls, and ratio of what
+it lacks in neighbouring pieces from which on it falls no further."""
+MOSTLY = 0.5
+"""Part of the pieces in a hand in which the law lacks as much."""
+MOST_LED = 0.5
+"""Part of a recording that may be in a hand at one end."""
+VARIES, CHANCE = 0.08, 1e-6
+"""Spread of the acceleration that a hand gives, in its mean, and the chance of it."""
+FEW = 3
+"""Pieces in a hand, below which it is not asked whether it changes."""
+REST = 0.5
+"""Part of the usual acceleration below which a body is held, or lies on something."""
+EFFORT = 2000
+"""Steps after which a law that is fitted to the middle is taken for none that could tell."""
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Accelerations of bodies, and those that a law lacks, of pieces about rows (K,).
+
+    Both of shape (K, a), m/s^2, with their error, and what is usual.
+    """
+
+    rows: np.ndarray
+    found: np.ndarray
+    lacks: np.ndarray
+    error: float
+    usual: float
+
+
+def without_hands(dataset, law):
+    """The data set without rows at its ends at which a hand moves bodies, with a note; or None.
+
+    Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
+    velocities are data, or in the sky.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        As it is declared; its constants are fitted to the middle halves of the scenes.
+    """
+    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
+    if not is_plain or dataset.is_summed or is_of_the_sky(dataset):
+        return None
+    levels = np.array(estimate_noise(dataset).sigma)
+    pieces = {scene.name: _pieces(scene, levels) for scene in dataset.scenes}
+    pieces = {name: found for name, found in pieces.items() if found is not None}
+    if not pieces:
+        return None
+    try:
+        series = _lacking(dataset, law, pieces, levels)
+    except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
+        return None
+    scenes, told = [], []
+    for scene in dataset.scenes:
+        found = series.get(scene.name)
+        count = len(scene.times)
+        half = 0 if found is None else pieces[scene.name][0] // 2
+        first = 0 if found is None else _led(found, found.rows, half, count)
+        last = 0 if found is None else _led(found, count - 1 - found.rows, half, count)
+        scenes.append(scene.rows(first, count - last) if first or last else scene)
+        if first or last:
+            times = scene.times[first], scene.times[count - 1 - last]
+            told.append(f"{first} rows before {times[0]:.4g} s and {last} after {times[1]:.4g} s "
+                        f"in {scene.name!r}")  # fmt: skip
+    if not told:
+        return None
+    note = (
+        f"{CHECK}something that changes all the time, and ends at once, moves the body at the "
+        f"ends: a hand that throws or catches it? These rows are left out ({listed(told)}); "
+        f"--all-rows keeps them"
+    )
+    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _pieces(scene, levels):
+    """Rows of a piece of a scene, and the accelerations that are usual; None without such."""
+    if len(scene.dynamic) != 1 or scene.first is not None:
+        return None
+    axes = np.isfinite(levels)
+    places = scene.positions[:, scene.dynamic[0]][:, axes]
+    if not np.isfinite(places).all() or scene.sigma is not None:
+        return None
+    step = float(np.median(np.diff(scene.times)))
+    for rows in PIECES:
+        if len(scene.times) < LEAST_ROWS * rows:
+            return None
+        error = _error(levels[axes], rows, step)
+        bends = np.stack([
+            _bend(scene.times[a : a + rows], places[a : a + rows])
+            for a in range(0, len(scene.times) - rows + 1, rows)
+        ])  # fmt: skip
+        usual = float(np.median(np.linalg.norm(bends, axis=1)))
+        if CLEAR * error < SHARE * usual:
+            return rows, usual
+    return None
+
+
+def _bend(times, places):
+    """Acceleration of the parabola nearest to places (T,) or (T, a)."""
+    return 2 * np.polyfit(times - times.mean(), places, 2)[0]
+
+
+def _error(levels, rows, step):
+    """Of an acceleration that a parabola through some rows tells, along all axes together."""
+    return float(np.linalg.norm(levels)) * np.sqrt(720.0 / rows**5) / step**2
+
+
+def _lacking(dataset, law, pieces, levels):
+    """What a law lacks along scenes, by name; its constants are those of their middle halves."""
+    own = [scene for scene in dataset.scenes if scene.name in pieces]
+    middle = [scene.rows(len(scene.times) // 4, 3 * len(scene.times) // 4) for scene in own]
+    middle = replace(dataset, scenes=tuple(middle), train=(), test=())
+    noise = NoiseModel.of(dataset)
+    hypothesis = Hypothesis.from_laws(middle, law)
+    law, steps = hypothesis.law, bool(hypothesis.paper_steps)
+    if hypothesis.parameters:
+        known = TrackNoise(replace(noise, sources=("declared",) * len(noise.levels)))
+        found = fit(hypothesis + known, middle, effort=EFFORT)
+        if found.is_failed:
+            return {}
+        law, steps = found.law, found.paper_steps
+    cut, centres = [], {}
+    for scene in own:
+        rows = pieces[scene.name][0]
+        firsts = range(0, len(scene.times) - rows + 1, max(rows // 4, 1))
+        centres[scene.name] = np.array(firsts) + rows // 2
+        cut += [replace(scene.rows(a, a + rows), name=f"{scene.name} {a}") for a in firsts]
+    found = states_alone(law, steps, noise, replace(dataset, scenes=tuple(cut), train=(), test=()))
+    if found.is_failed:
+        return {}
+    channels, out, axes = found.channels, {}, np.flatnonzero(np.isfinite(levels))
+    at = {name: k for k, name in enumerate(channels.scene_names)}
+    for scene in own:
+        rows, usual = pieces[scene.name]
+        step = float(np.median(np.diff(scene.times)))
+        lacks, whole = np.zeros((2, len(centres[scene.name]), len(axes)))
+        places = scene.positions[:, scene.dynamic[0]][:, axes]
+        for k, centre in enumerate(centres[scene.name]):
+            own_rows = slice(centre - rows // 2, centre - rows // 2 + rows)
+            whole[k] = _bend(scene.times[own_rows], places[own_rows])
+            mine = channels.scene == at.get(f"{scene.name} {centre - rows // 2}", -1)
+            for j, axis in enumerate(axes):
+                (column,) = np.flatnonzero(mine & (channels.axis == axis))
+                t, left = channels.times[:rows, column], found.residual[:rows, column]
+                lacks[k, j] = _bend(t, left)
+        error = _error(levels[axes], rows, step)
+        out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
+    return out
+
+
+def _led(series, rows, half, count):
+    """Rows from an end on (that from which rows are counted) that a hand moves."""
+    order = np.argsort(rows)
+    rows, lacks, whole = rows[order], series.lacks[order], series.found[order]
+    size = np.linalg.norm(lacks, axis=1)
+    inner = (rows >= count // 4) & (rows <= 3 * count // 4)
+    usual = float(np.median(size[inner]))
+    high = max(TIMES * usual, CLEAR * series.error, SHARE * series.usual)
+    bad = np.flatnonzero((size > high) & (rows < MOST_LED * count))
+    if not len(bad):
+        return 0
+    last = int(bad[-1])
+    levelled = size[:-1] <= LEVEL * size[1:] + 3 * series.error
+    after = np.flatnonzero(levelled & (np.arange(len(size) - 1) > last))
+    if not len(after) or rows[after[0]] - rows[last] > 2 * half + 2:
+        return 0
+    first = int(after[0])
+    if size[first] > np.median(size[bad]) / CALM:  # it fades: that is a force
+        return 0
+    later = (rows >= rows[first]) & (rows <= count // 2)
+    if np.mean(size[: last + 1] > high) < MOSTLY or (size[later] > high).any():
+        return 0
+    inside = rows <= rows[first] - 2 * half  # other pieces have rows on both sides
+    if inside.sum() < FEW:  # what is over so soon is no thrust
+        return int(rows[first]) - half // 2
+    at_rest = float(np.median(np.linalg.norm(whole[inside], axis=1))) < REST * series.usual
+    is_led = at_rest or _varies(lacks[inside], series.error)
+    return int(rows[first]) - half // 2 if is_led else 0
+
+
+def _varies(lacks, error):
+    """Whether accelerations change, in direction or size, as those of no constant thrust do."""
+    mean = lacks.mean(axis=0)
+    spread = np.square(lacks - mean).sum()
+    chance = stats.chi2.sf(spread / error**2 * lacks.shape[1], lacks.size)
+    return chance < CHANCE and spread > VARIES**2 * len(lacks) * (mean @ mean)
