@@ -25,8 +25,9 @@ from bsp_gp.fitting.noise_model import NoiseModel
 
 PIECES = (7, 9, 11, 15, 21, 31)
 """Rows of a piece; the fewest that show accelerations well enough."""
-LEAST_ROWS = 5
-"""Pieces, one behind the other, that a recording has at least."""
+LEAST, MOST_ROWS, MOST_PIECES = 5, 2_000, 4_000
+"""Pieces, one behind the other, that a recording has at least, its rows at most, and pieces of all
+recordings: what is longer takes long, and hardly shows a hand."""
 CLEAR, SHARE = 8.0, 0.5
 """Errors of the acceleration that a hand gives, and its part of what bodies have all along."""
 TIMES, CALM, LEVEL = 6.0, 3.0, 1.5
@@ -77,7 +78,9 @@ def without_hands(dataset, law):
     levels = np.array(estimate_noise(dataset).sigma)
     pieces = {scene.name: _pieces(scene, levels) for scene in dataset.scenes}
     pieces = {name: found for name, found in pieces.items() if found is not None}
-    if not pieces:
+    n_pieces = sum(4 * len(scene.times) // pieces[scene.name][0] for scene in dataset.scenes
+                   if scene.name in pieces)  # fmt: skip
+    if not 0 < n_pieces <= MOST_PIECES:
         return None
     try:
         series = _lacking(dataset, law, pieces, levels)
@@ -113,9 +116,11 @@ def _pieces(scene, levels):
     places = scene.positions[:, scene.dynamic[0]][:, axes]
     if not np.isfinite(places).all() or scene.sigma is not None:
         return None
+    if len(scene.times) > MOST_ROWS:
+        return None
     step = float(np.median(np.diff(scene.times)))
     for rows in PIECES:
-        if len(scene.times) < LEAST_ROWS * rows:
+        if len(scene.times) < LEAST * rows:
             return None
         error = _error(levels[axes], rows, step)
         bends = np.stack([
@@ -173,9 +178,9 @@ def _lacking(dataset, law, pieces, levels):
             whole[k] = _bend(scene.times[own_rows], places[own_rows])
             mine = channels.scene == at.get(f"{scene.name} {centre - rows // 2}", -1)
             for j, axis in enumerate(axes):
-                (column,) = np.flatnonzero(mine & (channels.axis == axis))
-                t, left = channels.times[:rows, column], found.residual[:rows, column]
-                lacks[k, j] = _bend(t, left)
+                for column in np.flatnonzero(mine & (channels.axis == axis)):
+                    t, left = channels.times[:rows, column], found.residual[:rows, column]
+                    lacks[k, j] = _bend(t, left)
         error = _error(levels[axes], rows, step)
         out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
     return out
