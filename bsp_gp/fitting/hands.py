@@ -22,12 +22,15 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import states_alone
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.units import Unit
 
 PIECES = (7, 9, 11, 15, 21, 31)
 """Rows of a piece; the fewest that show accelerations well enough."""
 LEAST, MOST_ROWS, MOST_PIECES = 5, 2_000, 4_000
 """Pieces, one behind the other, that a recording has at least, its rows at most, and pieces of all
 recordings: what is longer takes long, and hardly shows a hand."""
+OVERLAP = 4
+"""Pieces of which each row is in."""
 CLEAR, SHARE = 8.0, 0.5
 """Errors of the acceleration that a hand gives, and its part of what bodies have all along."""
 TIMES, CALM, LEVEL = 6.0, 3.0, 1.5
@@ -78,7 +81,7 @@ def without_hands(dataset, law):
     levels = np.array(estimate_noise(dataset).sigma)
     pieces = {scene.name: _pieces(scene, levels) for scene in dataset.scenes}
     pieces = {name: found for name, found in pieces.items() if found is not None}
-    n_pieces = sum(4 * len(scene.times) // pieces[scene.name][0] for scene in dataset.scenes
+    n_pieces = sum(OVERLAP * len(scene.times) // pieces[scene.name][0] for scene in dataset.scenes
                    if scene.name in pieces)  # fmt: skip
     if not 0 < n_pieces <= MOST_PIECES:
         return None
@@ -86,7 +89,7 @@ def without_hands(dataset, law):
         series = _lacking(dataset, law, pieces, levels)
     except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
         return None
-    scenes, told = [], []
+    scenes, told, second = [], [], dataset.units.text(Unit.of(s=1))
     for scene in dataset.scenes:
         found = series.get(scene.name)
         count = len(scene.times)
@@ -94,10 +97,9 @@ def without_hands(dataset, law):
         first = 0 if found is None else _led(found, found.rows, half, count)
         last = 0 if found is None else _led(found, count - 1 - found.rows, half, count)
         scenes.append(scene.rows(first, count - last) if first or last else scene)
-        if first or last:
-            times = scene.times[first], scene.times[count - 1 - last]
-            told.append(f"{first} rows before {times[0]:.4g} s and {last} after {times[1]:.4g} s "
-                        f"in {scene.name!r}")  # fmt: skip
+        ends = [f"{first} before {scene.times[first]:.4g} {second}"] if first else []
+        ends += [f"{last} after {scene.times[count - 1 - last]:.4g} {second}"] if last else []
+        told += [f"{' and '.join(ends)} in {scene.name!r}"] if ends else []
     if not told:
         return None
     note = (
@@ -160,7 +162,7 @@ def _lacking(dataset, law, pieces, levels):
     cut, centres = [], {}
     for scene in own:
         rows = pieces[scene.name][0]
-        firsts = range(0, len(scene.times) - rows + 1, max(rows // 4, 1))
+        firsts = range(0, len(scene.times) - rows + 1, max(rows // OVERLAP, 1))
         centres[scene.name] = np.array(firsts) + rows // 2
         cut += [replace(scene.rows(a, a + rows), name=f"{scene.name} {a}") for a in firsts]
     found = states_alone(law, steps, noise, replace(dataset, scenes=tuple(cut), train=(), test=()))
@@ -220,5 +222,6 @@ def _varies(lacks, error):
     """Whether accelerations change, in direction or size, as those of no constant thrust do."""
     mean = lacks.mean(axis=0)
     spread = np.square(lacks - mean).sum()
-    chance = stats.chi2.sf(spread / error**2 * lacks.shape[1], lacks.size)
+    dof = lacks.size / OVERLAP
+    chance = stats.chi2.sf(spread / error**2 * lacks.shape[1] / OVERLAP, dof)
     return chance < CHANCE and spread > VARIES**2 * len(lacks) * (mean @ mean)

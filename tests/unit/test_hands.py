@@ -55,8 +55,8 @@ def left_out(data):
     found = without_hands(data, read_law(data, WEIGHT))
     if found is None:
         return 0, 0
-    told = re.search(r"(\d+) rows before .* and (\d+) after", found.notes[-1])
-    return tuple(map(int, told.groups()))
+    ends = (re.search(rf"(\d+) {side}", found.notes[-1]) for side in ("before", "after"))
+    return tuple(int(end[1]) if end else 0 for end in ends)
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.12])
