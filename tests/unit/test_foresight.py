@@ -9,9 +9,11 @@ import pytest
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.accounts import Accounts, Ratio
+from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import Decision
 from bsp_gp.loop.foresight import Foresight, _is_surely_worse, is_refuted, that_foresee
 from bsp_gp.loop.loop import Round
+from bsp_gp.loop.table import HypothesisTable, Row
 from tests.unit.test_response import GRAVITY, thrown
 
 PUSH = "0.2 [m/s^2] * m_i * e_x"
@@ -87,6 +89,32 @@ def test_what_came_before_a_cause_that_changes_nothing_stays(world):
     first, second = looked_at(world, good, same)
     assert first.decision.is_adopted
     assert (second.decision.is_adopted, second.decision.reason) == (False, "predictions_no_better")
+
+
+@pytest.mark.parametrize("other, is_taken", [([GRAVITY], True), ([GRAVITY, PUSH, PUSH], False)])
+def test_in_the_place_of_a_refused_cause_comes_one_that_predictions_bear_out(
+    world, other, is_taken
+):
+    train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
+    done = round_of(1, train, [GRAVITY, PUSH], [GRAVITY, PUSH, PUSH])
+    third = Hypothesis.from_laws(train, other)
+    rows = [
+        Row(k, "law", f"law {k}", "laws", "converged", nats, 0.0, nats, 4)
+        for k, nats in ((0, 0.0), (1, 90.0), (2, 60.0))
+    ]
+    done = replace(
+        done, table=HypothesisTable(tuple(rows), 1e-9),
+        decision=replace(done.decision, best=rows[1], rivals=(rows[2],)),
+        fits={**done.fits, 2: fit(third, train)}, hypotheses={**done.hypotheses, 2: third},
+    )  # fmt: skip
+    told = foresight(world, test).instead(done, Criteria())
+    assert (told is not done) == is_taken
+    if is_taken:
+        assert told.decision.best is rows[2] and told.decision.rivals == (rows[1],)
+        assert (told.decision.verdict, told.decision.reason) == (
+            "effective law", "likelier_refused",
+        )  # fmt: skip
+        assert not told.decision.is_fact
 
 
 @pytest.mark.parametrize(
