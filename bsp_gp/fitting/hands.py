@@ -24,9 +24,9 @@ from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.units import Unit
 
-PIECES = (7, 9, 11, 15, 21, 31)
+PIECES = (7, 9, 11, 13, 15, 18, 21, 25, 31)
 """Rows of a piece; the fewest that show accelerations well enough."""
-LEAST, MOST_ROWS, MOST_PIECES = 5, 2_000, 4_000
+LEAST, MOST_ROWS, MOST_PIECES = 4, 2_000, 4_000
 """Pieces, one behind the other, that a recording has at least, its rows at most, and pieces of all
 recordings: what is longer takes long, and hardly shows a hand."""
 OVERLAP = 4
