@@ -13,15 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.notes import listed
-from bsp_gp.data.scene import CHECK, Evaluation
-from bsp_gp.errors import EvaluationError, FitError
-from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.held_out import states_alone
-from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
-from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.data.scene import CHECK
+from bsp_gp.fitting.rests import may_lose_ends
+from bsp_gp.fitting.snippets import snippets_under
 from bsp_gp.units import Unit
 
 PIECES = (7, 9, 11, 13, 15, 18, 21, 25, 31)
@@ -46,8 +42,6 @@ FEW = 3
 """Pieces in a hand, below which it is not asked whether it changes."""
 REST = 0.5
 """Part of the usual acceleration below which a body is held, or lies on something."""
-EFFORT = 2000
-"""Steps after which a law that is fitted to the middle is taken for none that could tell."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +69,7 @@ def without_hands(dataset, law):
     law : ForceLaw
         As it is declared; its constants are fitted to the middle halves of the scenes.
     """
-    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
-    if not is_plain or dataset.is_summed or is_of_the_sky(dataset):
+    if not may_lose_ends(dataset):
         return None
     levels = np.array(estimate_noise(dataset).sigma)
     pieces = {scene.name: _pieces(scene, levels) for scene in dataset.scenes}
@@ -85,10 +78,7 @@ def without_hands(dataset, law):
                    if scene.name in pieces)  # fmt: skip
     if not 0 < n_pieces <= MOST_PIECES:
         return None
-    try:
-        series = _lacking(dataset, law, pieces, levels)
-    except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
-        return None
+    series = _lacking(dataset, law, pieces, levels)
     scenes, told, second = [], [], dataset.units.text(Unit.of(s=1))
     for scene in dataset.scenes:
         found = series.get(scene.name)
@@ -150,39 +140,31 @@ def _lacking(dataset, law, pieces, levels):
     own = [scene for scene in dataset.scenes if scene.name in pieces]
     middle = [scene.rows(len(scene.times) // 4, 3 * len(scene.times) // 4) for scene in own]
     middle = replace(dataset, scenes=tuple(middle), train=(), test=())
-    noise = NoiseModel.of(dataset)
-    hypothesis = Hypothesis.from_laws(middle, law)
-    law, steps = hypothesis.law, bool(hypothesis.paper_steps)
-    if hypothesis.parameters:
-        known = TrackNoise(replace(noise, sources=("declared",) * len(noise.levels)))
-        found = fit(hypothesis + known, middle, effort=EFFORT)
-        if found.is_failed:
-            return {}
-        law, steps = found.law, found.paper_steps
     cut, centres = [], {}
     for scene in own:
         rows = pieces[scene.name][0]
         firsts = range(0, len(scene.times) - rows + 1, max(rows // OVERLAP, 1))
         centres[scene.name] = np.array(firsts) + rows // 2
         cut += [replace(scene.rows(a, a + rows), name=f"{scene.name} {a}") for a in firsts]
-    found = states_alone(law, steps, noise, replace(dataset, scenes=tuple(cut), train=(), test=()))
-    if found.is_failed:
+    found = snippets_under(law, middle, cut)
+    if found is None:
         return {}
     channels, out, axes = found.channels, {}, np.flatnonzero(np.isfinite(levels))
-    at = {name: k for k, name in enumerate(channels.scene_names)}
+    columns = {
+        (channels.scene_names[scene], axis): column
+        for column, (scene, axis) in enumerate(zip(channels.scene, channels.axis, strict=True))
+    }
     for scene in own:
         rows, usual = pieces[scene.name]
         step = float(np.median(np.diff(scene.times)))
         lacks, whole = np.zeros((2, len(centres[scene.name]), len(axes)))
         places = scene.positions[:, scene.dynamic[0]][:, axes]
         for k, centre in enumerate(centres[scene.name]):
-            own_rows = slice(centre - rows // 2, centre - rows // 2 + rows)
-            whole[k] = _bend(scene.times[own_rows], places[own_rows])
-            mine = channels.scene == at.get(f"{scene.name} {centre - rows // 2}", -1)
-            for j, axis in enumerate(axes):
-                for column in np.flatnonzero(mine & (channels.axis == axis)):
-                    t, left = channels.times[:rows, column], found.residual[:rows, column]
-                    lacks[k, j] = _bend(t, left)
+            first = centre - rows // 2
+            times = scene.times[first : first + rows]
+            own_columns = [columns[f"{scene.name} {first}", axis] for axis in axes]
+            whole[k] = _bend(times, places[first : first + rows])
+            lacks[k] = _bend(times, found.residual[:rows, own_columns])
         error = _error(levels[axes], rows, step)
         out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
     return out

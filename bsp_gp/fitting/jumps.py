@@ -106,10 +106,10 @@ def _jumps(times, places, rows, error, levels):
     is_even = np.ptp(t, axis=0).max() < EVEN * np.ptp(t[0])
     broken, smooth = _bases(t[:1] if is_even else t)
     degree = CURVED if rows == LONGEST else 3
-    (numbers, left), (_, rest) = _solved(broken, x), _solved(smooth[..., : degree + 1], x)
+    (numbers, left), (_, rest) = solved(broken, x), solved(smooth[..., : degree + 1], x)
     gains = surely = (rest - left) / error**2
     if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
-        surely = np.minimum(gains, (_solved(smooth, x)[1] - left) / error**2)
+        surely = np.minimum(gains, (solved(smooth, x)[1] - left) / error**2)
     out = []
     for k in np.flatnonzero(surely > least).tolist():
         if gains[k] < gains[max(k - SIDE_ROWS[0], 0) : k + SIDE_ROWS[0] + 1].max():
@@ -145,10 +145,14 @@ def _is_at(jump, levels):
     )
 
 
-def _solved(basis, x):
+def solved(basis, x):
     """Least squares in stacks: numbers (K, c, d), and what is left of the squares (K,).
 
-    One basis (1, n, c) stands for all.
+    Parameters
+    ----------
+    basis : ndarray, shape (K, n, c)
+        Of full rank; one, (1, n, c), stands for all.
+    x : ndarray, shape (K, n, d)
     """
     q, r = np.linalg.qr(basis)
     along = np.swapaxes(q, 1, 2) @ x
@@ -181,7 +185,7 @@ def between(times, places, found):
         near = rows[begin[:, None] + np.arange(width)]  # (n, width)
         t = times[near] - times[rows][:, None]
         basis = np.stack([np.ones_like(t), t, t * t / 2][: min(width, 3)], axis=-1)
-        numbers = np.swapaxes(_solved(basis, places[near])[0], 0, 1)
+        numbers = np.swapaxes(solved(basis, places[near])[0], 0, 1)
         told = len(numbers) if width >= LEAST_ROWS else 2
         out[:told, rows] = numbers[:told]
     return tuple(out)

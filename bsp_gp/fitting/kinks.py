@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.fitting.jumps import scatter
+from bsp_gp.fitting.jumps import scatter, solved
 
 SIDE_ROWS = (6, 10, 16, 24)
 """Rows on each side of a kink that are looked at."""
@@ -94,9 +94,12 @@ def _kinks(times, places, rows, error):
     late = np.broadcast_to(np.arange(2 * rows) >= rows, u.shape).astype(float)
     degree = min(DEGREE, rows - 3)
     powers = [u**k for k in range(degree + 3)]
-    numbers, left = _solved([late, late * u, *powers[: degree + 1]], x)
-    smooth = _solved(powers, x)[1]
-    bent = _solved([late * u**2, late * u**3, *powers[: degree + 1]], x)[1]
+    jumps = [late * u**k for k in range(4)]  # of the place, the velocity and the acceleration
+    (numbers, left), (_, smooth), (_, bent) = (
+        solved(np.stack(columns, axis=-1), x) for columns in (
+            [*jumps[:2], *powers[:-2]], powers, [*jumps[2:], *powers[:-2]]
+        )
+    )  # fmt: skip
     dof = (2 * rows - degree - 3) * x.shape[2]
     # Noise with a memory is larger along many rows than from row to row.
     variance = max(error**2, float(np.median(left)) / dof)
@@ -115,11 +118,3 @@ def _kinks(times, places, rows, error):
         turn = slope / span[k]
         out.append((k + rows, Kink(float(middle[k] + since * span[k]), turn, error, gain[k])))
     return out
-
-
-def _solved(columns, x):
-    """Least squares in stacks: numbers (K, c, d), and what is left of the squares (K,)."""
-    basis = np.stack(columns, axis=-1)
-    q, r = np.linalg.qr(basis)
-    along = np.swapaxes(q, 1, 2) @ x
-    return np.linalg.solve(r, along), np.square(x - q @ along).sum(axis=(1, 2))

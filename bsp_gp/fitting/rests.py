@@ -14,12 +14,8 @@ from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK, Evaluation
-from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.channels import unexplained
-from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.held_out import states_alone
-from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
-from bsp_gp.fitting.noise_model import NoiseModel
+from bsp_gp.fitting.snippets import snippets_under
 
 LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
 """Rows that stand still at an end, rows that are left, and part of a track that may stand still."""
@@ -33,8 +29,6 @@ laws leave."""
 ABRUPT = 0.5
 """Mean step before a body lies still, in that of its motion, from which something stops it: what
 settles where forces balance slows down, and is motion."""
-EFFORT = 2000
-"""Steps after which a law that is fitted to the motion is taken for none that could tell."""
 
 
 def without_rests(dataset, law):
@@ -53,8 +47,7 @@ def without_rests(dataset, law):
     Dataset
         The same one where there is no such row.
     """
-    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
-    if not is_plain or dataset.is_summed or is_of_the_sky(dataset):
+    if not may_lose_ends(dataset):
         return dataset
     levels = np.array(estimate_noise(dataset).sigma)
     ends = {scene.name: _still_ends(scene, levels) for scene in dataset.scenes}
@@ -76,6 +69,15 @@ def without_rests(dataset, law):
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
 
 
+def may_lose_ends(dataset):
+    """Whether rows at the ends may be left out that are no part of the motion.
+
+    Not where rows are counted (`Evaluation`), where velocities are data, or in the sky.
+    """
+    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
+    return is_plain and not dataset.is_summed and not is_of_the_sky(dataset)
+
+
 def _held(dataset, law, ends):
     """The ends, (scene, 0 or 1), whose rows a law does not follow as the others let it be."""
     moving = [scene.rows(a, len(scene.times) - b) for scene in dataset.scenes
@@ -89,22 +91,9 @@ def _held(dataset, law, ends):
         if tail > 0:
             still[f"{scene.name} 1"] = (scene.name, 1, scene.rows(-tail, None))
     scenes = [replace(rows, name=name) for name, (_, _, rows) in still.items()]
-    noise = NoiseModel.of(dataset)
-    hypothesis = Hypothesis.from_laws(cut, law)
-    law, steps = hypothesis.law, bool(hypothesis.paper_steps)
-    try:
-        if hypothesis.parameters:
-            known = TrackNoise(replace(noise, sources=("declared",) * len(noise.levels)))
-            moved = fit(hypothesis + known, cut, effort=EFFORT)
-            if moved.is_failed:
-                return set()
-            law, steps = moved.law, moved.paper_steps
-        found = states_alone(law, steps, noise, replace(cut, scenes=tuple(scenes)))
-    except (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError):
-        return set()
-    if found.is_failed:
-        return set()
-    out = set()
+    found, out = snippets_under(law, cut, scenes), set()
+    if found is None:
+        return out
     for name, (scene, k, _) in still.items():
         left, dof = unexplained(found, name)
         if left > HELD * dof and stats.chi2.sf(left, dof) < CHANCE:

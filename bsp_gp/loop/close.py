@@ -47,7 +47,7 @@ from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
-from bsp_gp.loop.kinked import in_parts, lacks
+from bsp_gp.loop.kinked import bounce, in_parts, lacks
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
@@ -250,12 +250,14 @@ def _in_parts(ready, begun, declared, rng, how):
     Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
     and are found as such.
     """
-    if lacks(begun, ready.noise.sigma):
-        dataset = without_hands(ready.dataset, ready.law)
-        if dataset is not None:
-            ready = _Ready(dataset, declared, rng)
-            begun = ready.begin(*how)
-    dataset = in_parts(ready.dataset, begun, ready.noise.sigma)
+    if not lacks(begun, ready.noise.sigma) or bounce(ready.dataset):
+        return ready, begun
+    dataset = without_hands(ready.dataset, ready.law)
+    if dataset is not None:
+        ready = _Ready(dataset, declared, rng)
+        begun = ready.begin(*how)
+    still_lacks = dataset is None or lacks(begun, ready.noise.sigma)
+    dataset = in_parts(ready.dataset, begun) if still_lacks else None
     if dataset is None:
         return ready, begun
     other = _Ready(dataset, declared, rng)

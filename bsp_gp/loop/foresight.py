@@ -75,9 +75,10 @@ class Foresight:
         Parameters
         ----------
         done : Round
+            That adopts something.
         criteria : Criteria
         """
-        if not done.decision.is_adopted or not self.refuses(done):
+        if not self.refuses(done):
             return done
         base, refused = done.table.base, done.decision.best
         others = [

@@ -5,14 +5,16 @@ little, and any smooth force much: each then hides the other. Where a track show
 jumps, whatever the law, its parts are followed each from a state of its own.
 """
 
+from itertools import chain
+
 import numpy as np
 
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.stretches import cut_at, may_be_cut
-from bsp_gp.fitting.jumps import jumps
+from bsp_gp.fitting.fit import MISFIT
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.loop.proposers.walls import is_foreseen, walls_at
+from bsp_gp.loop.proposers.walls import is_foreseen, jumps_in, walls_at
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.units import Unit
@@ -20,29 +22,25 @@ from bsp_gp.units import Unit
 VELOCITY, SECOND = Unit.of(m=1, s=-1), Unit.of(s=1)
 MOST = 4
 """Kinks of a recording, at the most: what is kicked all the time is pushed."""
-MISFIT = 1.5
-"""Times the noise of rows, squared, that a law leaves which lacks something."""
 
 
-def in_parts(dataset, found, levels):
+def in_parts(dataset, found):
     """The data set with recordings cut where a velocity jumps, and a check that says where.
 
     Parameters
     ----------
     dataset : Dataset
     found : Fit
-        Of the declared law.
-    levels : sequence of float, m
-        Of the noise along the axes.
+        Of the declared law, which lacks something.
 
     Returns
     -------
     Dataset or None
-        None where nothing is cut: where the law leaves nothing, or foresees the jumps, where
-        bodies meet or bounce, or jump all the time.
+        None where nothing is cut: where the law foresees the jumps, where bodies meet, or jump
+        all the time.
     """
     law = found.law
-    if not may_be_cut(dataset) or constraints_of(law) or walls_of(law) or not lacks(found, levels):
+    if not may_be_cut(dataset) or constraints_of(law) or walls_of(law):
         return None
     edges, told = {}, []
     for scene in dataset.scenes:
@@ -55,13 +53,18 @@ def in_parts(dataset, found, levels):
         ((k, some),) = own.items()
         edges[scene.name] = np.searchsorted(scene.times, [kink.time for kink in some]).tolist()
         told += [_told(scene, k, kink, dataset.units) for kink in some]
-    if not told or walls_at(_jumps(dataset), dataset):
+    if not told:
         return None
     note = (
         f"{CHECK}whatever moves it, a velocity jumps: {listed(told)}; something hits the body "
         f"there, or lets it go, and each side is followed from a state of its own"
     )
     return cut_at(dataset, edges, note)
+
+
+def bounce(dataset):
+    """Whether bodies turn back at walls: what they do there is no kick, and no hand's."""
+    return bool(walls_at(list(chain(*jumps_in(dataset.scenes))), dataset))
 
 
 def lacks(found, levels):
@@ -78,14 +81,6 @@ def _unforeseen(scene, k, found):
     return [
         kink for kink in kinks(scene.times, scene.positions[:, k])
         if found.is_failed or not is_foreseen(kink.time, scene, k, found)
-    ]  # fmt: skip
-
-
-def _jumps(dataset):
-    """Jumps of all tracks."""
-    return [
-        jump for scene in dataset.scenes for k in scene.dynamic
-        for jump in jumps(scene.times, scene.positions[:, k])
     ]  # fmt: skip
 
 

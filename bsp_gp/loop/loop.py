@@ -831,6 +831,7 @@ def _is_less(base, found):
     for little. Such a one may be likelier because it says less of its numbers; it tells nothing of
     what is missing beside the declared law.
     """
+
     def numbers(fit):
         noise = {p.name for p in fit.noise.parameters if p.is_free}
         return {name for name, _ in fit.parameters} | noise

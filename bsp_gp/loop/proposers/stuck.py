@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.channels import unexplained
-from bsp_gp.fitting.jumps import scatter
+from bsp_gp.fitting.jumps import scatter, solved
 from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.fitting.rests import in_levels, still_rows
 from bsp_gp.fitting.tangent import as_pair
@@ -98,12 +98,7 @@ def are_broken(scene, name, at):
     is_behind = np.broadcast_to(np.arange(-BESIDE, BESIDE) >= 0, t.shape)
     basis = np.stack([np.ones_like(t), t, t * t, is_behind, is_behind * t], axis=-1)
 
-    def left(basis):
-        along = np.linalg.qr(basis)[0]
-        here = places[rows]
-        rest = here - along @ (along.transpose(0, 2, 1) @ here)
-        return np.square(rest).sum(axis=(1, 2))
-
     least = stats.chi2.isf(UNLIKELY, 2 * places.shape[1]) * scatter(places) ** 2
-    broken[near] = left(basis[..., :3]) - left(basis) > least
+    smooth, behind = (solved(columns, places[rows])[1] for columns in (basis[..., :3], basis))
+    broken[near] = smooth - behind > least
     return broken

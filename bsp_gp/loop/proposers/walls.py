@@ -78,7 +78,7 @@ class Walls:
 def _jumps_of(view, levels=None):
     """Jumps of every track that the law does not foresee, by scene and number of the body."""
     scenes = view.dataset.scenes
-    found = _jumps_in(scenes, tuple(sorted((levels or {}).items())))
+    found = jumps_in(scenes, tuple(sorted((levels or {}).items())))
     tracks = [(scene, k) for scene in scenes for k in scene.dynamic]
     return {
         (scene.name, k): [jump for jump in own if not is_foreseen(jump.time, scene, k, view.fit)]
@@ -87,8 +87,15 @@ def _jumps_of(view, levels=None):
 
 
 @lru_cache(maxsize=4)
-def _jumps_in(scenes, levels):
-    """Jumps of every track of scenes; every round asks for them anew."""
+def jumps_in(scenes, levels=()):
+    """Jumps of every track of scenes; every round asks for them anew.
+
+    Parameters
+    ----------
+    scenes : tuple of Scene
+    levels : tuple, optional
+        Items of the levels that `jumps` takes.
+    """
     return [
         jumps(scene.times, scene.positions[:, k], dict(levels))
         for scene in scenes for k in scene.dynamic
