@@ -2,58 +2,74 @@
 
 import contextlib
 import itertools
-import math
 import os
 import signal
 import sys
+import tempfile
 import threading
-import time
+import weakref
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
+from typing import NamedTuple
 
 from bsp_gp.errors import ResourceError, SettingsError
 
-WORTH_S = 3.0
-"""Seconds that parts have taken here before others are handed out: starting a process costs one."""
 MOST_KNOWN = 2
 """Shared values that a worker keeps."""
 _PR_SET_PDEATHSIG = 1
 _NUMBERS = itertools.count()
 _KNOWN: dict = {}
 """Shared values of this process, if it is a worker."""
-_NOT_KNOWN = "this worker does not have the shared value"
 
 
 class Crew:
-    """Hands for work whose parts do not hang on each other: this process, and those it is given.
+    """Hands for work whose parts do not hang on each other: those it is given, and this process.
 
-    A part is done by whoever is free, this process among them; what it gives does not depend on
-    whom. Nothing is handed out to new processes before parts have shown that they take long.
+    What a part gives does not depend on whose hands it was in. Processes begin at once, one after
+    the other, and load what they need while work is done here; where none is free, this process
+    does what is asked for.
 
     Parameters
     ----------
     workers : concurrent.futures.Executor or distributed.Client, optional
         None: everything is done here.
+    needs : callable, optional
+        A function whose module, with all that it imports, parts will need.
 
     Attributes
     ----------
     n_elsewhere : int
         Parts that are under way elsewhere at the most.
+    has_others : bool
+        Whether any of those it is given have begun.
     """
 
-    def __init__(self, workers=None):
+    def __init__(self, workers=None, needs=None):
         self.client = workers if hasattr(workers, "scatter") else None
-        self.executor, self.n_elsewhere, self.spent = workers, 0, 0.0
+        self.executor, self.n_elsewhere, self.has_others = workers, 0, False
         if self.client is not None:
             self.executor = self.client.get_executor(pure=False)
-            self.n_elsewhere, self.spent = sum(self.client.nthreads().values()), math.inf
+            self.n_elsewhere = sum(self.client.nthreads().values())
         elif workers is not None:
-            self.n_elsewhere = getattr(workers, "_max_workers", 2) - 1
+            self.n_elsewhere = getattr(workers, "_max_workers", 1)
+        self._wake(self.n_elsewhere, needs)
+
+    def _wake(self, n_more, needs):
+        def goes_on(_):
+            self.has_others = True
+            self._wake(n_more - 1, needs)
+
+        if n_more > 0:
+            with contextlib.suppress(RuntimeError):  # of a pool that was ended meanwhile
+                self.executor.submit(_loaded, needs).add_done_callback(goes_on)
 
     def share(self, value):
         """Something that many parts need, as `work` takes it: sent to a worker once."""
         if self.client is not None:
             return self.client.scatter(value, broadcast=True, hash=False)
-        return _Shared((os.getpid(), next(_NUMBERS)), value, self.n_elsewhere)
+        from concurrent.futures import ProcessPoolExecutor
+
+        return _Shared(value, isinstance(self.executor, ProcessPoolExecutor))
 
     def work(self, call, value, jobs, is_wanted=None):
         """Parts ``call(value, job)``, to be asked for in the order of the jobs.
@@ -72,7 +88,7 @@ class Crew:
     def map(self, call, value, jobs):
         """What all parts give, in order."""
         work = self.work(call, value, list(jobs))
-        return [work.result(k, meanwhile=True) for k in range(len(work.jobs))]
+        return [work.result(k) for k in range(len(work.jobs))]
 
     def each(self, call, value, jobs):
         """Parts as they are done: ``(number, what it gives)``, in whatever order.
@@ -85,7 +101,6 @@ class Crew:
             return
         from concurrent.futures import FIRST_COMPLETED, wait
 
-        self.spent = math.inf
         work, todo, most = self.work(call, value, {}), enumerate(jobs), 2 * self.n_elsewhere + 2
         for k, job in itertools.chain(todo, [(None, None)]):
             if k is not None:
@@ -94,7 +109,7 @@ class Crew:
             while work.futures and (k is None or len(work.futures) >= most):
                 done = wait(work.futures.values(), return_when=FIRST_COMPLETED).done
                 for number in [n for n, future in work.futures.items() if future in done]:
-                    yield number, work.received(number)
+                    yield number, work.futures.pop(number).result()
                     del work.jobs[number]
 
 
@@ -104,95 +119,112 @@ class Work:
     def __init__(self, crew, call, value, jobs, is_wanted):
         self.crew, self.call, self.value = crew, call, value
         self.jobs, self.is_wanted = jobs, is_wanted
-        self._shared, self.futures, self._done = None, {}, {}
+        self.futures, self._shared, self._first, self._is_ended = {}, None, 0, False
+        self._lock, self._most = threading.RLock(), 0
 
-    def result(self, k, meanwhile=False):
-        """What a part gives, done here unless it is under way.
+    def begin(self):
+        """Have the first parts begun elsewhere, since something else will be done here."""
+        self._most = max(self.crew.n_elsewhere - 1, 1)
+        self._hand_out(self._first)
 
-        With `meanwhile` other parts are done here while it is waited for.
-        """
-        self._hand_out(k + 1)
-        if k not in self.futures and k not in self._done:
-            self._do(k)
-        while meanwhile and k not in self._done and not self.futures[k].done():
-            others = (j for j in range(k + 1, len(self.jobs)) if self._is_open(j))
-            other = next(others, None)
-            if other is None:
-                break
-            self._do(other)
-            self._hand_out(k + 1)
-        if k not in self._done:
-            self._done[k] = self.received(k)
-            self._hand_out(k + 1)
-        return self._done.pop(k)
+    def result(self, k):
+        """What a part gives, done here if nobody else is free for it."""
+        self._most = self.crew.n_elsewhere
+        self._hand_out(k)
+        with self._lock:
+            future = self.futures.pop(k, None)
+            self._first = k + 1
+        if future is None:
+            return self.call(self.value, self.jobs[k])
+        return future.result()
 
-    def _is_open(self, k):
-        return k not in self.futures and k not in self._done
-
-    def _do(self, k):
-        began = time.monotonic()
-        self._done[k] = self.call(self.value, self.jobs[k])
-        self.crew.spent += time.monotonic() - began
+    def end(self):
+        """Begin no further parts elsewhere: no more are asked for."""
+        with self._lock:
+            self._is_ended = True
 
     def _hand_out(self, first):
         """Have parts from this number on begun elsewhere."""
-        if not self.crew.n_elsewhere or self.crew.spent < WORTH_S:
+        if not self.crew.has_others:
             return
-        free = self.crew.n_elsewhere - sum(not f.done() for f in self.futures.values())
-        for k in range(first, len(self.jobs)):
-            if free <= 0:
-                break
-            if self._is_open(k) and self.is_wanted(self.jobs[k]):
-                self.submit(k)
-                free -= 1
+        with self._lock:
+            self._first = first
+            free = self._most - sum(not f.done() for f in self.futures.values())
+            for k in range(first, 0 if self._is_ended else len(self.jobs)):
+                if free <= 0:
+                    break
+                if k not in self.futures and (k == first or self.is_wanted(self.jobs[k])):
+                    self.submit(k).add_done_callback(self._go_on)
+                    free -= 1
 
-    def submit(self, k, again=False):
+    def _go_on(self, _):
+        """Give who has done a part the next at once, whatever is done here meanwhile."""
+        with contextlib.suppress(RuntimeError):  # of a pool that broke or was ended meanwhile
+            self._hand_out(self._first)
+
+    def submit(self, k):
         """Have a part begun elsewhere."""
         if self._shared is None:
             self._shared = self.crew.share(self.value)
-        shared = self._shared
-        if isinstance(shared, _Shared):
-            shared = shared.to_send(again)
+        shared = self._shared.sent if isinstance(self._shared, _Shared) else self._shared
         self.futures[k] = self.crew.executor.submit(_part, self.call, shared, self.jobs[k])
-
-    def received(self, k):
-        """What a part gave that was begun elsewhere."""
-        found = self.futures[k].result()
-        while isinstance(found, str) and found == _NOT_KNOWN:
-            self.submit(k, again=True)
-            found = self.futures[k].result()
-        del self.futures[k]
-        return found
+        return self.futures[k]
 
 
 class _Shared:
-    """A value and its name; the first that are sent have it with them."""
+    """A value as it is now: what is done here meanwhile changes what lazy values remember.
 
-    def __init__(self, token, value, n_first):
-        self.token, self.value, self._left = token, value, n_first
+    Parameters
+    ----------
+    in_file : bool
+        Whether others read it from a file, as processes of this machine can; else it goes along
+        with every part.
 
-    def to_send(self, again):
-        self._left -= 1
-        is_first = again or self._left >= 0
-        return _Sent(self.token, self.value, True) if is_first else _Sent(self.token, None, False)
+    Attributes
+    ----------
+    sent : _Sent
+    """
+
+    def __init__(self, value, in_file):
+        data, path = bytes(ForkingPickler.dumps(value)), None
+        if in_file:
+            handle, path = tempfile.mkstemp(prefix="bsp_gp-")
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            weakref.finalize(self, _removed, path)
+        self.sent = _Sent((os.getpid(), next(_NUMBERS)), path, b"" if in_file else data)
 
 
-class _Sent:
-    def __init__(self, token, value, has_value):
-        self.token, self.value, self.has_value = token, value, has_value
+class _Sent(NamedTuple):
+    """The name of a shared value, and where it is, or itself."""
+
+    token: tuple
+    path: str | None
+    data: bytes
+
+    def value(self):
+        """The value; it is read once."""
+        if self.token not in _KNOWN:
+            while len(_KNOWN) >= MOST_KNOWN:
+                _KNOWN.pop(next(iter(_KNOWN)), None)
+            _KNOWN[self.token] = ForkingPickler.loads(
+                Path(self.path).read_bytes() if self.path else self.data
+            )
+        return _KNOWN[self.token]
+
+
+def _removed(path):
+    with contextlib.suppress(OSError):
+        os.remove(path)
+
+
+def _loaded(call):
+    """Nothing; what the function needs was loaded where it came to."""
 
 
 def _part(call, shared, job):
     """A part, at a worker."""
-    if isinstance(shared, _Sent):
-        if shared.has_value:
-            while len(_KNOWN) >= MOST_KNOWN:
-                del _KNOWN[next(iter(_KNOWN))]
-            _KNOWN[shared.token] = shared.value
-        elif shared.token not in _KNOWN:
-            return _NOT_KNOWN
-        shared = _KNOWN[shared.token]
-    return call(shared, job)
+    return call(shared.value() if isinstance(shared, _Sent) else shared, job)
 
 
 @contextlib.contextmanager
@@ -250,7 +282,8 @@ def worker_pool(n_workers, *, own_process=False):
     """An executor of so many processes, for one piece of work.
 
     The processes are started afresh (no copies of this one), leave Ctrl-C to this process, and end
-    with it, however it ends. They are ended at once where the work raises or is interrupted.
+    with it, however it ends. They are ended at once where the work is done, raises or is
+    interrupted, whatever they are at.
 
     Parameters
     ----------
@@ -283,17 +316,15 @@ def worker_pool(n_workers, *, own_process=False):
     )  # fmt: skip
     try:
         yield pool
-    except BaseException as error:
+    except BrokenProcessPool as error:
+        raise ResourceError(
+            f"one of {n_workers} worker processes ended before its work was done, most often "
+            f"for want of memory; use fewer workers, fewer scenes or fewer levels"
+        ) from error
+    finally:  # what is still under way nobody has asked for
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
-        if isinstance(error, BrokenProcessPool):
-            raise ResourceError(
-                f"one of {n_workers} worker processes ended before its work was done, most often "
-                f"for want of memory; use fewer workers, fewer scenes or fewer levels"
-            ) from error
-        raise
-    pool.shutdown()
 
 
 def python_path():

@@ -20,6 +20,7 @@ ROOMS = (
     "randomness",
     "workers",
     "threads",
+    "compiling",
     "output",
     "data",
     "language",

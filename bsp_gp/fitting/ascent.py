@@ -7,6 +7,7 @@ where a search from anew would take fifty evaluations.
 import math
 
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
 _STEP = 1e-6
@@ -75,7 +76,7 @@ def _climb(function, start, bounds):
 
 
 def _curvature(function, values, low, high):
-    """Negative second derivatives, or None where they are not positive definite."""
+    """Negative second derivatives, or None where they are not finite."""
     step = _STEP_OF_CURVATURE
     at = np.clip(values, low + step, high - step)
     shifts = step * np.eye(len(at))
@@ -87,10 +88,7 @@ def _curvature(function, values, low, high):
         for j in range(i):
             both = function(at + shifts[i] + shifts[j])
             second[i, j] = second[j, i] = both - up[i] - up[j] + middle
-    second = -second / step**2
-    if not np.all(np.isfinite(second)) or np.linalg.eigvalsh(second)[0] <= 0:
-        return None
-    return second
+    return -second / step**2 if np.all(np.isfinite(second)) else None
 
 
 def _newton(function, likeness, values, low, high, is_near=False):
@@ -104,7 +102,11 @@ def _newton(function, likeness, values, low, high, is_near=False):
             return None
         free = ~((values >= high) & (slope > 0)) & ~((values <= low) & (slope < 0))
         step = np.zeros_like(values)
-        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
+        try:  # along a bound that holds a number it may be bent in any way
+            lower = np.linalg.cholesky(curvature[np.ix_(free, free)])
+        except np.linalg.LinAlgError:
+            return None
+        step[free] = cho_solve((lower, True), slope[free])
         if 0.5 * float(slope @ step) < _SMALL_GAIN:
             return values, at
         length = float(np.abs(step).max())

@@ -76,11 +76,14 @@ class Restricted:
         self.n_rows = int(np.count_nonzero(seen))
         local, dead = self._local_basis(rows[: self._q])
         rest = rows[self._q :]
+        by_channel = _by_channel(local)
         for _ in range(2):  # twice is enough
-            rest = rest - self._spread(local, self._sums(local, rest))
+            along = self._sums(by_channel, _by_channel(rest))
+            rest = rest - self._spread(by_channel, along).transpose(1, 2, 0)
         shared = _shared_basis(rest[:-1], rows[self._q : -1])
         residual = rest[-1] - np.tensordot(np.tensordot(shared, rest[-1], 2), shared, 1)
-        self._rows = np.concatenate([local, shared, residual[None]]) * scale
+        rows = np.concatenate([local, shared, residual[None]]) * scale
+        self._rows = np.ascontiguousarray(rows[..., self._back])
         self._dead = dead.astype(float)[:, :, None] * np.eye(self._q)
         self.n_free = int(dead.size - np.count_nonzero(dead)) + len(shared)
 
@@ -106,14 +109,12 @@ class Restricted:
         return basis, dead
 
     def _sums(self, left, right):
-        """Scalar products of rows (a, T, C) and (b, T, C) by chain, shape (n_chains, a, b)."""
-        left, right = (np.ascontiguousarray(x.transpose(2, 0, 1)) for x in (left, right))
+        """Scalar products of rows (C, a, T) and (C, b, T) by chain, shape (n_chains, a, b)."""
         return np.add.reduceat(left @ right.transpose(0, 2, 1), self._first, axis=0)
 
     def _spread(self, left, amounts):
-        """Columns (a, T, C) times amounts (n_chains, a, b), shape (b, T, C)."""
-        by_channel = amounts[self._chain].transpose(0, 2, 1)
-        return (by_channel @ left.transpose(2, 0, 1)).transpose(1, 2, 0)
+        """Columns (C, a, T) times amounts (n_chains, a, b), shape (C, b, T)."""
+        return amounts[self._chain].transpose(0, 2, 1) @ left
 
     def value(self, whitener):
         """Restricted log-likelihood under a noise; -inf where it cannot be computed."""
@@ -122,7 +123,7 @@ class Restricted:
 
     def plain(self, whitener):
         """Log-likelihood of the projected residual alone: cheaper, and nearly as curved."""
-        square = float(np.square(whitener.whiten(self._rows[-1][:, self._back])).sum())
+        square = float(np.square(whitener.whiten(self._rows[-1])).sum())
         return -0.5 * (square + whitener.log_det)
 
     def _eliminate(self, whitener):
@@ -148,7 +149,8 @@ class Restricted:
         return value, rows, lower, across, shared, along
 
     def _whiten(self, whitener):
-        return whitener.whiten(self._rows[..., self._back])[..., self._order]
+        """Rows under a noise, shape (C, q + p + 1, T), channels of a chain beside each other."""
+        return np.ascontiguousarray(whitener.whiten(self._rows).transpose(2, 0, 1)[self._order])
 
     def pure_error(self, whitener):
         """The whitened residual after the projection, and its leverage."""
@@ -158,16 +160,21 @@ class Restricted:
         value, rows, lower, across, shared, along = found
         q = self._q
         local = np.linalg.solve(lower, np.broadcast_to(np.eye(q), lower.shape))
-        local = self._spread(rows[:q], local.transpose(0, 2, 1))
-        rest = rows[q:] - self._spread(local, across)
+        local = self._spread(rows[:, :q], local.transpose(0, 2, 1))
+        rest = rows[:, q:] - self._spread(local, across)
         inverse = np.linalg.solve(shared, np.eye(len(shared)))
-        basis = np.tensordot(inverse, rest[:-1], 1)
-        leverage = np.square(local).sum(axis=0) + np.square(basis).sum(axis=0)
-        whitened = np.empty(leverage.shape)
-        remaining = np.empty(leverage.shape)
-        whitened[:, self._order] = rest[-1] - np.tensordot(along, basis, 1)
-        remaining[:, self._order] = np.clip(1.0 - leverage, 0.0, 1.0)
+        basis = inverse @ rest[:, :-1]
+        leverage = np.square(local).sum(axis=1) + np.square(basis).sum(axis=1)
+        whitened = np.empty(leverage.shape[::-1])
+        remaining = np.empty(leverage.shape[::-1])
+        whitened[:, self._order] = (rest[:, -1] - along @ basis).T
+        remaining[:, self._order] = np.clip(1.0 - leverage, 0.0, 1.0).T
         return PureError(value, whitened, np.where(whitener.seen, remaining, 0.0))
+
+
+def _by_channel(rows):
+    """Rows (a, T, C) with channels first, shape (C, a, T)."""
+    return np.ascontiguousarray(rows.transpose(2, 0, 1))
 
 
 def _by_chain(columns, local, chain):

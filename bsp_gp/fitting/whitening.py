@@ -10,23 +10,16 @@ that neither a correlation time of no length nor an endless one costs digits:
     S = a^2 Q + variance          that of the innovation
     P = Q variance / S            and of u after it
 
-Where time runs long and channels are few, the recursion of P, a Moebius map, is composed block by
-block; the linear one of the mean is a triangular band that LAPACK solves for all columns at once.
+The recursions of P and of the mean run in compiled loops.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
+from bsp_gp.compiling import compiled
 from bsp_gp.errors import FitError
-
-_MIN_BLOCKED = 64
-_MAX_BLOCKED = 128
-"""Rows from which, and channels up to which, blocks of time are cheaper than rows one by one."""
-_RESCALE = 8
-"""Rows of a block between two rescalings; a factor of 1e-30 a row is still no underflow."""
 
 
 class Whitener:
@@ -94,10 +87,18 @@ class Whitener:
 
     def innovations(self, errors):
         """What of every error was not foreseen from the rows before; 0 where not seen."""
-        errors = np.where(self.seen, errors, 0.0)
         if self._foreseen is None:
-            return errors
-        return errors - self._foreseen * _recur(self._kept, self._gain * _earlier(errors))
+            return np.where(self.seen, errors, 0.0)
+        return self._beside(errors, self._kept, -self._foreseen, self.seen.astype(float))
+
+    def _beside(self, values, kept, foreseen, scale):
+        """Values beside what those before them foresee, times a scale; 0 where not seen."""
+        values = np.ascontiguousarray(values, dtype=float)
+        out = np.empty(values.shape)
+        each = (-1, *values.shape[-2:])
+        _recur(values.reshape(each), self.seen, kept, self._gain, foreseen, scale,
+               out.reshape(each))  # fmt: skip
+        return out
 
     def whiten(self, errors):
         """Errors of unit covariance; 0 where not seen.
@@ -109,15 +110,14 @@ class Whitener:
         """
         if self._foreseen is None:  # the quotient itself, not a product with a rounded inverse
             return np.where(self.seen, errors, 0.0) / self.spread
-        return self.innovations(errors) * self._per_spread
+        return self._beside(errors, self._kept, -self._foreseen, self._per_spread)
 
     def colour(self, whitened):
         """Errors that `whiten` makes of unit covariance: its inverse; 0 where not seen."""
         innovations = np.where(self.seen, whitened, 0.0) * self.spread
         if self._foreseen is None:
             return innovations
-        foreseen = _recur(self._rho, self._gain * _earlier(innovations))
-        return np.where(self.seen, innovations + self._foreseen * foreseen, 0.0)
+        return self._beside(innovations, self._rho, self._foreseen, self.seen.astype(float))
 
 
 @dataclass(frozen=True)
@@ -202,6 +202,7 @@ def _earlier(values):
     return moved
 
 
+@compiled
 def _variances(carried, fresh, part, rest):
     """Variance of u before every row, shape (T, C).
 
@@ -212,65 +213,31 @@ def _variances(carried, fresh, part, rest):
     part, rest : ndarray, shape (T, C)
         What of the variance of an error is correlated and what is white; they add up to one.
     """
-    n_rows, n_channels = carried.shape
-    if n_rows >= _MIN_BLOCKED and n_channels < _MAX_BLOCKED:
-        return _blocked(carried, fresh, part, rest)
-    before = np.empty_like(carried)
-    after = np.zeros(n_channels)
-    for t in range(n_rows):
-        before[t] = carried[t] * after + fresh[t]
-        after = rest[t] * before[t] / (part[t] * before[t] + rest[t])
+    before, after = np.empty(carried.shape), np.zeros(carried.shape[1])
+    for t in range(carried.shape[0]):
+        for c in range(carried.shape[1]):
+            here = carried[t, c] * after[c] + fresh[t, c]
+            after[c] = rest[t, c] * here / (part[t, c] * here + rest[t, c])
+            before[t, c] = here
     return before
 
 
-def _blocked(carried, fresh, part, rest):
-    """The same, blocks of rows at once: the maps as quotients of two linear ones, x / y."""
-    n_rows, n_channels = carried.shape
-    length = math.isqrt(n_rows)
-    n_blocks = -(-n_rows // length)
-    carried, part = (_blocks(a, length, n_blocks, 0.0) for a in (carried, part))
-    fresh, rest = (_blocks(a, length, n_blocks, 1.0) for a in (fresh, rest))
-    above = np.empty((length, 2, n_blocks, n_channels))
-    below = np.empty_like(above)
-    x = np.zeros((2, n_blocks, n_channels))
-    x[0], y = 1.0, np.zeros_like(x)
-    y[1] = 1.0
-    for t in range(length):
-        above[t], below[t] = carried[t] * x + fresh[t] * y, y
-        x, y = rest[t] * above[t], part[t] * above[t] + rest[t] * y
-        if t % _RESCALE == _RESCALE - 1:
-            size = (x + y).sum(axis=0)
-            x, y = x / size, y / size
-    after = np.zeros((n_blocks, n_channels))
-    for k in range(n_blocks - 1):
-        last = after[k]
-        after[k + 1] = (x[0, k] * last + x[1, k]) / (y[0, k] * last + y[1, k])
-    before = (above[:, 0] * after + above[:, 1]) / (below[:, 0] * after + below[:, 1])
-    return before.transpose(1, 0, 2).reshape(-1, n_channels)[:n_rows]
+@compiled
+def _recur(values, seen, kept, gain, foreseen, scale, out):
+    """Values and what is foreseen of them, (v[t] + foreseen[t] m[t]) scale[t], for all channels.
 
-
-def _blocks(values, length, n_blocks, fill):
-    """Rows as (row of its block, block, channel), the last block filled up."""
-    full = np.full((n_blocks * length, values.shape[1]), fill)
-    full[: len(values)] = values
-    return np.ascontiguousarray(full.reshape(n_blocks, length, -1).transpose(1, 0, 2))
-
-
-def _recur(kept, new):
-    """Solve m[t] = kept[t] m[t - 1] + new[t] for every channel and column.
+    The mean follows m[t] = kept[t] m[t - 1] + gain[t] v[t - 1]; rows that are not seen count as 0.
 
     Parameters
     ----------
-    kept : ndarray, shape (T, C)
-        0 in the first row: the channels make one long chain.
-    new : ndarray, shape (..., T, C)
+    values, out : ndarray, shape (n, T, C)
+    seen, kept, gain, foreseen, scale : ndarray, shape (T, C)
     """
-    n_rows, n_channels = kept.shape
-    if not new.size:  # LAPACK writes beyond the end of nothing
-        return new.copy()
-    band = np.ones((2, kept.size), order="F")
-    band[1, :-1] = -kept.T.ravel()[1:]
-    columns = np.ascontiguousarray(np.swapaxes(new, -1, -2)).reshape(-1, kept.size)
-    solved, _ = lapack.dtbtrs(band, columns.T, uplo="L", diag="U", overwrite_b=True)
-    solved = solved.T.reshape(*new.shape[:-2], n_channels, n_rows)
-    return np.swapaxes(solved, -1, -2)
+    n_columns, n_rows, n_channels = values.shape
+    for n in range(n_columns):
+        mean, before = np.zeros(n_channels), np.zeros(n_channels)
+        for t in range(n_rows):
+            for c in range(n_channels):
+                mean[c] = kept[t, c] * mean[c] + gain[t, c] * before[c]
+                before[c] = values[n, t, c] if seen[t, c] else 0.0
+                out[n, t, c] = (before[c] + foreseen[t, c] * mean[c]) * scale[t, c]

@@ -147,6 +147,7 @@ def close_loop(
     (
         split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
     ) = generator(rng).spawn(7)  # fmt: skip
+    crew = Crew(workers, needs=run_rounds)
     says("reading the data set")
     known = {"t", *dataset.logged}
     dataset = without_torn_ends(asked_of(dataset, _words(declared), exclude))
@@ -162,7 +163,7 @@ def close_loop(
     settings = {
         "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
         "clock": clock, "progress": progress, "looks": 2 if ready.has_more else 1,
-        "crew": Crew(workers),
+        "crew": crew,
     }  # fmt: skip
 
     def look(ready, rng, begun, **more):
@@ -187,7 +188,7 @@ def close_loop(
     foreseen: dict = {}
     foresight = Foresight(
         lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-        ready.dataset, ready.split.test, foresight_rng.spawn(max_rounds), settings["crew"],
+        ready.dataset, ready.split.test, foresight_rng.spawn(max_rounds), crew,
         foreseen,
     )  # fmt: skip
     rounds = look(
@@ -214,7 +215,7 @@ def close_loop(
     asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
     written = _written(
         ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
-        settings["crew"], late, foreseen,
+        crew, late, foreseen,
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []

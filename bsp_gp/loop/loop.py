@@ -154,7 +154,8 @@ def run_rounds(
     proposers : sequence
         With ``propose(view) -> Family``, and ``asks_rows`` true where they ask what a fit leaves
         of the rows and not what forces do; those are asked of fits only that have succeeded,
-        unless ``sees_places`` is true.
+        unless ``sees_places`` is true. Where ``is_alone`` is false they tell the view what it may
+        leave to others, or read that: they are asked one after the other, in their order.
     rng : numpy.random.Generator
     criteria : Criteria, optional
     max_rounds : int
@@ -336,25 +337,35 @@ class _Turn:
 
     def propose(self, number, view):
         """Ask all proposers for which there is time."""
-        n, self.levels = len(self.run.proposers), np.array(view.fit.noise.levels)
+        self.levels = np.array(view.fit.noise.levels)
         self.near, self.missing = view.near, max(float(view.left @ view.left) - view.n_left, 0.0)
-        for k, proposer in enumerate(self.run.proposers, 1):
+        able = [p for p in self.run.proposers if self._may_ask(p)]
+        here = [p for p in able if not getattr(p, "is_alone", True)]
+        others = [p for p in able if p not in here]
+        # What begins with what another has told the view is asked here, and meanwhile the rest by
+        # whoever is free.
+        shared = others, view, self.run.clock
+        parts = self.run.crew.work(_proposed, shared, list(range(len(others))))
+        found = {}
+        for proposer in (*here, *others):
             if self.note_time("proposers"):
                 break
-            sees_places = getattr(proposer, "sees_places", not self.measure[proposer.name])
-            if self.base.is_failed and not sees_places:
-                continue
+            k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
             self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
-            # What one of them takes long for must leave time to others, and to fits.
-            view.tick = self.run.clock.share(PROPOSING).tick
-            try:
-                self.families.append(proposer.propose(view))
-            except TimeIsUp:
-                self.note("proposers")
-                continue
-            if self.families[-1].is_partial:
-                self.note("proposers")
-        view.tick = self.run.clock.tick
+            if proposer in here:
+                parts.begin()
+                found[k] = _proposed(([proposer], view, self.run.clock), 0)
+            else:
+                found[k] = parts.result(others.index(proposer))
+        parts.end()
+        if any(family is None or family.is_partial for family in found.values()):
+            self.note("proposers")
+        self.families += [family for _, family in sorted(found.items()) if family is not None]
+
+    def _may_ask(self, proposer):
+        """Whether a proposer can tell anything of the fit as it is."""
+        sees_places = getattr(proposer, "sees_places", not self.measure[proposer.name])
+        return sees_places or not self.base.is_failed
 
     def ask_without_memory(self, number, view):
         """Look for what a memory of the noise may have taken for its own, where nothing else shows.
@@ -459,6 +470,7 @@ class _Turn:
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
                 highest[source] = max(highest.get(source, -math.inf), proposal.promise)
+        fits.end()
         self._prune()
         self._tell_near(every, above, highest)
 
@@ -802,6 +814,19 @@ class _Turn:
             )
         )  # fmt: skip
         return self.rows[-1]
+
+
+def _proposed(shared, number):
+    """The family of a proposer; None if its time was up."""
+    proposers, view, clock = shared
+    # What one of them takes long for must leave time to others, and to fits.
+    view.tick = clock.share(PROPOSING).tick
+    try:
+        return proposers[number].propose(view)
+    except TimeIsUp:
+        return None
+    finally:
+        view.tick = clock.tick
 
 
 def _fit_of(shared, job):

@@ -257,11 +257,12 @@ class InnerSearch:
         self.span = rows.min(axis=0), rows.max(axis=0)
         self.middle = np.round((self.span[0] + self.span[1]) / 2 / grain) * grain
         self._known, self._lookups, self._placed, self._cached = {}, {}, {}, {}
+        self._scanned, self._alike = {}, {}
 
     def of_target(self, target):
         """The same for another target, beside what constants take up."""
         other = copy(self)
-        other.target = target
+        other.target, other._scanned = target, {}
         return other
 
     def of_part(self, regression, rows, beside):
@@ -269,7 +270,7 @@ class InnerSearch:
         other = copy(self)
         other.batches, other.beside = regression.batches, beside
         other.target, other.draws = beside(self.target[rows]), beside(self.draws[rows])
-        other._lookups, other._cached = {}, {}
+        other._lookups, other._cached, other._scanned = {}, {}, {}
         return other
 
     def anew(self, scan):
@@ -331,9 +332,7 @@ class InnerSearch:
         form = Form(Term(rest, kind), 0.0)
         axes = self.axes_of(form)
         if not axes or len(axes) > MOST_INNER:
-            nothing = np.zeros(self.draws.shape[1])
-            none = np.zeros(0)
-            return Scan(form, axes or (), 0, 0.0, nothing, 0.0, 0.0, none, none, ())
+            return self._nothing(form, axes or ())
         return self.scan(form, COARSE)
 
     def scan(self, form, coarse=1):
@@ -341,6 +340,19 @@ class InnerSearch:
         axes = self.axes_of(form)
         if axes is None:
             return None
+        key = self._bare(form.term.formula), form.term.kind, coarse
+        if key[0] is None:
+            return self._nothing(form, axes)
+        if key not in self._scanned:
+            self._scanned[key] = self._scan(form, axes, coarse)
+        return replace(self._scanned[key], form=form, ties=[])
+
+    def _nothing(self, form, axes):
+        """The scan of a form that gains nothing anywhere."""
+        none, null = np.zeros(0), np.zeros(self.draws.shape[1])
+        return Scan(form, axes, 0, 0.0, null, 0.0, 0.0, none, none, ())
+
+    def _scan(self, form, axes, coarse):
         n_places = sum(axis.cauchy is not None for axis in axes)
         alone = -(-(N_POINTS if len(axes) == 1 else N_ACROSS) // coarse)
         across = min(round(N_PLACES ** (1 / n_places)), N_LINE) // coarse if n_places else 0
@@ -353,6 +365,40 @@ class InnerSearch:
         null = np.square(unit.T @ self.draws).max(axis=0, initial=0.0)
         best, peaks = float(gains[k]), _peaks(grid, gains)
         return Scan(form, axes, len(gains), best, null, volume, best, *grid[k].T, peaks)
+
+    def _bare(self, formula):
+        """A formula without factors that all bodies have alike; None if one of them is zero.
+
+        Forms of which it is the same have moments that are parallel. It may have units of its own,
+        and is never evaluated.
+        """
+        if not isinstance(formula, Call) or formula.operator != "mul":
+            return formula
+        kept = []
+        for arg in formula.args:
+            value = self._shared(arg)
+            if value == 0.0:
+                return None
+            if value is None:
+                kept.append(self._bare(arg))
+        if None in kept:
+            return None
+        return kept[0] if len(kept) == 1 else Call("mul", *(kept or formula.args))
+
+    def _shared(self, node):
+        """The value of a property that all bodies have alike; None if it is none such."""
+        if node not in self._alike:
+            named = property_of(node.name) if isinstance(node, Input) else None
+            self._alike[node] = None
+            if named and node.type.shape == "scalar":
+                column, role = named
+                values = np.concatenate([
+                    b.bodies.column(column)[:, b.bodies.receivers if role == "i" else slice(None)]
+                    .ravel() for b in self.batches
+                ])  # fmt: skip
+                if np.all(values == values[0]):
+                    self._alike[node] = float(values[0])
+        return self._alike[node]
 
     def closer(self, scan, zoom):
         """The same with the best sought on a finer grid, which moves along while that gains.

@@ -46,3 +46,13 @@ def test_a_likeness_that_misleads_and_a_top_beyond_the_bounds():
     assert found[1] == -1 and found[2] == 1
     found, _ = maximise(lambda v: -np.inf if v[0] < 0.1 else hill(v), [1, 1, 1], BOUNDS)
     assert found == pytest.approx(TOP, abs=0.01)
+
+
+def test_a_bound_along_which_the_function_is_bent_otherwise_costs_no_search():
+    def held(values):  # grows ever faster towards the bound of its first number
+        return 200 * np.exp(values[0]) - 500 * (values[1] - 0.5) ** 2
+
+    count = Counted(held)
+    found, _ = maximise(count, [1.0, 0.3], [(-3, 1), (-3, 3)], held)
+    assert found == pytest.approx([1.0, 0.5], abs=1e-3)
+    assert count.n_calls < 20

@@ -39,7 +39,8 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
         row = Row(len(turn.rows), "contact", proposal.text, source, "converged", nats, 0.0, nats, 4)
         return row, proposal
 
-    monkeypatch.setattr(turn, "_fits", lambda queue: SimpleNamespace(result=lambda k: None))
+    fits = SimpleNamespace(result=lambda k: None, end=lambda: None)
+    monkeypatch.setattr(turn, "_fits", lambda queue: fits)
     monkeypatch.setattr(turn, "_followed", followed)
     monkeypatch.setattr(turn, "_note_gain", lambda *_: None)
     monkeypatch.setattr(turn, "_tell_near", lambda *_: None)

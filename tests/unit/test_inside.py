@@ -16,13 +16,14 @@ from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposers.inside import Inside
+from bsp_gp.loop.proposers.inside import Inside, inner_search
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
 from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.force import Term
 from bsp_gp.report.naming import describe
 from bsp_gp.report.sentences import parting_sentence
-from bsp_gp.search.inner import Axis, _are_told, expanded
+from bsp_gp.search.inner import Axis, Form, _are_told, expanded
 from bsp_gp.units import Unit
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.unit.test_decide import decided, row
@@ -195,6 +196,35 @@ def test_a_power_of_the_mass_is_fitted_where_there_are_masses_enough(n_scenes, n
         assert is_within(found, a1=0.7, n1=1.5)
         told = describe(best.formulas[0], -0.5)
         assert told == "force along the velocity, to a fitted power of speed, times m_i^a1"
+
+
+@pytest.mark.parametrize(("masses", "is_same"), [((2.0, 2.0), True), ((2.0, 3.0), False)])
+def test_a_form_is_scanned_once_for_all_properties_that_bodies_have_alike(masses, is_same):
+    rng, scenes = np.random.default_rng(0), []
+    for k, mass in enumerate(masses):
+        ball = body("ball", mass=mass, properties={"charge": 0.0, "size": 3.0})
+        places = np.stack([TIMES + k, TIMES**2], axis=1)
+        places += SIGMA * rng.standard_normal(places.shape)
+        scenes.append(scene_of(TIMES, (ball,), places[:, None], name=f"s{k}"))
+    data = dataset_of(scenes, noise=(SIGMA, SIGMA))
+    hypothesis = Hypothesis.from_laws(data, [])
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    search = inner_search(view, load_grammar("physics"), view.moment_draws)
+    types = input_types({"mass": Unit.of(kg=1), "charge": Unit.of(A=1), "size": Unit.of(m=1)})
+
+    def scan(text):
+        return search.scan(Form(Term(parse_formula(text, types), "field"), 1.0))
+
+    plain = scan("norm(v_i)^n * v_i")
+    assert plain.gain > 10
+    for text, same in (("size_i * norm(v_i)^n * v_i", True), ("m_i * norm(v_i)^n * v_i", is_same)):
+        other = scan(text)
+        assert to_text(other.form.term.formula) == text and other.ties is not plain.ties
+        assert (other.peaks is plain.peaks) == same
+        by_itself = search._scan(other.form, other.axes, 1)
+        assert other.gain == pytest.approx(by_itself.gain, rel=1e-9)
+    nothing = scan("charge_i * norm(v_i)^n * v_i")
+    assert nothing.n_points == 0 and nothing.gain == 0.0
 
 
 def test_inner_constants_stay_in_the_ranges_that_the_data_give_them():

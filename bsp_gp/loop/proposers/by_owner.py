@@ -29,6 +29,7 @@ class ByOwner:
     """
 
     name = "by_owner"
+    is_alone = False
 
     def __init__(self, laws):
         self.laws = laws

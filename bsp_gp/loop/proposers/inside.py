@@ -33,9 +33,9 @@ MOST_CLOSER, LEAST_CLOSER = 80, 20
 """Forms that are looked at between the places of their grids, and closer ever fewer of them."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
-MOST_WEIGHTS = 3_000_000
+MOST_WEIGHTS = 400_000
 """Products that the moments of one force are made of, above which forms that act on bodies by
-themselves are scanned on a part of the chains: of a long recording a minute tells them as well."""
+themselves are scanned on a part of the chains, and the best of them scored on all."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -58,6 +58,7 @@ class Inside:
     """
 
     name = "inside"
+    is_alone = False
 
     def __init__(self, laws, dataset):
         self.grammar, self.common = laws.grammar, laws.common
@@ -91,7 +92,8 @@ class Inside:
                 break
             axes = search.axes_of(form)
             if axes and not (is_noise and len(axes) > 1):
-                scans.append(parts[form.term.kind].scan(form))
+                found = parts[form.term.kind].scan(form)
+                scans += [found] if found.n_points else []
         if not scans:
             return Family(self.name, is_partial=is_partial)
         distinct = []

@@ -60,7 +60,7 @@ class Laws:
     """
 
     name = "laws"
-    asks_seconds = True
+    asks_seconds, is_alone = True, False
 
     def __init__(
         self, grammar, dataset, max_levels=8, exclude=("t",), search="exhaustive", budget=BUDGET

@@ -43,6 +43,7 @@ class OwnLaws:
     """
 
     name = "own_laws"
+    is_alone = False
 
     def __init__(self, laws):
         self.laws = laws

@@ -35,6 +35,7 @@ class Sources:
     """
 
     name = "sources"
+    is_alone = False
 
     def propose(self, view):
         """The family of all powers."""

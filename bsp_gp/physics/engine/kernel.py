@@ -7,9 +7,9 @@ a stage needs stays in the cache. `compiled` packs laws into the arrays that are
 
 from collections import namedtuple
 
-import numba
 import numpy as np
 
+from bsp_gp.compiling import compiled
 from bsp_gp.language.operators import GUARD
 
 Code = namedtuple("Code", "programs kept numbers loads steps outs parameters others n_registers")
@@ -45,15 +45,7 @@ LANES, MOST_CARRIED = 128, 1 << 16
 """Points that are computed together, and derivatives of them in all stages."""
 
 
-def _compiled(function):
-    """Compiled at its first call, and kept on disk where there is a place for it."""
-    try:
-        return numba.njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no folder can be written to
-        return numba.njit(error_model="numpy")(function)
-
-
-@_compiled
+@compiled
 def _operate(op, x, y, z, n):
     """An operation of `OPS` on n points."""
     if op == 0:
@@ -87,7 +79,7 @@ def _operate(op, x, y, z, n):
         _operate_rarely(op, x, y, z, n)
 
 
-@_compiled
+@compiled
 def _bessel(order, x):
     """K0 or K1: exp(-x cosh t) cosh(order t) over t, by trapezes, which are exact to rounding."""
     if not 0 < x < FAR:
@@ -102,7 +94,7 @@ def _bessel(order, x):
             return h * total * np.exp(-x)
 
 
-@_compiled
+@compiled
 def _operate_rarely(op, x, y, z, n):
     """The operations of `OPS` that take long, or are seldom met."""
     for m in range(n):
@@ -132,7 +124,7 @@ def _operate_rarely(op, x, y, z, n):
             z[m] = _bessel(op - 20, x[m])
 
 
-@_compiled
+@compiled
 def _play(code, program, state, inputs, r, j, s, m0, n, registers):
     """A program for a receiver and a source, at some points of a stage."""
     p = code.programs[program]
@@ -167,7 +159,7 @@ def _play(code, program, state, inputs, r, j, s, m0, n, registers):
         _operate(code.steps[k, 0], x, y, registers[first + code.steps[k, 3]], n)
 
 
-@_compiled
+@compiled
 def _accelerate(code, state, inputs, s, m0, n, registers, out):
     """Accelerations (R, d, M) at some points."""
     n_own, n_dims = out.shape[0], out.shape[1]
@@ -186,7 +178,7 @@ def _accelerate(code, state, inputs, s, m0, n, registers, out):
                         row[m0 + m] += given[m]
 
 
-@_compiled
+@compiled
 def _derive(code, state, inputs, s, m0, n, registers, by_state, by_constant, begin):
     """Derivatives of accelerations (R d, 2 R d, .) and (R d, k, .) at some points, added."""
     n_own, n_dims = state.shape[1], state.shape[2]
@@ -216,7 +208,7 @@ def _derive(code, state, inputs, s, m0, n, registers, by_state, by_constant, beg
                             to[begin + m] += given[m]
 
 
-@_compiled
+@compiled
 def slopes(code, state, inputs, by_state, by_constant):
     """Derivatives of accelerations at states, added to (R d, 2 R d, M) and (R d, k, M)."""
     registers = np.empty((code.n_registers, LANES))
@@ -225,7 +217,7 @@ def slopes(code, state, inputs, by_state, by_constant):
         _derive(code, state, inputs, 0, m0, n, registers, by_state, by_constant, m0)
 
 
-@_compiled
+@compiled
 def step(code, a, b, h, inputs, states, rates, end):
     """One step of a Runge-Kutta scheme from states[0].
 
@@ -267,7 +259,7 @@ def step(code, a, b, h, inputs, states, rates, end):
                 _accelerate(code, to, inputs, s, m0, n, registers, rates[s, 1])
 
 
-@_compiled
+@compiled
 def carry(code, a, b, h, inputs, states, pattern, first, out):
     """Derivatives at the end of a step, from those at its start and all stages' states.
 
