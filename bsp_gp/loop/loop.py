@@ -482,10 +482,11 @@ class _Turn:
         Two that leave much as well have no such claim: the first is adopted, and the next round
         asks for the second by itself.
         """
-        firsts = self._firsts()
+        ends = self._ends()
+        firsts = ends + [row for row in self._firsts() if row not in ends]
         able = [p for p in self.run.proposers if getattr(p, "asks_seconds", False)]
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
-            if self.leaving_nothing:  # beside one of those before
+            if self.leaving_nothing and row not in ends:  # beside one of those before
                 break
             found = self.fits[row.id]
             near = continued(self.hypotheses[row.id], found)
@@ -516,6 +517,16 @@ class _Turn:
             both = _fit_of(shared, job)
             if both is not None and self._left(both[0]) < EXPLAINED:
                 self._fitted(*job, both)
+
+    def _ends(self):
+        """Rows in which ends of tracks are left out that are no part of the motion.
+
+        They hide what forces do between them, and forces of some form explain them as well.
+        """
+        return [
+            row for row in self.rows[1:]
+            if row.is_fit and row.source == "hands" and self._left(self.fits[row.id]) > EXPLAINED
+        ]  # fmt: skip
 
     def _firsts(self):
         """Rows of the likeliest laws, of each form one.

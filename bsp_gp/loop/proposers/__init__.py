@@ -8,6 +8,7 @@ from bsp_gp.loop.proposers.defects import Defects
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.growing import Growing
+from bsp_gp.loop.proposers.hands import Hands
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.loop.proposers.inclined import Inclinations
 from bsp_gp.loop.proposers.inside import Inside
@@ -46,5 +47,5 @@ def standard(grammar, dataset, **settings):
         laws, inside, Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
         Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
         Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
-        Measurement(), LateLogs(), Defects(), Noise(), Unfollowed(laws),
+        Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

@@ -46,7 +46,7 @@ class Defects:
         """The family of all rows and change-points."""
         if view.fit.is_failed:
             return self._family(view, [], [], np.zeros(2))
-        windows, shifts, even, chains = [], {}, 0.0, list(_chains(view))
+        windows, shifts, even, chains = [], {}, 0.0, list(chains_of(view))
         for chain in chains:
             for window in chain.windows():
                 gains, best = window.gains()
@@ -207,7 +207,8 @@ class _Chain:
         return _Window("ends", name, heads, tails, sums, self, self.names == name)
 
 
-def _chains(view):
+def chains_of(view):
+    """The chains of a view's fit, whose rows may be left out."""
     fit, tangent, channels = view.fit, view.tangent, view.fit.channels
     scenes = {scene.name: scene for scene in view.dataset.scenes}
     moved = join(np.moveaxis(n[1], (-2, -1), (0, 1)) for n in fit.nodes)
