@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.conversion import KINDS, is_unit
 from bsp_gp.data.headings import ALIASES, NUMBER_COLUMNS, is_angle_name, is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
@@ -118,7 +118,11 @@ class Declaration:
                 renames, "velocity", ("measured", "only", "ignore"), self.velocity
             )
             renames.pop("velocity", None)
-            changes["columns"] = {**self.columns, **_our_keys(renames)}
+            ours = _our_keys(renames)
+            changes["columns"] = {**self.columns, **ours}
+            said = changes.get("units", self.units)  # by the names that columns were given
+            named = {key: name for key, name in zip(renames, ours, strict=True) if key not in KINDS}
+            changes["units"] = {named.get(name, name): unit for name, unit in said.items()}
         if fps is not None or dt is not None:
             changes["fps"] = reader.positive({"fps": fps}, "fps")
             changes["dt"] = reader.positive({"dt": dt}, "dt")

@@ -170,7 +170,9 @@ def _summed(table, declaration, found):
         table, frame=frame, units={**table.units, **units}, theirs=theirs, unused=unused,
         untimed="", notes=(*table.notes, *notes),
     )  # fmt: skip
-    return table, replace(declaration, velocity=ONLY, noise=_noise(declaration, times, scale))
+    said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
+    noise = _noise(declaration, times, scale)
+    return table, replace(declaration, velocity=ONLY, noise=noise, units=said)
 
 
 def _told(headings, is_short, is_split):

@@ -33,6 +33,9 @@ CHUNK = 1 << 22
 ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
 GRAVITY = f"6.6743e-11 [m^3/(kg s^2)] * m_j * {ATTRACTION}"
 TYPES = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
+ZOOMS, CLOSER, MOVES, LITTLE = 6, 2.5, 4, 1e-4
+"""Finer grids about the best places, how much finer each is, times that one moves along, and the
+part of a gain that is worth it."""
 AWAY = 0.1
 """Part of the data's size that a fit may miss and still lead to what extends it."""
 SAME = 1e-6
@@ -87,8 +90,7 @@ class Hidden(Sources):
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
             for k in apart(unit, gains):
-                strength = float(unit[:, k] @ view.left / size[k])
-                proposals += stage.proposals(terms, k, strength, float(gains[k]))
+                proposals += stage.proposals(terms, *stage.closer(terms, k))
         return self.family(proposals, null, n_tried)
 
 
@@ -234,10 +236,33 @@ class Stage:
             self.bounds(terms), kind="hidden_body", **more,
         )  # fmt: skip
 
-    def proposals(self, terms, k, strength, gain):
+    def closer(self, terms, k):
+        """The best place near one of the grid, the strength there, and the gain.
+
+        Near a track what a source explains changes within much less than the grid is wide.
+        """
+        span = np.linspace(-1.0, 1.0, 5 if self.n_dims == 2 else 3)
+        steps = np.stack(np.meshgrid(*(span,) * self.n_dims, indexing="ij"), axis=-1)
+        steps, place = steps.reshape(-1, self.n_dims), self.places[k]
+        near = np.linalg.norm(self.places - place, axis=1)
+        wide, best = float(near[near > 0].min()), None
+        for zoom in range(ZOOMS):
+            for _ in range(MOVES):
+                places = place + steps * wide / CLOSER**zoom
+                unit, size = self.beside(self.columns(terms, still(places)))
+                along = unit.T @ self.view.left
+                gains = np.where(along > 0, np.square(along), 0.0) if self.bounds(terms) else (
+                    np.square(along))
+                top = int(np.argmax(gains))
+                if best is not None and not gains[top] > (1 + LITTLE) * best[2]:
+                    break
+                place, best = places[top], (places[top], along[top] / size[top], gains[top])
+        return best[0], float(best[1]), float(best[2])
+
+    def proposals(self, terms, place, strength, gain):
         """A source at a place, at rest; in one recording also moving."""
-        place = map(float, self.places[k])
-        starts = {self.strength: strength, **dict(zip(self.names, place, strict=True))}
+        place = dict(zip(self.names, map(float, place), strict=True))
+        starts = {self.strength: strength, **place}
         prior, more = self.log_prior(terms), {"is_afresh": self.is_led_away}
         rest = self.source(terms, starts)
         out = [self.proposal("at rest", terms, (rest,), gain, starts, prior, **more)]
