@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import time
 
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.fitting.parts.defects import LeftOut
+from bsp_gp.units import Unit
 
-__all__ = ["PASSES", "about_lost", "cut_short", "followed"]
+__all__ = ["PASSES", "about_ends", "about_lost", "cut_short", "followed"]
 
 PASSES = 3
 """Times that tracks are cut, at the most."""
@@ -69,4 +72,24 @@ def about_lost(hypothesis):
     return (
         f"{CHECK}no path under the law follows all of some tracks, as they do all others: used are "
         f"{told}; after it comes a close pass, or something that acts there alone",
+    )
+
+
+def about_ends(hypothesis, dataset):
+    """At which ends of tracks rows are left out, a note or none."""
+    scenes, told = {scene.name: scene for scene in dataset.scenes}, []
+    second = dataset.units.text(Unit.of(s=1))
+    for part in hypothesis.parts:
+        if type(part) is not LeftOut or part.scene not in scenes:
+            continue
+        times = scenes[part.scene].times
+        if part.row == 0:
+            told.append(f"before {times[part.stop]:.4g} {second} in {part.scene!r}")
+        elif part.stop >= len(times):
+            told.append(f"after {times[part.row - 1]:.4g} {second} in {part.scene!r}")
+    if not told:
+        return ()
+    return (
+        f"{CHECK}something else moves the body at the ends, such as a hand, or what it strikes: "
+        f"rows are left out {listed(told)}",
     )

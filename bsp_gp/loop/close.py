@@ -20,7 +20,7 @@ from bsp_gp.data.stretches import in_stretches
 from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.followed import about_lost, followed
+from bsp_gp.fitting.followed import about_ends, about_lost, followed
 from bsp_gp.fitting.hands import without_hands
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
 from bsp_gp.fitting.law_fit import (
@@ -390,7 +390,7 @@ class _Ready:
     def notes(self, found, hypothesis):
         """What is known of the data beside a hypothesis that was fitted to them."""
         return (
-            *self.noise.notes, *about_lost(hypothesis),
+            *self.noise.notes, *about_lost(hypothesis), *about_ends(hypothesis, self.train),
             *about_outliers(found, self.is_weeded, self.far_off),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
