@@ -109,6 +109,52 @@ def sinking(n_beads=4):
     return Dataset("beads", tuple(scenes), units=units)
 
 
+def seen_for(exposure, heavy=False, n_rows=400, fine=40):
+    """Three beads without inertia, D = 0.43, of which each row is the mean over an exposure."""
+    rng, tracks = np.random.default_rng(5), []
+    for _ in range(3):
+        steps = rng.standard_normal((n_rows * fine, 2)) * np.sqrt(2 * 0.43 / 30 / fine)
+        if heavy:  # out of focus at times
+            steps *= np.repeat(rng.uniform(0.6, 1.3, n_rows * fine // 800), 800)[:, None]
+        walk = np.cumsum(steps, axis=0).reshape(n_rows, fine, 2)
+        places = walk[:, -max(round(exposure * fine), 1) :].mean(axis=1)
+        places += 0.02 * rng.standard_normal((n_rows, 2))
+        tracks.append(Track(np.arange(n_rows) / 30, places))
+    return tracks
+
+
+@pytest.mark.parametrize("exposure", [0.0, 0.8])
+def test_what_a_camera_blurs_is_no_inertia(exposure):
+    models = [m for m in models_of(seen_for(exposure)) if m.terms == {"kicks", "drag"}]
+    assert models[0].is_overdamped and models[0].is_blurred == (exposure > 0)
+    value, low, high = models[0].values["diffusion"]
+    assert value - 2 * (value - low) < 0.43 < value + 2 * (high - value)
+    if exposure:
+        instant = next(m for m in models if m.is_overdamped and not m.is_blurred)
+        assert instant.values["diffusion"][2] < 0.43  # too few without it
+        assert models[0].values["exposure"][2] <= 1 / 30
+
+
+def test_the_density_of_blurred_places_is_that_of_the_joint_normal():
+    part = _Part(np.array([0.0, 1.0, 2.5]), np.array([[0.0], [0.4], [0.1]]))
+    model = _Model(True, 0.0, 0.0, 0.5, 0.4, exposure=0.6)
+    # Means over [t - 0.6, t] of a walk of 2 D = 1 that begins 0.6 before the first row.
+    fine = np.arange(1, 3101) * 0.001
+    walk = np.minimum(fine[:, None], fine)
+    weights = np.stack([(fine > t - 0.6) & (fine <= t) for t in (0.6, 1.6, 3.1)]) / 600.0
+    covariance = weights @ walk @ weights.T
+    far = 300.0  # so that where the walk begins is of no matter
+    joint = covariance - covariance[0, 0] + far**2 + 0.16 * np.eye(3)
+    height = part.density(model, 2.0, far, False)[0]
+    expected = multivariate_normal(np.zeros(3), joint).logpdf(part.places[:, 0])
+    assert height == pytest.approx(expected, abs=0.02)
+
+
+def test_tails_that_are_a_little_heavy_hide_no_kicks():
+    best = models_of(seen_for(0.0, heavy=True))[0]
+    assert best.terms == {"kicks", "drag"} and best.oddity > 0.01
+
+
 def test_beads_that_sink_are_pushed_and_in_no_trap_far_away():
     tracks = [Track(s.times, s.positions[:, 0]) for s in sinking().scenes]
     best = models_of(tracks)[0]

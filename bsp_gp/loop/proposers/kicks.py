@@ -22,7 +22,7 @@ UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
     "kick_power": LENGTH**2 / TIME**3, "diffusion": LENGTH**2 / TIME,
     "speed_variance": LENGTH**2 / TIME**2, "noise": LENGTH, "centre": LENGTH,
-    "push": LENGTH / TIME**2,
+    "push": LENGTH / TIME**2, "exposure": TIME,
 }  # fmt: skip
 BOLTZMANN = 1.380649e-23
 """J/K."""
@@ -169,4 +169,5 @@ def _text(model):
     forces = [word for name, word in (("drag", "drag"), ("trap", "a trap"), ("push", "a push"))
               if name in model.terms and not (name == "drag" and model.is_overdamped)]  # fmt: skip
     text = "random kicks" + (f" with {' and '.join(forces)}" if forces else "")
+    text += ", shown as means over an exposure" if model.is_blurred else ""
     return text + (" (no inertia is seen)" if model.is_overdamped else "")
