@@ -464,6 +464,7 @@ def _written(
     accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew, foreseen)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     doubt = writing_up.doubt_of_periods(rounds, pruned.removed)
+    doubt = doubt or writing_up.doubt_of_sources(rounds, pruned.removed)
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
     if may_ask and not doubt:

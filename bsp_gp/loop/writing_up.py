@@ -13,10 +13,11 @@ from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.fitting.parts.hidden import HiddenSource
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
-from bsp_gp.loop.constancy import Constancy
+from bsp_gp.loop.constancy import Z_90, Constancy
 from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import FORESEEING, foresees
@@ -129,6 +130,30 @@ def is_many(rounds, removed):
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
     return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES
+
+
+def doubt_of_sources(rounds, removed):
+    """Why an unseen body that rounds have added is none for sure; "" where nothing says so.
+
+    One whose strength may be nothing may be anywhere: what it does, a push that changes a little
+    from place to place, something else does as well.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    """
+    for r in rounds:
+        best = r.decision.best
+        if not r.decision.is_adopted or r.number in removed or best.kind != "hidden_body":
+            continue
+        found = r.fits[best.id]
+        for part in r.hypotheses[best.id].parts:
+            if isinstance(part, HiddenSource) and (part.strength, "") in found.parameters:
+                k = found.parameters.index((part.strength, ""))
+                if abs(found.values[k]) < Z_90 * found.errors[k]:
+                    return "not_placed"
+    return ""
 
 
 def doubt_of_periods(rounds, removed):

@@ -74,6 +74,8 @@ REASONS = {
     "beside_description": "it makes up for a law beside it that only describes these tracks",
     "force_beside": "it describes these tracks, but a force of no listed form acts beside it",
     "many_causes": "it takes many causes to describe these tracks, rather than one of another form",
+    "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
+    "from place to place do as well",
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",
     "own_period": "its period is about that of the swing itself, or a part of it: whatever the law "
     "lacks otherwise looks like that",

@@ -20,6 +20,8 @@ LEAST_ROWS, MOST_ROWS = 16, 2_000
 """Of a recording that is asked: of longer ones a hand is a small part."""
 LEAST, MOST_APART = 3, 0.5
 """Rows that are left out at one end, and the part of a track that may be."""
+MOST_OUT = 0.5
+"""Part of all rows that may be left out: what is as rough everywhere is the motion."""
 FEW, MOST = 0.2, 0.3
 """Part of a track that may be left out by what the law leaves, and of that, which it makes."""
 
@@ -66,7 +68,9 @@ class Hands:
                         n_left_out=int(window.rank[k]), extent=float(extents[k]),
                     ))  # fmt: skip
                     gain += float(paid[k])
-        proposals = (_proposal(view, parts, gain, n_tried),) if parts else ()
+        n_out = sum(part.n_left_out for part in parts)
+        is_told = parts and n_out <= MOST_OUT * np.count_nonzero(view.tangent.whitener.seen)
+        proposals = (_proposal(view, parts, gain, n_tried),) if is_told else ()
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
 
 
@@ -75,7 +79,8 @@ def _track(chain, levels):
     scene, names = chain.scene, np.unique(chain.names)
     axes = np.isfinite(levels)
     places = scene.positions[:, scene.names.index(names[0])][:, axes]
-    is_whole = len(names) == 1 and np.isfinite(places).all() and scene.first is None
+    is_alone = len(scene.dynamic) == 1  # else a pull of the other, near by, may be as abrupt
+    is_whole = is_alone and np.isfinite(places).all() and scene.first is None
     is_usual = LEAST_ROWS <= len(places) <= MOST_ROWS
     return (places, levels[axes]) if is_whole and is_usual and axes.any() else None
 
