@@ -35,43 +35,77 @@ class Hands:
     def propose(self, view):
         """The family of one: all ends that pay for being left out."""
         levels = np.array(estimate_noise(view.dataset).sigma)
-        even, parts, gain, n_tried = np.zeros(1 + len(view.row_draws)), [], 0.0, 0
+        even, found, n_tried = np.zeros(1 + len(view.row_draws)), [], 0
         for chain in () if view.is_astronomical else filter(is_open, chains_of(view)):
             track = _track(chain, levels)
             if track is None:
                 continue
-            places, errors = track
-            n = len(places)
-            told = departures(chain.scene.times, places, errors)
-            rows = np.arange(LEAST, int(MOST_APART * n) + 1)
-            n_tried += 2 * len(rows)
+            told = departures(chain.scene.times, *track)
             for side in (0, 1):
-                heads, tails = (rows, rows * 0 + n) if side == 0 else (rows * 0, n - rows)
-                window = chain.ends(chain.names[0], heads, tails)
-                gains, best = window.gains()
-                even = np.maximum(even, best)
-                extents = _extents(chain.scene.times, places, errors, side)[rows - 1]
-                cost = window.price + window.rank * np.log(extents / chain.extent)
-                paid = np.where(window.is_able, gains - 2 * cost, -np.inf)
-                if told[side]:
-                    k = np.searchsorted(rows, told[side])
-                else:  # of few rows; what a law lacks all along would leave out half of a track
-                    few = paid[rows <= FEW * n]
-                    k = int(np.argmax(few)) if len(few) and not any(told) else 0
-                    is_most = gains[k] > MOST * np.square(chain.targets[0]).sum()
-                    paid[k] = paid[k] if len(few) and not any(told) and is_most else -np.inf
-                if paid[k] > 0:
-                    first, stop = int(heads[k]), int(tails[k])
-                    first, stop = (0, first) if side == 0 else (stop, n)
-                    parts.append(LeftOut(
-                        chain.scene.name, first, stop, str(chain.names[0]),
-                        n_left_out=int(window.rank[k]), extent=float(extents[k]),
-                    ))  # fmt: skip
-                    gain += float(paid[k])
-        n_out = sum(part.n_left_out for part in parts)
-        is_told = parts and n_out <= MOST_OUT * np.count_nonzero(view.tangent.whitener.seen)
-        proposals = (_proposal(view, parts, gain, n_tried),) if is_told else ()
+                end = _End(chain, *track, side)
+                even = np.maximum(even, end.even)
+                n_tried += len(end.rows)
+                k = end.told_by_track(told[side]) if any(told) else end.told_by_law()
+                if k is not None and end.paid[k] > 0:
+                    found.append((end.part(k), float(end.paid[k])))
+        n_out = sum(part.n_left_out for part, _ in found)
+        is_told = found and n_out <= MOST_OUT * np.count_nonzero(view.tangent.whitener.seen)
+        proposals = (_proposal(view, found, n_tried),) if is_told else ()
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
+
+
+class _End:
+    """Rows at one end of a track, 0 or 1, left out as so many.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (K,)
+        How many.
+    paid : ndarray, shape (K,)
+        Chi-squared that is gained, less twice what they cost, nats; -inf where that cannot be.
+    even : ndarray, shape (1 + B,)
+        The greatest gain on the data and on draws of noise, as of pairs.
+    """
+
+    def __init__(self, chain, places, errors, side):
+        times, n = chain.scene.times, len(places)
+        self.chain, self.side, self.n = chain, side, n
+        self.rows = np.arange(LEAST, int(MOST_APART * n) + 1)
+        nothing = np.zeros_like(self.rows)
+        ends = (self.rows, nothing + n) if side == 0 else (nothing, n - self.rows)
+        self.window = chain.ends(chain.names[0], *ends)
+        self._gains, self.even = self.window.gains()
+        sizes = going_on(times, places) if side == 0 else going_on(-times[::-1], places[::-1])
+        # Extents in which rows would lie with the density that they have.
+        self._extents = math.sqrt(2 * math.pi * math.e) * np.maximum(sizes, errors.min())
+        self._extents = self._extents[self.rows - 1]
+        cost = self.window.price + self.window.rank * np.log(self._extents / chain.extent)
+        self.paid = np.where(self.window.is_able, self._gains - 2 * cost, -np.inf)
+
+    def told_by_track(self, count):
+        """Which of `rows` are as many as the track says; None where it says none."""
+        return int(np.searchsorted(self.rows, count)) if count else None
+
+    def told_by_law(self):
+        """Which leave least of the law; None where they are many, or do not make most of it.
+
+        What a law lacks all along would leave out half of a track.
+        """
+        few = self.paid[self.rows <= FEW * self.n]
+        if not len(few):
+            return None
+        k = int(np.argmax(few))
+        is_most = self._gains[k] > MOST * np.square(self.chain.targets[0]).sum()
+        return k if is_most else None
+
+    def part(self, k):
+        """Number k of `rows` left out."""
+        count = int(self.rows[k])
+        first, stop = (0, count) if self.side == 0 else (self.n - count, self.n)
+        return LeftOut(
+            self.chain.scene.name, first, stop, str(self.chain.names[0]),
+            n_left_out=int(self.window.rank[k]), extent=float(self._extents[k]),
+        )  # fmt: skip
 
 
 def _track(chain, levels):
@@ -85,17 +119,12 @@ def _track(chain, levels):
     return (places, levels[axes]) if is_whole and is_usual and axes.any() else None
 
 
-def _extents(times, places, errors, side):
-    """Extents in which rows at an end lie with the density that they have, (T - 2,), m."""
-    sizes = going_on(times, places) if side == 0 else going_on(-times[::-1], places[::-1])
-    return math.sqrt(2 * math.pi * math.e) * np.maximum(sizes, errors.min())
-
-
-def _proposal(view, parts, gain, n_tried):
-    hypothesis = sum(parts, view.hypothesis)
+def _proposal(view, found, n_tried):
+    """All parts at once; `found` are parts and what is gained by each."""
+    parts, gains = zip(*found, strict=True)
     log_prior = -view.criteria.cause_nats - len(parts) * float(np.log(n_tried))
     text = "; ".join(part.describe() for part in parts)
     return Proposal(
-        "untrimmed", text, hypothesis, log_prior, gain, len(parts), kind="measurement",
-        is_afresh=True,
+        "untrimmed", text, sum(parts, view.hypothesis), log_prior, sum(gains), len(parts),
+        kind="measurement", is_afresh=True,
     )  # fmt: skip
