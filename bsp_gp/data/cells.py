@@ -1,16 +1,17 @@
 """Texts in CSV files that a spreadsheet shows and does not run.
 
 A cell that begins with = + - or @ is a formula to a spreadsheet, and a formula can send what
-stands beside it elsewhere. An apostrophe before it makes it a text; our own reader takes it off
-again. So that every name survives, names that have such an apostrophe get one more.
+stands beside it elsewhere; a line that begins with # is none of the table. An apostrophe before it
+makes it a text; our own reader takes it off again. So that every name survives, names that have
+such an apostrophe get one more.
 """
 
 import re
 
 import pandas as pd
 
-_FORMULA = re.compile(r"'*[=+\-@\t\r]")
-_MARKED = re.compile(r"''*[=+\-@\t\r]")
+_FORMULA = re.compile(r"'*([=+\-@\t\r]|\s*#)")
+_MARKED = re.compile(r"''*([=+\-@\t\r]|\s*#)")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
