@@ -778,9 +778,10 @@ class _Turn:
             status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.
         held_out = HeldOut() if proposal.is_last else held_out_gain(self.base, best)
+        more = _more_under(self.base.noise, best) if self.base.shows_tracks else 0.0
         return self._add(
-            source, proposal, status, evidence, best.log_likelihood, best.n_free, held_out,
-            self._twin(source, proposal, best),
+            source, proposal, status, evidence + more, best.log_likelihood + more, best.n_free,
+            held_out, self._twin(source, proposal, best),
         )  # fmt: skip
 
     def _is_idle(self, proposal, new):
@@ -858,6 +859,23 @@ def _fit_of(shared, job):
     except FAULTS:
         return None
     return new, best, evidence
+
+
+def _more_under(noise, found):
+    """Nats by which a fit is likelier under a noise up to as large as that of another fit.
+
+    What a law leaves is told from its noise by what is smooth in it. So a cause that does not
+    explain all may have less noise than the law without it, and would be less likely for that.
+    """
+    is_free = found.noise.is_free & noise.is_free
+    if not is_free.any() or found.is_failed:
+        return 0.0
+    levels = np.array(noise.levels)[is_free] / np.array(found.noise.levels)[is_free]
+    most = float(np.exp(np.mean(np.log(levels))))
+    size = min(math.sqrt(found.chisqr / found.n_rows), most)
+    if not size > 1.0:
+        return 0.0
+    return 0.5 * found.chisqr * (1.0 - size**-2.0) - found.n_rows * math.log(size)
 
 
 def _is_less(base, found):
