@@ -235,7 +235,8 @@ def _model(row, done):
 
     Of what was only scored the constants are those of the linear look, without errors.
     """
-    if not row.probability >= LEAST_LIKELY or row.id not in done.hypotheses:
+    is_listed = row.status != "linearised"  # what nobody lists has a number, and no hypothesis
+    if not (is_listed and row.probability >= LEAST_LIKELY and row.id in done.hypotheses):
         return None
     found = done.fits.get(row.id)
     if found is None:
