@@ -85,26 +85,34 @@ def _split(times, places, apart, strength):
 
 @compiled
 def _heights(times, places, strength):
-    """Log-densities of rows, each as those before it foresee it, (T,)."""
+    """Log-densities of rows, each as those before it foresee it, (T,).
+
+    Number by number: matrices would take seconds to compile where the package is new.
+    """
     n, n_axes = places.shape
-    out, mean = np.zeros(n), np.zeros((3, n_axes))
-    p = np.diag(np.array([1e12, 1e8, 1e4]))
+    out = np.zeros(n)
+    place, speed, pull = np.zeros(n_axes), np.zeros(n_axes), np.zeros(n_axes)
+    xx, xv, xa, vv, va, aa = 1e12, 0.0, 0.0, 1e8, 0.0, 1e4  # covariances of these
     for k in range(n):
         if k:
             h = times[k] - times[k - 1]
-            f = np.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
-            grown = np.array([
-                [h**5 / 20, h**4 / 8, h**3 / 6],
-                [h**4 / 8, h**3 / 3, h**2 / 2],
-                [h**3 / 6, h**2 / 2, h],
-            ])  # fmt: skip
-            mean = f @ mean
-            p = f @ p @ f.T + strength * grown
-        size = p[0, 0] + 1.0
-        gain = p[:, 0] / size
+            half = h * h / 2
+            place += h * speed + half * pull
+            speed += h * pull
+            ox, ov, oa = xx + h * xv + half * xa, xv + h * vv + half * va, xa + h * va + half * aa
+            xx = ox + h * ov + half * oa + strength * h**5 / 20
+            xv = ov + h * oa + strength * h**4 / 8
+            xa = oa + strength * h**3 / 6
+            vv = vv + 2 * h * va + h * h * aa + strength * h**3 / 3
+            va = va + h * aa + strength * half
+            aa = aa + strength * h
+        size = xx + 1.0
         for c in range(n_axes):
-            left = places[k, c] - mean[0, c]
+            left = places[k, c] - place[c]
             out[k] -= 0.5 * (left * left / size + math.log(2 * math.pi * size))
-            mean[:, c] += gain * left
-        p = p - np.outer(gain, p[0])
+            place[c] += xx / size * left
+            speed[c] += xv / size * left
+            pull[c] += xa / size * left
+        vv, va, aa = vv - xv * xv / size, va - xv * xa / size, aa - xa * xa / size
+        xx, xv, xa = xx / size, xv / size, xa / size
     return out

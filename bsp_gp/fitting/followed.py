@@ -80,12 +80,14 @@ def about_ends(hypothesis, dataset):
     scenes, told = {scene.name: scene for scene in dataset.scenes}, []
     second = dataset.units.text(Unit.of(s=1))
     for part in hypothesis.parts:
-        if type(part) is not LeftOut or part.scene not in scenes:
+        # A single row is off by itself, and of several bodies a track is lost.
+        is_end = type(part) is LeftOut and part.scene in scenes and part.stop - part.row > 1
+        if not is_end or len(scenes[part.scene].dynamic) > 1:
             continue
         times = scenes[part.scene].times
-        if part.row == 0:
+        if part.row == 0 and part.stop < len(times):
             told.append(f"before {times[part.stop]:.4g} {second} in {part.scene!r}")
-        elif part.stop >= len(times):
+        elif part.row > 0 and part.stop >= len(times):
             told.append(f"after {times[part.row - 1]:.4g} {second} in {part.scene!r}")
     if not told:
         return ()

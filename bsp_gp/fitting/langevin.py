@@ -122,8 +122,8 @@ def _models_of(problem, near):
     # A steady push looks like a trap far away: it is asked whatever is likelier until then.
     free = [m for m in found if "trap" not in m.terms]
     best = max(free, key=lambda m: m.score)
-    for m in (m for m in free if m.terms == best.terms):  # with inertia, and without
-        found.append(problem.fit(m.terms | {"push"}, m.is_overdamped, m.is_blurred))
+    for one in (m for m in free if m.terms == best.terms):  # with inertia, and without
+        found.append(problem.fit(one.terms | {"push"}, one.is_overdamped, one.is_blurred))
     found = sorted(found, key=lambda m: -m.score)
     asked = [m for m in found if "kicks" in m.terms and found[0].score - m.score <= near]
     odd = {id(m): problem.oddity(m) for m in asked}

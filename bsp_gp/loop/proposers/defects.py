@@ -81,7 +81,7 @@ class Defects:
                 ("lost_track", *_lost(windows), n_tried),
                 ("clock_jump", *_frames(moved), n_tried),
             ]
-        proposals = [_proposal(view, *kind) for kind in kinds if kind[1]]
+        proposals = [proposal_of(view, *kind) for kind in kinds if kind[1]]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), swapped, stands, jumps)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_still)
@@ -252,7 +252,7 @@ def _later(values):
 # --- proposals ------------------------------------------------------------------------------------
 
 
-def _proposal(view, code, parts, gain, n_tried):
+def proposal_of(view, code, parts, gain, n_tried):
     """Parts at once; `gain` less what the rows that they leave out cost."""
     hypothesis = sum(parts, view.hypothesis)
     log_prior = -view.criteria.cause_nats - len(parts) * float(np.log(n_tried))

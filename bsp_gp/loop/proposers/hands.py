@@ -12,8 +12,8 @@ import numpy as np
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.departures import departures, going_on
 from bsp_gp.fitting.parts.defects import LeftOut
-from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.proposers.defects import chains_of
+from bsp_gp.loop.proposal import Family
+from bsp_gp.loop.proposers.defects import chains_of, proposal_of
 from bsp_gp.loop.proposers.untrimmed import is_open
 
 LEAST_ROWS, MOST_ROWS = 16, 2_000
@@ -50,7 +50,10 @@ class Hands:
                     found.append((end.part(k), float(end.paid[k])))
         n_out = sum(part.n_left_out for part, _ in found)
         is_told = found and n_out <= MOST_OUT * np.count_nonzero(view.tangent.whitener.seen)
-        proposals = (_proposal(view, found, n_tried),) if is_told else ()
+        proposals = ()
+        if is_told:
+            parts, gains = zip(*found, strict=True)
+            proposals = (proposal_of(view, "untrimmed", parts, sum(gains), n_tried),)
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
 
 
@@ -117,14 +120,3 @@ def _track(chain, levels):
     is_whole = is_alone and np.isfinite(places).all() and scene.first is None
     is_usual = LEAST_ROWS <= len(places) <= MOST_ROWS
     return (places, levels[axes]) if is_whole and is_usual and axes.any() else None
-
-
-def _proposal(view, found, n_tried):
-    """All parts at once; `found` are parts and what is gained by each."""
-    parts, gains = zip(*found, strict=True)
-    log_prior = -view.criteria.cause_nats - len(parts) * float(np.log(n_tried))
-    text = "; ".join(part.describe() for part in parts)
-    return Proposal(
-        "untrimmed", text, sum(parts, view.hypothesis), log_prior, sum(gains), len(parts),
-        kind="measurement", is_afresh=True,
-    )  # fmt: skip

@@ -81,12 +81,11 @@ class Hidden(Sources):
             pulls.append(attraction(view, stage))
         for terms in pulls:
             parts = [stage.columns(terms, still(part)) for part in stage.chunks]
-            unit, size = stage.beside(np.concatenate(parts, axis=1))
+            unit, _ = stage.beside(np.concatenate(parts, axis=1))
             if any(_are_same(unit, other) for other in known):
                 continue
             known.append(unit)
-            along, bounds = unit.T @ view.left, stage.bounds(terms)
-            gains = np.where(along > 0, np.square(along), 0.0) if bounds else np.square(along)
+            gains = stage.gains(terms, unit.T @ view.left)
             null = np.maximum(null, np.square(unit.T @ view.draws_left).max(axis=0))
             n_tried += len(gains)
             for k in apart(unit, gains):
@@ -236,6 +235,10 @@ class Stage:
             self.bounds(terms), kind="hidden_body", **more,
         )  # fmt: skip
 
+    def gains(self, terms, along):
+        """Chi-squared that sources gain by strengths `along`, as far as these are allowed."""
+        return np.square(np.maximum(along, 0.0) if self.bounds(terms) else along)
+
     def closer(self, terms, k):
         """The best place near one of the grid, the strength there, and the gain.
 
@@ -251,8 +254,7 @@ class Stage:
                 places = place + steps * wide / CLOSER**zoom
                 unit, size = self.beside(self.columns(terms, still(places)))
                 along = unit.T @ self.view.left
-                gains = np.where(along > 0, np.square(along), 0.0) if self.bounds(terms) else (
-                    np.square(along))
+                gains = self.gains(terms, along)
                 top = int(np.argmax(gains))
                 if best is not None and not gains[top] > (1 + LITTLE) * best[2]:
                     break
