@@ -29,6 +29,9 @@ NO_BETTER = 0.95
 worth what it foresees."""
 MOST_INSTEAD = 6
 """Causes that are asked in the place of one that is refused."""
+INSTEAD = 0.5
+"""Times the error before, below which a cause is told in the place of one that is refused: such a
+one only describes the tracks, and what leaves most of the error does not describe them."""
 BEYOND = 1.5
 """Times the error that noise makes, above which it is asked whether a law holds there."""
 FORESEEING = ("force", "constraint", "wall", "hidden_body")
@@ -68,9 +71,9 @@ class Foresight:
     def instead(self, done, criteria):
         """The round with another cause, where predictions refuse the one that it adopts.
 
-        It adopts the likeliest of those that predictions surely are better with, as a law that
-        describes the tracks: one that does so better is refused by what was held out alone. The
-        round as it is where there is none.
+        It adopts the likeliest of those with which predictions surely are off by half as much, as a
+        law that describes the tracks: one that does so better is refused by what was held out
+        alone. The round as it is where there is none.
 
         Parameters
         ----------
@@ -93,15 +96,15 @@ class Foresight:
                 rivals=rivals, is_fact=False,
             )  # fmt: skip
             other = replace(done, decision=decision)
-            if self._is_surely_better(other):
+            if self._is_much_better(other):
                 return other
         return done
 
-    def _is_surely_better(self, done):
-        """Whether predictions surely get better with the cause that a round adopts."""
+    def _is_much_better(self, done):
+        """Whether predictions surely get much better with the cause that a round adopts."""
         if self.refuses(done) or not self.helps(done):
             return False
-        return self._accounts(done)(N_COPIES).ratio(0, 1).high < 1.0
+        return self._accounts(done)(N_COPIES).ratio(0, 1).high < INSTEAD
 
     def _of(self, done):
         asked = done.number, done.decision.best.id

@@ -67,6 +67,8 @@ def other_way(effect, why, dataset):
     one_term = len(_split(effect.written or "", " + ", " - ")) == 1
     if not way or _turned(way) not in why or not (one_term and len(effect.constants) == 1):
         return ""
+    if _count("norm(v_i)", effect.written):  # no push grows with the speed
+        return ""
     if _count("normalize(v_i)", effect.written):
         return f", or a push along {way}: nothing turns back, and these data cannot tell"
     if effect.constants[0].value * sign < 0:  # it brakes
