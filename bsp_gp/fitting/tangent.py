@@ -117,10 +117,22 @@ class Tangent:
 
 def instrument_columns(fit, part):
     """What a part changes of the tracks of a fit per unit of each of its numbers, (c, T, C)."""
-    zero = dict.fromkeys(part.names, 0.0)
-    law = replace(fit.law, frame=(*fit.law.frame, part), constants={**fit.law.constants, **zero})
-    parameters = (*fit.parameters, *((name, "") for name in part.names))
-    values = np.concatenate([fit.values, np.zeros(len(part.names))])
+    return columns_beside(fit, (*fit.law.frame, part), dict.fromkeys(part.names, 0.0))
+
+
+def columns_beside(fit, frame, constants):
+    """What further constants change of the tracks of a fit per unit of each, (c, T, C).
+
+    Parameters
+    ----------
+    frame : tuple of Part
+        Of its law, with the constants in it.
+    constants : dict of str to float
+        With which tracks are as they are.
+    """
+    law = replace(fit.law, frame=frame, constants={**fit.law.constants, **constants})
+    parameters = (*fit.parameters, *((name, "") for name in constants))
+    values = np.concatenate([fit.values, list(constants.values())])
     level, out = STEP_ERROR * np.nanmin(fit.noise.levels), []
     for chains, nodes in zip(fit.groups, fit.nodes, strict=True):
         motion = Motion(law, chains, parameters)

@@ -60,13 +60,20 @@ class Foresight:
         self._streams, self._crew, self._kept = streams, crew, {} if kept is None else kept
         self._known = {}
 
-    def refuses(self, done):
-        """Whether the cause that a round adopts surely makes predictions worse."""
-        return self._of(done)[0]
+    def refuses(self, done, last=None):
+        """Whether the cause that a round adopts surely makes predictions worse.
 
-    def helps(self, done):
+        Parameters
+        ----------
+        done : Round
+        last : Round, optional
+            Up to which causes are asked for together; that round.
+        """
+        return self._of(done, last or done)[0]
+
+    def helps(self, done, last=None):
         """Whether it makes them better, or explains what no law foresees."""
-        return self._of(done)[1]
+        return self._of(done, last or done)[1]
 
     def instead(self, done, criteria):
         """The round with another cause, where predictions refuse the one that it adopts.
@@ -104,19 +111,19 @@ class Foresight:
         """Whether predictions surely get much better with the cause that a round adopts."""
         if self.refuses(done) or not self.helps(done):
             return False
-        return self._accounts(done)(N_COPIES).ratio(0, 1).high < INSTEAD
+        return self._accounts(done, done)(N_COPIES).ratio(0, 1).high < INSTEAD
 
-    def _of(self, done):
-        asked = done.number, done.decision.best.id
+    def _of(self, done, last):
+        asked = tuple((each.number, each.decision.best.id) for each in (done, last))
         if asked not in self._known:
-            self._known[asked] = self._asked(done)
+            self._known[asked] = self._asked(done, last)
         return self._known[asked]
 
-    def _accounts(self, done):
-        """``accounts(n_copies)`` of the fits before and after a round."""
+    def _accounts(self, done, last):
+        """``accounts(n_copies)`` of the fits before a round and after one."""
         pair = [
             self._refitted(done.entering, done.hypotheses[0]),
-            self._refitted(done.after, done.continuing),
+            self._refitted(last.after, last.continuing),
         ]
         seeds = self._streams[done.number - 1].bit_generator.seed_seq
         key = (*seeds.spawn_key, done.decision.best.id)
@@ -130,8 +137,8 @@ class Foresight:
 
         return accounts
 
-    def _asked(self, done):
-        accounts = self._accounts(done)
+    def _asked(self, done, last):
+        accounts = self._accounts(done, last)
         plain = accounts(0)
         if done.entering.is_failed:  # it foresees nothing: what it was left at has seen all rows
             return False, math.isfinite(plain.errors(1).rollout_rmse)
@@ -155,14 +162,16 @@ def that_foresee(rounds, foresight):
     list of Round
         The first round of a cause that is refused adopts nothing, and those after it are gone.
     """
-    helps = []
+    helps, adopted = [], [done for done in rounds if done.decision.is_adopted]
     for k, done in enumerate(rounds):
         if not done.decision.is_adopted:
             break
-        if foresight.refuses(done):
+        # What was judged beside forces that were not known yet foresees nothing without them.
+        last = adopted[-1] if done.is_beside_more else done
+        if foresight.refuses(done, last):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
-        helps.append(foresight.helps(done))
+        helps.append(foresight.helps(done, last))
     if rounds[-1].decision.verdict == "nothing missing":
         return list(rounds)
     return _that_help(rounds, helps)

@@ -126,6 +126,13 @@ class Round:
         return self.decision.is_adopted and best is not None and self.proposals[best.id].is_last
 
     @property
+    def is_beside_more(self):
+        """Whether what it adopts was judged beside forces that are to be found yet."""
+        best = self.decision.best
+        own = self.proposals.get(best.id) if self.decision.is_adopted and best else None
+        return own is not None and own.judged is not None
+
+    @property
     def goes_on(self):
         """Whether a round follows."""
         return self.decision.is_adopted and not self.is_last and not self.left_out
@@ -176,7 +183,8 @@ def run_rounds(
         By whom proposals are fitted.
     is_refused : callable, optional
         ``is_refused(round)``: whether what a round adopts will be taken back, since it makes
-        predictions worse: none is found beside it.
+        predictions worse: none is found beside it. Of a cause that was judged beside forces that
+        are to be found it is not asked, as long as these are not.
     instead : callable, optional
         ``instead(round, criteria)``: the round with another cause in the place of such a one.
 
@@ -198,10 +206,10 @@ def run_rounds(
             continue
         if rounds and not rounds[-1].goes_on:
             break
-        if rounds and is_refused is not None and is_refused(rounds[-1]):
+        if rounds and not rounds[-1].is_beside_more and is_refused and is_refused(rounds[-1]):
             break
         done = run.round(number, hypothesis, found, stream)
-        if instead is not None and done.goes_on:
+        if instead is not None and done.goes_on and not done.is_beside_more:
             done = instead(done, run.criteria)
         rounds.append(done)
         if on_round is not None:
@@ -306,7 +314,7 @@ class _Turn:
         # greatest promise that was kept by what leaves no misfit, and what that may be off by.
         self.measure = {p.name: getattr(p, "asks_rows", False) for p in run.proposers}
         self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
-        self.leaving_nothing = []  # laws that do: row, terms, and how likely they are
+        self.leaving_nothing = []  # laws that do: row, numbers, and how likely they are
         self.explained = None  # what the first of those says of others
 
     def note_time(self, code):
@@ -599,7 +607,7 @@ class _Turn:
 
     @property
     def enough(self):
-        """How many laws leave nothing beyond the noise, and are about as likely as any so far."""
+        """How many numbers leave nothing beyond the noise, and are as likely as any, about."""
         least = max(row.log_posterior for row in self.rows) - 2 * self.run.criteria.class_nats
         return min((n for _, n, nats in self.leaving_nothing if nats > least), default=math.inf)
 
@@ -701,7 +709,9 @@ class _Turn:
         dof = new.n_rows - new.n_free
         left = max(self._left(new) - 1.0, 0.0) * dof
         if proposal.formulas and left < WITHIN_NOISE * math.sqrt(2.0 * dof):
-            self.leaving_nothing.append((row.id, len(proposal.formulas), row.log_posterior))
+            # A sum has a strength for each law: some single law has as many numbers inside.
+            n_numbers = sum(len(formula.constants) for formula in proposal.formulas)
+            self.leaving_nothing.append((row.id, n_numbers, row.log_posterior))
             if self.explained is None and row.log_posterior > self.rows[0].log_posterior:
                 self.explained = self._explained(row, proposal, new)
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))

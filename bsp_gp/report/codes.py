@@ -15,6 +15,8 @@ CAUSES = {
     "tilt": "a camera that is turned", "zero": "an angle whose zero is off",
     "pivot": "angles about a point beside the pivot", "slant": "a picture plane that is tilted",
     "drift": "a camera that drifts", "offset": "an origin that is off",
+    "origin": "an origin beside what a body is held to",
+    "length": "a length other than was typed",
     "delay": "a delay of one body", "exposure": "an exposure that blurs",
     "shutter": "a shutter that reads the picture row by row",
     "inclined": "an orbit whose plane is inclined to the sky", "late_log": "a log that is late",

@@ -189,3 +189,17 @@ def test_a_cause_with_which_tracks_run_away_is_refused(world):
     done = replace(done, fits=fits, hypotheses=hypotheses)
     (done,) = that_foresee([done], foresight(world, test))
     assert done.decision.reason == "predictions_worse"
+
+
+@pytest.mark.parametrize("is_judged", [True, False])
+def test_what_was_judged_beside_forces_that_are_missing_is_asked_with_them(world, is_judged):
+    """An origin that was off had made up for some of a drag: without that it foresaw worse."""
+    train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
+    some = "0.1 [m/s^2] * m_i * e_x"
+    first = round_of(1, train, [GRAVITY, some], [GRAVITY, PUSH])
+    proposal = SimpleNamespace(judged=first.hypotheses[1] if is_judged else None)
+    rounds = [
+        replace(first, proposals={1: proposal}), round_of(2, train, [GRAVITY, PUSH], [GRAVITY]),
+    ]  # fmt: skip
+    told = that_foresee(rounds, foresight(world, test))
+    assert [done.decision.is_adopted for done in told] == ([True, True] if is_judged else [False])

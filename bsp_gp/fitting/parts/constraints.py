@@ -98,6 +98,44 @@ def read_constraint(dataset, text, pairs=None):
     return Constraint(text.strip(), formula, pairs, numbers, bool(coupling))
 
 
+def freed_of(dataset, part, point, length):
+    """Constraints with names in the place of numbers that were typed: fewest names first.
+
+    Parameters
+    ----------
+    part : Constraint
+    point : sequence of str
+        Names for the coordinates of its point, where it has one of numbers.
+    length : str
+        A name for its length, where that is a number.
+
+    Returns
+    -------
+    list of (Constraint, dict of str to float)
+        The constraint, its numbers where the rows keep to it best; and what was typed, SI.
+    """
+    points = _POINT.findall(part.text)
+    known = [p.strip() for found in points for p in found.split(",")]
+    right = part.text.split("=")[1].strip()
+    metres = Conversion(dict(dataset.units.declared), dict(dataset.units.declared)).length("x")
+    ways = [{}]
+    if _is_number(right) and float(right):
+        ways.append({length: right})
+    if len(points) == 1 and all(map(_is_number, known)):
+        own = dict(zip(point, known, strict=True))
+        ways += [own | way for way in ways]
+    out = []
+    for way in ways[1:]:
+        text = part.text
+        if len(way) > 1:
+            text = _POINT.sub(f"({', '.join(point)})", text)
+        if length in way:
+            text = f"{text.split('=')[0].strip()} = {length}"
+        typed = {name: float(value) * metres for name, value in way.items()}
+        out.append((read_constraint(dataset, text, part.pairs), typed))
+    return sorted(out, key=lambda pair: len(pair[1]))
+
+
 def is_string(text):
     """Whether a typed constraint is a string, a distance that is not exceeded."""
     return "<=" in text
@@ -350,6 +388,16 @@ def _numbers(dataset, formula, pairs, axes, is_least=False):
         )
         for name, value in zip(names, best.x, strict=True)
     )  # fmt: skip
+
+
+def left_by(dataset, part):
+    """What the rows leave of a constraint at its numbers, m, one array for each scene and pair."""
+    known = {p.name: p.start for p in part.numbers}
+    rows = [_inputs(dataset, part.formula, s, pair) for s in dataset.scenes for pair in part.pairs]
+    return [
+        np.broadcast_to(evaluate(part.formula, row, known), row["t"].shape)
+        for row in rows if row is not None
+    ]  # fmt: skip
 
 
 def _inputs(dataset, formula, scene, pair):

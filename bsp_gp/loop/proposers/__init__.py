@@ -1,5 +1,6 @@
 """Proposers: each turns a fit into causes that may be missing, one short file each."""
 
+from bsp_gp.loop.proposers.anchors import Anchors
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.proposers.companions import Companions
@@ -47,5 +48,5 @@ def standard(grammar, dataset, **settings):
         laws, inside, Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
         Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
         Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
-        Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
+        Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

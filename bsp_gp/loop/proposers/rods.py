@@ -16,7 +16,7 @@ from bsp_gp.physics.force import ForceLaw, fresh_name
 
 CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
-BENT = 10.0
+BENT = 3.0
 """Deviations from a line, in the same, from which a track is one about a point."""
 UNEVEN = 0.2
 """Standard deviation of a speed, in its mean, that no round orbit has."""
@@ -114,14 +114,14 @@ def _alone(name, tracks):
     middle = places[seen].mean(axis=0)
     axes = np.linalg.svd(places[seen] - middle, full_matrices=False)[2]
     line = {key: (p - middle) @ axes[-1] for key, p in tracks.items()}
-    bend, level = _deviation(line)
+    bend, level = deviation(line)
     if _is_constant(bend, level, places[seen]):
         names = "xyz"[: len(middle)]
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
         values = (float(middle @ axes[-1]),)
         return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
     centre, radius = _sphere(places[seen])
-    spread, level = _deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
+    spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
     if bend < BENT * level or not _is_constant(spread, level, places[seen]):
         return None
     stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
@@ -141,7 +141,7 @@ def _together(one, other, tracks):
     moves = moves[np.isfinite(moves).all(axis=1)]
     if len(moves) < LEAST_ROWS:
         return None
-    spread, level = _deviation(gaps)
+    spread, level = deviation(gaps)
     if np.ptp(moves, axis=0).max() < BENT * level or not _is_constant(spread, level, moves):
         return None
     ways = {key: tracks[one][key] - tracks[other][key] for key in shared}
@@ -164,7 +164,7 @@ def _sphere(places):
     return centre, float(np.linalg.norm(places - centre, axis=1).mean())
 
 
-def _deviation(series):
+def deviation(series):
     """Root mean square of deviations from the mean, and what noise makes of it."""
     rows = [values[np.isfinite(values)] for values in series.values()]
     mean = np.concatenate(rows).mean()

@@ -25,6 +25,8 @@ MOST_BEST = 12
 """Laws of pairs in sets, where these are too many to be all evaluated."""
 LEAST_APART = 0.02
 """Part of a law, squared, that must lie beside another for the two to be told apart."""
+LEAST_USUAL = 0.002
+"""The same of two usual laws: drag is often linear and quadratic at once, much alike on a swing."""
 SIMILAR = 0.01
 """Part of the best gain within which the simplest law says which properties matter."""
 
@@ -53,7 +55,8 @@ def pairs_of(view, found, usual=()):
     first, second = np.triu_indices(len(found), 1)
     cosine = overlap[first, second]
     apart = 1.0 - np.square(cosine)
-    good = apart > LEAST_APART
+    is_usual = np.array([c.formula in usual for c in found])
+    good = apart > np.where(is_usual[first] & is_usual[second], LEAST_USUAL, LEAST_APART)
     first, second, cosine, apart = first[good], second[good], cosine[good], apart[good]
     a, b = scores[first], scores[second]
     gains = (a * a + b * b - 2 * a * b * cosine) / apart
