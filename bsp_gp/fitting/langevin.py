@@ -27,6 +27,8 @@ BLUR = 2.0
 """Nats that the exposure of a camera must gain, or places are those of an instant."""
 SHORTEST, LONGEST = 0.05, 1.0
 """Exposures, in steps between rows."""
+MEMORY = 6.0
+"""Nats that a memory of kicks gains which are none: a force that changes slowly is no kick."""
 STEEPEST = 20.0
 """Rates beyond which no inertia can be seen, per row."""
 FARTHEST = 10.0
@@ -73,6 +75,8 @@ class Langevin:
         Of all rows, states and offsets marginalised.
     oddity : float
         Chance that errors of one-step forecasts are as far from white and normal as they are.
+    memory_gain : float, nats
+        What it gains where what kicks goes on for a while.
     """
 
     terms: frozenset
@@ -81,6 +85,12 @@ class Langevin:
     log_likelihood: float = -np.inf
     oddity: float = 1.0
     is_blurred: bool = False
+    memory_gain: float = 0.0
+
+    @property
+    def are_kicks(self):
+        """Whether what acts beside its forces is over at once, as far as rows tell."""
+        return "kicks" in self.terms and self.memory_gain < MEMORY
 
     @property
     def score(self):
@@ -127,7 +137,10 @@ def _models_of(problem, near):
     found = sorted(found, key=lambda m: -m.score)
     asked = [m for m in found if "kicks" in m.terms and found[0].score - m.score <= near]
     odd = {id(m): problem.oddity(m) for m in asked}
-    return [replace(m, oddity=odd.get(id(m), m.oddity)) for m in found]
+    slow = {id(m): problem.memory_gain(m) for m in asked if not m.is_overdamped}
+    return [
+        replace(m, oddity=odd.get(id(m), 1.0), memory_gain=slow.get(id(m), 0.0)) for m in found
+    ]
 
 
 class _Problem:
@@ -163,11 +176,17 @@ class _Problem:
 
     # --- fits ------------------------------------------------------------------------------------
 
-    def fit(self, terms, is_overdamped, is_blurred=False):
+    def memory_gain(self, found):
+        """Log-likelihood that a model gains where kicks have a memory (Ornstein, Uhlenbeck)."""
+        other = self.fit(found.terms, False, has_memory=True)
+        return other.log_likelihood - found.log_likelihood
+
+    def fit(self, terms, is_overdamped, is_blurred=False, has_memory=False):
         """A model with the parameters that do best."""
         names = [n for n, has in (
             ("drag", "drag" in terms and not is_overdamped), ("trap", "trap" in terms),
             ("kicks", "kicks" in terms), ("noise", self.noise is None), ("exposure", is_blurred),
+            ("memory", has_memory),
         ) if has]  # fmt: skip
         bounds = [self._bounds(name) for name in names]
         best = None
@@ -197,6 +216,7 @@ class _Problem:
             "kicks": (np.log((LEAST_KICKS * self.guess["noise"]) ** 2 / self.span**3), 9.0),
             "noise": tuple(np.log([1e-6, 10 * extent + 1])),
             "exposure": tuple(np.log([SHORTEST, LONGEST])),
+            "memory": tuple(np.log([1.0, max(self.span, 2.0)])),
         }[name]
 
     def _starts(self, names, terms, is_overdamped):
@@ -210,7 +230,7 @@ class _Problem:
                 trap = g["speed"] ** 2 / g["spread"]
                 kicks = 2 * max(rate, 1 / self.span) * g["speed"] ** 2
             values = {"drag": rate, "trap": trap, "kicks": kicks, "noise": max(g["noise"], 1e-5),
-                      "exposure": LONGEST / 2}  # fmt: skip
+                      "exposure": LONGEST / 2, "memory": 10.0}  # fmt: skip
             out.append(np.log([values[name] for name in names]))
         return out
 
@@ -224,6 +244,7 @@ class _Problem:
         model = _Model(
             is_overdamped, values.get("drag", 0.0), values.get("trap", 0.0),
             values.get("kicks", 0.0), noise, values.get("exposure", 0.0),
+            values.get("memory", 0.0),
         )  # fmt: skip
         speed = self.guess["fastest"]
         has_offset = bool({"trap", "push"} & terms)
@@ -372,13 +393,15 @@ class _Model:
     kicks: float
     noise: float
     exposure: float = 0.0
+    memory: float = 0.0
 
     def first(self, speed, far):
         """What makes the first state white, (n, n); its first number is what is shown."""
         if self.exposure:  # the mean is where the place is, but for kicks
             beside = np.sqrt(self.kicks * self.exposure / 1.5)
             return np.array([[1 / beside, -1 / beside], [0.0, 1 / far]])
-        return np.diag([1 / far] if self.is_overdamped else [1 / far, 1 / speed])
+        own = [1 / far] if self.is_overdamped else [1 / far, 1 / speed]
+        return np.diag([*own, np.sqrt(2 * self.memory / self.kicks)] if self.memory else own)
 
     def transitions(self, steps):
         """Over time steps (K,): F (K, n, n), Q (K, n, n), and what a push of one adds (K, n)."""
@@ -386,6 +409,9 @@ class _Model:
             return self._blurred(steps)
         if self.is_overdamped:
             drift, noise, push = [[-self.trap]], [[2 * self.kicks]], [1.0]
+        elif self.memory:  # an acceleration that fades, as strong as kicks over long times
+            drift = [[0.0, 1.0, 0.0], [-self.trap, -self.drag, 1.0], [0.0, 0.0, -1 / self.memory]]
+            noise, push = np.diag([0.0, 0.0, self.kicks / self.memory**2]), [0.0, 1.0, 0.0]
         else:
             drift = [[0.0, 1.0], [-self.trap, -self.drag]]
             noise, push = [[0.0, 0.0], [0.0, self.kicks]], [0.0, 1.0]

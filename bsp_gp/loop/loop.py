@@ -14,6 +14,7 @@ from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.aside import Aside, law_beside, settled
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
@@ -94,6 +95,8 @@ class Round:
     noise_findings, varies_with : tuple
     hidden_bound, trace : object or None
         What else was asked of the fit that enters.
+    aside : Aside or None
+        What it would adopt, while laws are asked for without that.
     """
 
     number: int
@@ -112,6 +115,7 @@ class Round:
     varies_with: tuple = ()
     hidden_bound: object = None
     trace: object = None
+    aside: object = None
 
     @property
     def continuing(self):
@@ -215,7 +219,7 @@ def run_rounds(
         if on_round is not None:
             on_round(done)
         found, hypothesis = done.after, done.continuing
-    return rounds
+    return settled(rounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,12 +263,17 @@ class _Run:
         of_noise = (view.noise_chance, view.forced) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
         table = table.without_repeats().with_probabilities()
-        decision = decide(table, self.criteria)
+        decision, aside = decide(table, self.criteria), None
+        law = law_beside(table, decision, turn.proposals, self.criteria)
+        if law is not None:
+            aside = Aside(decision, self.details(decision.best, turn, view, rng))
+            decision = law
         decision = turn.in_time(decision)
         details = self.details(decision.best, turn, view, rng)
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
-            turn.proposals, time.monotonic() - started, tuple(turn.left_out), details, **asked,
+            turn.proposals, time.monotonic() - started, tuple(turn.left_out), details,
+            aside=aside, **asked,
         )  # fmt: skip
 
     def details(self, best, turn, view, rng):
@@ -416,7 +425,7 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals[:1]]
+        controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals]
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
@@ -541,7 +550,8 @@ class _Turn:
 
         None where some cause leaves little, or a sum is likeliest: they were foreseen well enough.
         """
-        fitted = [row for row in self.rows[1:] if row.is_fit]
+        # Random kicks leave nothing of any motion.
+        fitted = [row for row in self.rows[1:] if row.is_fit and row.kind != "kicks"]
         if min((self._left(self.fits[row.id]) for row in fitted), default=0.0) < EXPLAINED:
             return []
         fitted.sort(key=lambda row: -row.log_posterior)

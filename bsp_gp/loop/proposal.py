@@ -171,7 +171,7 @@ class Family:
     is_continuum : bool
         Whether what was tried runs through a continuum.
     is_control : bool
-        Whether its best is fitted whatever it promises: what others must be better than.
+        Whether all of it is fitted whatever it promises: what others must be better than.
     n_tried : int
     is_partial : bool
         Whether the time was up before all was tried.

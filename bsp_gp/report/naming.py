@@ -107,6 +107,8 @@ _WHOLE = (
      "force round a point (a vortex), to a fitted power of distance"),
     (r"norm\(.*centre_.*\)\^n\d* \* normalize",
      "force to a point, to a fitted power of distance"),
+    (r"^(?:\w+ \* )?\(norm\(.*centre_.*\) - D\d*\) \* normalize\(",
+     "spring of some length to a post"),
     (r"^(?:\w+ \* )?\(norm\(.*centre_.*\^-\d\.5 \* \(",
      "force to a point, softened within a length (as of a place beneath)"),
     (r"^(?:\w+ \* )?exp\(-\(norm\(.*centre_.* \* \(",

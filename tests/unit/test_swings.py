@@ -14,6 +14,7 @@ from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.swings import Swings
 from bsp_gp.loop.view import View
+from bsp_gp.report.page import page_of
 from tests.loop_views import GRAVITY
 from tests.unit.test_response import thrown
 
@@ -87,3 +88,46 @@ def test_nothing_is_asked_where_the_grammar_has_no_spring():
     inside = Inside(Laws(load_grammar("physics"), data), data)
     inside.forms = [form for form in inside.forms if "centre" not in form.term.formula.inputs]
     assert not Swings(inside).propose(view_of(data)).proposals
+
+
+LONG_STRENGTH, NATURAL, POST = 6.0, 0.1, np.array([0.05, -0.02])
+
+
+def about_a_post(n=160, dt=1 / 30, sigma=1e-3, seed=0):
+    """A puck of 1 kg on an air table, tied to a post by a spring of ten centimetres."""
+
+    def rate(t, z):
+        way = z[:2] - POST
+        far = np.hypot(*way)
+        return [*z[2:], *(-LONG_STRENGTH * (far - NATURAL) * way / far)]
+
+    t = np.arange(n) * dt
+    made = solve_ivp(rate, (0, t[-1]), [*(POST + [0.4, 0]), 0.1, 0.8], t_eval=t, rtol=1e-9,
+                     atol=1e-11)  # fmt: skip
+    x, y = made.y[:2] + sigma * np.random.default_rng(seed).standard_normal((2, n))
+    return bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t": t, "x": x, "y": y}), units={"length": "m", "time": "s"},
+        properties={"mass": "1[kg]"},
+    )  # fmt: skip
+
+
+def test_in_a_plane_a_spring_that_has_a_length_is_asked_for_as_well():
+    data = about_a_post()
+    view = view_of(data)
+    _, longer = proposed(data).proposals
+    found = longer.fitted(view.near, data, criteria=view.criteria)
+    constants = dict(found.law.constants)
+    assert constants["D1"] == pytest.approx(NATURAL, abs=5e-3)
+    assert constants["c1"] == pytest.approx(LONG_STRENGTH, rel=0.02)
+    assert found.chi2_red == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.slow
+def test_a_puck_that_is_tied_to_a_post_is_not_kicked_at_random():
+    """Random kicks in a trap were told as its cause: they leave nothing of any motion."""
+    report = bsp_gp.close_loop(about_a_post(), [], rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    (effect,) = [done.effect for done in report.rounds if done.adopted]
+    assert page_of(report).rounds[0].effect.name == "spring of some length to a post"
+    (length,) = [c for c in effect.constants if c.name == "D1"]
+    assert length.low < NATURAL < length.high

@@ -82,7 +82,7 @@ class Kicks:
         gain = max(gain, float(view.left @ view.left) - view.n_left)
         if best.terms == {"drag"}:
             return replace(known, proposals=(_slowed(view, best, gain),))
-        if "kicks" not in best.terms or best.oddity < criteria.alpha:
+        if not best.are_kicks or best.oddity < criteria.alpha:
             return known
         proposal = Kicked(
             "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,

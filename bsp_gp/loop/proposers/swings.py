@@ -22,12 +22,16 @@ from bsp_gp.search.inner import PLACE
 
 SPRING = "centre - p_i"
 """The form of the grammar that drives back to a place."""
+LONG = "(norm(centre - p_i) - D) * normalize(centre - p_i)"
+"""The same of a spring that has a length, tied to a post."""
+SHARE = 0.05
+"""Length of such a spring in the extent of the tracks, at which a fit begins."""
 LEAST_DRAG = 1e-3
 """Part of the rate of a swing at which a drag begins that the swing does not show."""
 
 
 class Swings:
-    """A spring to a rest point, and a drag, as a proposer.
+    """A spring to a rest point or a post, and a drag, as a proposer.
 
     Parameters
     ----------
@@ -39,40 +43,48 @@ class Swings:
 
     def __init__(self, inside):
         self.grammar = inside.grammar
-        texts = [to_text(form.term.formula) for form in inside.forms]
-        self.form = inside.forms[texts.index(SPRING)] if SPRING in texts else None
+        known = {to_text(form.term.formula): form for form in inside.forms}
+        self.forms = [known[text] for text in (SPRING, LONG) if text in known]
 
     def propose(self, view):
-        """The family of that one law, where a lone body swings without a cause."""
+        """The family of those laws, where a lone body swings without a cause."""
         scenes = view.dataset.scenes
-        if self.form is None or view.is_astronomical or any(len(s.dynamic) != 1 for s in scenes):
+        if not self.forms or view.is_astronomical or any(len(s.dynamic) != 1 for s in scenes):
             return Family(self.name)
         rate = swing_of(view.fit)
         if not rate or swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
-        axes = search.axes_of(self.form)
-        if axes is None:
-            return Family(self.name)
-        places = np.concatenate([s.positions[:, s.dynamic[0]] for s in scenes])
-        middle = np.nanmean(places, axis=0)
-        at = np.array(["xyz".index(axis.name.removeprefix(PLACE)) for axis in axes])
-        spring = form_at(view, search, self.form, middle[at])
-        mass = _mass(scenes)
-        strength = next(iter(spring.formulas[0].constants))
-        spring = replace(spring, starts=spring.starts | {strength: mass * rate**2})
-        law = spring.hypothesis.law
-        name = fresh_name(law, "c")
-        slowing = Call("mul", Constant(name), Input("v_i", dataset_types(view.dataset)["v_i"]))
-        drag = -mass * max(_decay(view.fit), LEAST_DRAG * rate)
-        both = replace(
-            spring, text=f"{spring.text} + {to_text(slowing)}",
-            hypothesis=with_term(spring.hypothesis, Term(slowing, "field"), {name: drag}),
-            formulas=(*spring.formulas, slowing), rank=spring.rank + 1,
-            starts=spring.starts | {name: drag},
-            log_prior=spring.log_prior - view.criteria.cause_nats,
-        )  # fmt: skip
-        return Family(self.name, (both,), is_control=True)
+        forms = [f for f in self.forms if search.axes_of(f) is not None]
+        proposals = tuple(_slowed(view, search, form, rate) for form in forms)
+        return Family(self.name, proposals, is_control=True)
+
+
+def _slowed(view, search, form, rate):
+    """A spring about the middle of all places, as stiff as swings are fast, and a drag."""
+    scenes = view.dataset.scenes
+    places = np.concatenate([s.positions[:, s.dynamic[0]] for s in scenes])
+    middle, extent = np.nanmean(places, axis=0), float(np.nanmax(np.nanstd(places, axis=0)))
+    at = [
+        middle["xyz".index(axis.name.removeprefix(PLACE))] if axis.name.startswith(PLACE)
+        else math.log(SHARE * extent)
+        for axis in search.axes_of(form)
+    ]  # fmt: skip
+    spring = form_at(view, search, form, at)
+    mass = _mass(scenes)
+    strength = next(iter(spring.formulas[0].constants))
+    spring = replace(spring, starts=spring.starts | {strength: mass * rate**2})
+    law = spring.hypothesis.law
+    name = fresh_name(law, "c")
+    slowing = Call("mul", Constant(name), Input("v_i", dataset_types(view.dataset)["v_i"]))
+    drag = -mass * max(_decay(view.fit), LEAST_DRAG * rate)
+    return replace(
+        spring, text=f"{spring.text} + {to_text(slowing)}",
+        hypothesis=with_term(spring.hypothesis, Term(slowing, "field"), {name: drag}),
+        formulas=(*spring.formulas, slowing), rank=spring.rank + 1,
+        starts=spring.starts | {name: drag},
+        log_prior=spring.log_prior - view.criteria.cause_nats,
+    )  # fmt: skip
 
 
 def _mass(scenes):
