@@ -59,8 +59,9 @@ KEPT_WIDTH = 0.02
 """Extents that constants of a constraint may move while pieces of tracks do not determine them."""
 FINISHING = 60
 """Linearisations that a minimum may take to its end whatever was spent on the way to it."""
-GROWN_EFFORT = 1.0
-"""Effort for which dense tracks are grown, in that of the ways before."""
+GROWN_EFFORT, LEAST_GROWN = 1.0, 1000.0
+"""Effort for which dense tracks are grown, in that of the ways before; and at the least, where
+nobody set it."""
 JOININGS = 6
 RISING = 10.0
 """Times that chi-squared may rise as nodes are joined."""
@@ -194,7 +195,8 @@ class Climb:
         for way in ways[:: -1 if self.is_coarse and not self.is_grouped else 1]:
             # Rows from which pieces lead nowhere are hardly followed one by one, if they are dense.
             is_last = way == self._grown and not self.is_coarse
-            most = GROWN_EFFORT * (is_over.spent - began) if is_last else math.inf
+            least = LEAST_GROWN if math.isinf(is_over.left) else 0.0
+            most = max(GROWN_EFFORT * (is_over.spent - began), least) if is_last else math.inf
             with is_over.within(most):
                 ends += way(points)
             # Flown through contacts no start may come to an end.
