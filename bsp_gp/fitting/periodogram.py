@@ -11,7 +11,7 @@ MOST_FREQUENCIES = 20_000
 SWINGING = 0.5
 """Part of what tracks are beside parabolas that one rate must make of them to be a swing."""
 SHOWN = 100.0
-"""Chi-squared that a swing must make at the least."""
+"""Chi-squared that a swing must make at the least, in that of the noise or of what it leaves."""
 FEWEST_TURNS = 1.5
 """In the longest track, below which nothing is called a swing."""
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
@@ -85,7 +85,7 @@ def longest(found):
     return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
 
 
-def swing_of(found, foreseen=False):
+def swing_of(found, foreseen=False, body=None):
     """The rate at which tracks swing as they were seen, rad/s; 0 where they do not.
 
     Parameters
@@ -93,6 +93,8 @@ def swing_of(found, foreseen=False):
     found : Fit
     foreseen : bool
         As its law has them, then.
+    body : str, optional
+        Whose tracks; those of all.
     """
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
@@ -101,21 +103,25 @@ def swing_of(found, foreseen=False):
     sizes = np.array(found.noise.levels)[found.channels.axis]  # nan where nothing moves
     seen = [np.isfinite(tracks[:, k]) & np.isfinite(times[:, k]) for k in range(tracks.shape[1])]
     kept = [k for k, own in enumerate(seen) if own.sum() > 6 and np.isfinite(sizes[k])]
+    if body is not None:
+        kept = [k for k in kept if found.channels.body_names[found.channels.body[k]] == body]
     if (foreseen and found.is_failed) or not kept:
         return 0.0
     span = longest(found)
     step = float(np.median(np.concatenate([np.diff(times[seen[k], k]) for k in kept])))
     rates = _rates(span, step)
-    power, whole = np.zeros(len(rates)), 0.0
+    power, whole, count = np.zeros(len(rates)), 0.0, 0
     for k in kept:
         t, x = times[seen[k], k], tracks[seen[k], k]
         variance = np.full(len(t), sizes[k] ** 2)
         power += _power(t, x, variance, rates)
         u = (t - t.mean()) / np.ptp(t)
         left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
-        whole += float(left @ left) / variance[0]
+        whole, count = whole + float(left @ left) / variance[0], count + len(t) - 5
     best = int(np.argmax(power))
-    is_shown = power[best] > max(SWINGING * whole, SHOWN)
+    # What nobody has explained may be all of what was taken for noise.
+    noise = min((whole - power[best]) / max(count, 1), 1.0)
+    is_shown = power[best] > max(SWINGING * whole, SHOWN * noise)
     is_seen = rates[best] * span > 2 * np.pi * FEWEST_TURNS
     return float(rates[best]) if is_shown and is_seen else 0.0
 

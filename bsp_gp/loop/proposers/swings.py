@@ -12,12 +12,12 @@ import numpy as np
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.periodogram import longest, swing_of
-from bsp_gp.language.formula import Call, Constant, Input
+from bsp_gp.language.formula import Call, Constant, Input, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, with_term
 from bsp_gp.loop.proposers.inside import form_at, inner_search
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import Term, fresh_name
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.inner import PLACE
 
 SPRING = "centre - p_i"
@@ -26,6 +26,8 @@ LONG = "(norm(centre - p_i) - D) * normalize(centre - p_i)"
 """The same of a spring that has a length, tied to a post."""
 SHARE = 0.05
 """Length of such a spring in the extent of the tracks, at which a fit begins."""
+MOST_BODIES = 12
+"""That are asked whether each swings at a rate of its own."""
 LEAST_DRAG = 1e-3
 """Part of the rate of a swing at which a drag begins that the swing does not show."""
 
@@ -47,30 +49,68 @@ class Swings:
         self.forms = [known[text] for text in (SPRING, LONG) if text in known]
 
     def propose(self, view):
-        """The family of those laws, where a lone body swings without a cause."""
+        """The family of those laws, where bodies swing without a cause, each at a rate of its own.
+
+        Of several bodies a spring alone is asked, which is of another strength for each: moons that
+        are seen from the side swing like that.
+        """
         scenes = view.dataset.scenes
-        if not self.forms or view.is_astronomical or any(len(s.dynamic) != 1 for s in scenes):
+        names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
+        # In the sky nothing is tied by springs, but orbits are seen edge on.
+        is_sky = view.is_astronomical and view.dataset.n_moving_axes > 1
+        if not self.forms or is_sky or len(names) > MOST_BODIES:
             return Family(self.name)
-        rate = swing_of(view.fit)
-        if not rate or swing_of(view.fit, foreseen=True):
+        is_alone = all(len(s.dynamic) == 1 for s in scenes)
+        rates = {name: swing_of(view.fit, body=name) for name in names}
+        rates = {"": swing_of(view.fit)} if is_alone else rates
+        if not all(rates.values()) or swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
         forms = [f for f in self.forms if search.axes_of(f) is not None]
-        proposals = tuple(_slowed(view, search, form, rate) for form in forms)
+        if is_alone:
+            proposals = tuple(_slowed(view, search, form, rates[""]) for form in forms)
+        else:
+            proposals = tuple(_apart(view, search, form, rates) for form in forms[:1])
         return Family(self.name, proposals, is_control=True)
 
 
-def _slowed(view, search, form, rate):
-    """A spring about the middle of all places, as stiff as swings are fast, and a drag."""
+def _about(view, search, form):
+    """A spring about the middle of all places, its strength open."""
     scenes = view.dataset.scenes
-    places = np.concatenate([s.positions[:, s.dynamic[0]] for s in scenes])
+    places = np.concatenate([s.positions[:, k] for s in scenes for k in s.dynamic])
     middle, extent = np.nanmean(places, axis=0), float(np.nanmax(np.nanstd(places, axis=0)))
     at = [
         middle["xyz".index(axis.name.removeprefix(PLACE))] if axis.name.startswith(PLACE)
         else math.log(SHARE * extent)
         for axis in search.axes_of(form)
     ]  # fmt: skip
-    spring = form_at(view, search, form, at)
+    return form_at(view, search, form, at)
+
+
+def _apart(view, search, form, rates):
+    """A spring to one rest point for all bodies, as stiff for each as its swings are fast."""
+    spring, scenes = _about(view, search, form), view.dataset.scenes
+    (formula,), strength = spring.formulas, next(iter(spring.formulas[0].constants))
+    name = f"{strength}[body]"
+    masses = {s.names[k]: s.entities[k].mass for s in scenes for k in s.dynamic}
+    table = {
+        body: rate**2 * (masses[body] if math.isfinite(masses[body]) else 1.0)
+        for body, rate in rates.items()
+    }  # fmt: skip
+    formula = rename_constants(formula, {strength: name})
+    starts = {key: value for key, value in spring.starts.items() if key != strength}
+    part = spring.hypothesis.parts[-1]
+    law = ForceLaw((Term(formula, "field"),), {**starts, name: table})
+    return replace(
+        spring, code="law_by_body", text=to_text(formula), formulas=(formula,), starts=starts,
+        hypothesis=view.hypothesis + replace(part, law=law), rank=spring.rank + len(rates) - 1,
+        log_prior=spring.log_prior - view.criteria.cause_nats, ties=(),
+    )  # fmt: skip
+
+
+def _slowed(view, search, form, rate):
+    """A spring about the middle of all places, as stiff as swings are fast, and a drag."""
+    spring, scenes = _about(view, search, form), view.dataset.scenes
     mass = _mass(scenes)
     strength = next(iter(spring.formulas[0].constants))
     spring = replace(spring, starts=spring.starts | {strength: mass * rate**2})
