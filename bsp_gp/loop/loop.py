@@ -469,6 +469,8 @@ class _Turn:
             if is_open and not is_again and len(left) < MOST_AGAIN:
                 left[len(queue)] = row
                 queue.append((source, replace(proposal, patience=PATIENT)))
+            if row.status == "unconverged" and not is_again and len(proposal.formulas) > 2:
+                queue += [(source, less) for less in [_shorter(proposal)] if less is not None]
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
@@ -949,6 +951,22 @@ def _without_weakest(proposal, found, criteria):
         bounds=hypothesis.own(proposal.bounds), formulas=formulas, ties=(),
         rank=proposal.rank - 1, log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0),
         patience=1,
+    )  # fmt: skip
+
+
+def _shorter(proposal):
+    """A sum of laws without its last term, as it was proposed; None where that says all of it.
+
+    A descent that came to no end says nothing of a sum that is part of it.
+    """
+    hypothesis = without_term(proposal.hypothesis, proposal.formulas[-1])
+    if hypothesis is None:
+        return None
+    formulas = proposal.formulas[:-1]
+    return replace(
+        proposal, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis,
+        starts=hypothesis.own(proposal.starts), bounds=hypothesis.own(proposal.bounds),
+        formulas=formulas, ties=(), rank=proposal.rank - len(proposal.formulas[-1].constants),
     )  # fmt: skip
 
 
